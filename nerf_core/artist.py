@@ -1,0 +1,118 @@
+"""What the worker draws for the window: the preview of the newest view, and the opened ray."""
+
+from __future__ import annotations
+
+import time
+
+from nerf_core.cameras import camera_rays
+from nerf_core.messages import Inspect, Preview, ViewRequest
+from nerf_core.preview import Refinement, first_stride
+from nerf_core.probe import RadianceProbe, RayProbe, open_radiance, open_ray
+from nerf_core.trainer import Trainer
+
+MOVING_SECONDS = (
+    0.05  # the first pixels of a moving camera may cost so much: three frames, well under the eye's patience
+)
+RESTING_SECONDS = 0.3  # and of one that has come to rest
+GUESSED_RATE = 4000.0  # rays a second, until a tile has been timed
+PROBE_SECONDS = 0.4  # an opened ray is opened anew at least twice a second while training goes on
+
+
+class Artist:
+    """Does one small piece of drawing at a time; remembers what is half done. Owned by the worker thread."""
+
+    def __init__(self) -> None:
+        self.ray: RayProbe | None = None
+        self.radiance: RadianceProbe | None = None
+        self._inspect: Inspect | None = None
+        self._opened: Inspect | None = None
+        self._opened_step = -1
+        self._opened_time = 0.0
+        self._picture: Refinement | None = None
+        self._moving = False
+        self._rates: dict[str, float] = {}
+
+    def inspect(self, command: Inspect | None) -> None:
+        self._inspect = command
+        if command is None:
+            self.ray = self.radiance = self._opened = None
+
+    def forget_pictures(self) -> None:
+        """The model was exchanged: everything is to be drawn again."""
+        self._picture, self._opened = None, None
+
+    @property
+    def fresh(self) -> bool:
+        return self._picture is not None and self._picture.fresh
+
+    def preview(self, previous: Preview | None) -> Preview | None:
+        """The newest picture that may be shown; the previous one until a new camera's first level is complete."""
+        if self._picture is not None and self._picture.fresh and self._picture.first_level_done:
+            return self._picture.image()
+        return previous
+
+    def rays_per_second(self, quality: str) -> float:
+        return self._rates.get(quality, 0.0)
+
+    def urgent(self, view: ViewRequest | None) -> bool:
+        """Whether `view` has nothing to show yet: such pixels come before training."""
+        picture = self._picture
+        return view is not None and (picture is None or picture.stamp != view.stamp or not picture.first_level_done)
+
+    def draw(self, trainer: Trainer, view: ViewRequest | None) -> bool:
+        """One piece; whether there was any to do."""
+        if self._open_probe(trainer):
+            return True
+        if view is None:
+            return False
+        picture = self._current(view)
+        if not picture.advance(trainer.step_count):
+            return False
+        cells = picture.take(trainer.method.tile)
+        rays = camera_rays(picture.camera, trainer.scene.near, trainer.scene.far, picture.pixels(cells))
+        begin = time.perf_counter()
+        drawn = trainer.method.render(rays, picture.quality)
+        color, depth = drawn.color.cpu().numpy(), drawn.depth.cpu()
+        seconds = time.perf_counter() - begin
+        # distance along the ray → depth along the optical axis: `near` is that axis' bound on every ray
+        z = depth * trainer.scene.near / rays.near
+        picture.write(cells, color, z.numpy(), trainer.step_count)
+        if len(cells) == trainer.method.tile:  # a padded tile would be counted as slower than it is
+            rate = len(cells) / max(seconds, 1e-6)
+            self._rates[picture.quality] = 0.8 * self._rates.get(picture.quality, rate) + 0.2 * rate
+        return True
+
+    def _current(self, view: ViewRequest) -> Refinement:
+        """The picture to work on: the newest view's, but a moving camera's few pixels are finished first.
+
+        Otherwise a hand that never rests would see no new pixel at all.
+        """
+        picture = self._picture
+        finish = picture is not None and self._moving and not picture.first_level_done
+        if picture is None or (picture.stamp != view.stamp and not finish):
+            quality = "coarse" if view.moving else "fine"
+            rate = self._rates.get(quality, GUESSED_RATE)
+            affordable = rate * (MOVING_SECONDS if view.moving else RESTING_SECONDS)
+            stride = first_stride(view.camera.width, view.camera.height, affordable)
+            picture = self._picture = Refinement(view.camera, view.stamp, stride, quality)
+            self._moving = view.moving
+        return picture
+
+    def _open_probe(self, trainer: Trainer) -> bool:
+        command = self._inspect
+        if command is None:
+            return False
+        known = command is self._opened
+        outdated = self._opened_step != trainer.step_count and time.monotonic() - self._opened_time > PROBE_SECONDS
+        if known and not outdated:
+            return False
+        self._opened, self._opened_step, self._opened_time = command, trainer.step_count, time.monotonic()
+        try:
+            ray = open_ray(trainer.method, trainer.scene, command.camera, command.pixel, trainer.step_count)
+            up = command.camera.c2w[:, 1]
+            self.radiance = open_radiance(trainer.method, trainer.scene, ray, up, command.point_t)
+            self.ray = ray
+        except Exception:
+            self._inspect = None  # a ray that cannot be opened is reported once, not twice a second
+            raise
+        return True

@@ -1,0 +1,52 @@
+"""How the worker's time is divided between training and pictures: an account, with decay, of measured seconds."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+MEMORY_SECONDS = 2.0  # the account forgets with this time constant: yesterday's idle hour earns no burst today
+
+
+class Budget:
+    """While pictures are wanted, training keeps `share` of the time; with none wanted it has all of it."""
+
+    def __init__(self, share: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self.share = share
+        self._clock = clock
+        self._last = clock()
+        self._train = self._draw = self._rays = 0.0
+        self._turns = 0
+
+    def trained(self, seconds: float, rays: int) -> None:
+        self._decay()
+        self._train += seconds
+        self._rays += rays
+
+    def drew(self, seconds: float) -> None:
+        self._decay()
+        self._draw += seconds
+        self._turns += 1
+
+    def may_draw(self) -> bool:
+        """Whether drawing has used less than its part of what was spent lately."""
+        return self._draw * self.share <= self._train * (1 - self.share)
+
+    def artist_is_next(self) -> bool:
+        """Preview and export take turns."""
+        return self._turns % 2 == 0
+
+    def train_share(self) -> float:
+        total = self._train + self._draw
+        return self._train / total if total > 0 else 0.0
+
+    def rays_per_second(self) -> float:
+        """Rays trained on per second of wall time, pictures included."""
+        total = self._train + self._draw
+        return self._rays / total if total > 0 else 0.0
+
+    def _decay(self) -> None:
+        now = self._clock()
+        keep = 0.5 ** ((now - self._last) / MEMORY_SECONDS)
+        self._last = now
+        self._train, self._draw, self._rays = self._train * keep, self._draw * keep, self._rays * keep

@@ -1,0 +1,128 @@
+"""A run on disk: one safetensors file with JSON inside, written whole or not at all, nothing in it can execute."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nerf_core.errors import UserError, shorten
+
+VERSION = 1
+SUFFIX = ".safetensors"
+REQUIRED = {
+    "method": str, "config": dict, "steps": int, "seed": int, "threads": int, "step": int, "seconds": float,
+    "scene": str, "scene_name": str,
+}  # fmt: skip
+
+
+def save(path: Path, description: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
+    """Write `Trainer.describe()` and `.state()` to `path`, atomically. Raises UserError; the old file then stands."""
+    from safetensors.torch import save as serialise
+
+    arrays = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+    text = json.dumps(description, sort_keys=True)
+    metadata = {"nerf": text, "version": str(VERSION), "sha256": _digest(text, arrays)}
+    write_atomically(path, serialise(arrays, metadata=metadata))
+
+
+def load(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    """The description and tensors of a checkpoint. Raises UserError: missing, foreign, damaged, newer."""
+    from safetensors import SafetensorError, safe_open
+
+    if not path.is_file():
+        raise UserError(f"{path}: no such checkpoint; give a {SUFFIX} file that `nerf-core train` or Save wrote")
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata = file.metadata() or {}
+            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118: not a dict
+    except (SafetensorError, OSError, ValueError) as error:
+        raise UserError(f"{path}: not a readable checkpoint ({shorten(str(error))}); use an earlier one") from None
+    if not {"nerf", "version", "sha256"} <= set(metadata):
+        raise UserError(f"{path}: a safetensors file, but not a checkpoint of nerf-viewer")
+    if not metadata["version"].isdigit() or int(metadata["version"]) > VERSION:
+        raise UserError(
+            f"{path}: checkpoint version {shorten(metadata['version'])}, this program reads up to {VERSION}: update it"
+        )
+    if metadata["sha256"] != _digest(metadata["nerf"], arrays):
+        raise UserError(f"{path}: damaged: its checksum does not match; use an earlier checkpoint")
+    description = json.loads(metadata["nerf"])
+    for name, kind in REQUIRED.items():
+        if not isinstance(description, dict) or not isinstance(description.get(name), kind):
+            raise UserError(f"{path}: field {name} is missing or no {kind.__name__}: made by another version")
+    return description, arrays
+
+
+def _digest(text: str, arrays: Mapping[str, Tensor]) -> str:
+    """SHA-256 over the JSON and every tensor's name, type, shape and bytes: safetensors itself has no checksum."""
+    digest = hashlib.sha256(text.encode())
+    for name in sorted(arrays):
+        value = arrays[name]
+        digest.update(f"{name} {value.dtype} {tuple(value.shape)}".encode())
+        digest.update(value.reshape(-1).view(torch.uint8).numpy() if value.numel() else b"")
+    return digest.hexdigest()
+
+
+def write_atomically(path: Path, data: bytes | str) -> None:
+    """All of `data` under `path`, or the file that was there before: temporary file, fsync, rename.
+
+    Raises UserError when the folder cannot be written or the disk is full.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary.open("wb") as file:
+            file.write(data.encode() if isinstance(data, str) else data)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise UserError(f"{path}: cannot be written: {error.strerror or error}") from None
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def newest(folder: Path) -> tuple[Path, dict[str, Any], dict[str, Tensor], tuple[str, ...]]:
+    """The newest intact checkpoint of a run folder: its path, contents, and what was said of damaged newer ones."""
+    rejected: list[str] = []
+    for path in sorted(folder.glob(f"checkpoints/*{SUFFIX}"), reverse=True):
+        try:
+            return path, *load(path), tuple(rejected)
+        except UserError as error:
+            rejected.append(str(error))
+    reason = f": {rejected[0]}" if rejected else f": no checkpoints/*{SUFFIX} in it"
+    raise UserError(f"{folder}: not a run that can be continued{reason}")
+
+
+def step_path(folder: Path, step: int) -> Path:
+    return folder / "checkpoints" / f"step_{step:08d}{SUFFIX}"
+
+
+def keep_newest(folder: Path, count: int = 2) -> None:
+    """Delete all but the newest `count` checkpoints of a run folder: one intact predecessor is enough."""
+    for path in sorted(folder.glob(f"checkpoints/*{SUFFIX}"))[:-count]:
+        path.unlink(missing_ok=True)
+
+
+def finite(value: Any) -> Any:
+    """JSON without NaN and Infinity: they become null, arrays become lists."""
+    if isinstance(value, np.ndarray):
+        return finite(value.tolist())
+    if isinstance(value, dict):
+        return {k: finite(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(v) for v in value]
+    if isinstance(value, (float, np.floating)):
+        return float(value) if np.isfinite(value) else None
+    if isinstance(value, np.integer):
+        return int(value)
+    return value

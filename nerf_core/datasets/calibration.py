@@ -1,0 +1,81 @@
+"""Do a calibration and its photo belong together, and is it one that a real lens could have?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from nerf_core.cameras import Camera, distort, undistort
+from nerf_core.datasets.capture import Photo
+from nerf_core.datasets.images import Header
+from nerf_core.errors import UserError
+
+ASPECT_TOLERANCE = 0.02  # reduced photos round each side to whole pixels
+FOCAL_RANGE = (0.05, 100.0)  # in image sizes: a field of view between 169° and half a degree
+FOLD_PIXELS = 0.5  # how far a pixel may come back from undistortion and distortion
+
+
+def fitted(photo: Photo, header: Header) -> bool:
+    """Whether the photo must be turned as its EXIF says, so that it has the shape that its calibration states.
+
+    Pixels as stored come first: that is what most tools calibrate. Raises UserError if neither shape fits.
+    """
+    stated = photo.camera.width / photo.camera.height
+    if abs(stated * header.height / header.width - 1) <= ASPECT_TOLERANCE:
+        return False
+    if header.orientation >= 5 and abs(stated * header.width / header.height - 1) <= ASPECT_TOLERANCE:
+        return True
+    raise UserError(
+        f"{photo.path} is {header.width}×{header.height} pixels, but its calibration is for {photo.camera.width}×"
+        f"{photo.camera.height}: give w and h of the photos that were calibrated, or those photos"
+    )
+
+
+def oddities(cameras: Sequence[Camera]) -> list[str]:
+    """One line for each kind of calibration that no usual lens has, with the count of photos it concerns."""
+    found: dict[str, list[float]] = {"focal": [], "principal": [], "fold": []}
+    seen: dict[tuple[float, ...], list[tuple[str, float]]] = {}
+    for camera in cameras:
+        key = camera.intrinsics()
+        if key not in seen:
+            seen[key] = _odd(camera)
+        for kind, value in seen[key]:
+            found[kind].append(value)
+    texts = {
+        "focal": "focal length of {:.3g} image sizes: check fl_x, w or camera_angle_x",
+        "principal": "principal point {:.3g} image sizes from the centre: check cx, cy, w and h",
+        "fold": "lens coefficients that fold the image (a pixel is off by {:.3g}): check k1, k2, k3, p1, p2",
+    }
+    return [f"{len(v)} photos have a {texts[k].format(v[0])}" for k, v in found.items() if v]
+
+
+def _odd(camera: Camera) -> list[tuple[str, float]]:
+    odd: list[tuple[str, float]] = []
+    focal = camera.fx / camera.width
+    if (
+        not FOCAL_RANGE[0] <= focal <= FOCAL_RANGE[1]
+        or not FOCAL_RANGE[0] <= camera.fy / camera.width <= FOCAL_RANGE[1]
+    ):
+        odd.append(("focal", focal))
+    shift = max(abs(camera.cx / camera.width - 0.5), abs(camera.cy / camera.height - 0.5))
+    if shift > 0.5:
+        odd.append(("principal", shift))
+    lens = camera.intrinsics()[6:]
+    if any(lens):
+        border = _border(camera)
+        with np.errstate(all="ignore"):  # absurd coefficients overflow; that is what is looked for
+            back = distort(undistort(torch.from_numpy(border), torch.tensor(lens).double()).numpy(), *lens)
+            error = np.abs((back - border) * (camera.fx, camera.fy)).max()
+        if not error <= FOLD_PIXELS:
+            odd.append(("fold", float(error)))
+    return odd
+
+
+def _border(camera: Camera) -> np.ndarray:
+    """Image-plane points (P, 2) of pixels around the image's edge, where a lens folds first."""
+    u = np.linspace(0, 1, 33)
+    edges = [np.stack(np.broadcast_arrays(x, y), -1) for x, y in ((u, 0), (u, 1), (0, u), (1, u))]
+    pixels = np.concatenate(edges) * (camera.width, camera.height)
+    return (pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy)

@@ -1,0 +1,25 @@
+"""The scene that is installed with the program, stored in Blender's format."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import ClassVar
+
+from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions
+
+
+@DATASETS.register("demo")
+class Demo:
+    """Opened by name, or when no dataset is named: no folder is recognised as it."""
+
+    rank: ClassVar[int] = -1
+    files: ClassVar[str] = "installed with the program"
+
+    @staticmethod
+    def matches(path: Path) -> bool:
+        return False
+
+    @staticmethod
+    def read(path: Path, options: LoadOptions) -> Capture:
+        return replace(DATASETS.get("blender").read(path, options), format="demo")

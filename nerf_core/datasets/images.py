@@ -1,0 +1,215 @@
+"""Photos of every kind → sRGB-encoded pixels: deep, grey, palette, CMYK, profiled, rotated, linear ones."""
+
+from __future__ import annotations
+
+import io
+import stat
+import struct
+import warnings
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import ExifTags, Image, ImageCms, ImageFile
+
+from nerf_core.datasets.exr import exr_header, exr_pixels
+from nerf_core.datasets.resample import composite
+from nerf_core.errors import UserError
+
+MAX_PIXELS = 200_000_000  # beyond any camera's photo: a file that claims more is a decompression bomb
+SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".exr")
+DEEP_GREY = ("I;16", "I;16B", "I;16L")
+BROKEN = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error)  # what decoders raise on damage
+
+# Pillow warns above this size and refuses above its double; a warning here is a refusal as well.
+Image.MAX_IMAGE_PIXELS = MAX_PIXELS
+warnings.filterwarnings("error", category=Image.DecompressionBombWarning)
+
+
+class UnreadableError(Exception):
+    """A photo that is damaged or no image at all; the capture goes on without it, and says so."""
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a photo says of itself: stored size in pixels, EXIF orientation (1: upright), whether it has alpha."""
+
+    width: int
+    height: int
+    orientation: int
+    alpha: bool
+
+
+def measure(path: Path) -> Header:
+    """The header of a photo, without decoding it.
+
+    Raises UnreadableError if it is none, UserError for what must not be opened at all: devices and bombs.
+    """
+    _refuse_special(path)
+    if path.suffix.lower() == ".exr":
+        with _damage_named(path):
+            width, height, alpha = exr_header(path)
+        _refuse_bomb(path, width * height)
+        return Header(width, height, 1, alpha)
+    with _opened(path) as image, _damage_named(path):
+        _refuse_bomb(path, image.width * image.height)
+        return Header(*image.size, _orientation(image), image.has_transparency_data)
+
+
+def damage_notes(damaged: Sequence[str]) -> tuple[str, ...]:
+    """At most one line about photos that are skipped; damaged: what UnreadableError said of each."""
+    if not damaged:
+        return ()
+    return (f"{len(damaged)} damaged photo{'s are' if len(damaged) > 1 else ' is'} skipped, first {damaged[0]}",)
+
+
+def read_photo(
+    path: Path, size: tuple[int, int], background: tuple[float, float, float], upright: bool = False
+) -> np.ndarray:
+    """The photo averaged to `size` = (width, height), over `background`: uint16 (height, width, 3), sRGB-encoded.
+
+    upright: turn it as its EXIF orientation says; otherwise pixels stay as stored. 8-bit and 16-bit values are
+    kept exactly where size allows. A colour profile is converted to sRGB (in 8 bits), EXR from linear to sRGB.
+    Raises UnreadableError for damaged files.
+    """
+    if path.suffix.lower() == ".exr":
+        with _damage_named(path):
+            return composite(exr_pixels(path), size, background)
+    with _opened(path) as image, _damage_named(path):
+        orientation = _orientation(image)
+        pixels = _decoded(image, path)
+    if upright:
+        pixels = _turned(pixels, orientation)
+    return composite(pixels, size, background)
+
+
+def _orientation(image: Image.Image) -> int:
+    if image.format == "PNG" and not {"exif", "Raw profile type exif"} & image.info.keys():
+        return 1  # Pillow would decode the whole photo to look for EXIF behind the pixels, where nobody writes it
+    value = image.getexif().get(ExifTags.Base.Orientation, 1)
+    return value if value in range(1, 9) else 1
+
+
+@contextmanager
+def _damage_named(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except BROKEN as error:
+        raise UnreadableError(f"{path}: {error}") from error
+
+
+def _refuse_special(path: Path) -> None:
+    try:
+        mode = path.stat().st_mode
+    except OSError as error:
+        raise UnreadableError(f"{path}: {error.strerror}") from error
+    if not stat.S_ISREG(mode):
+        raise UserError(f"{path} is a device, pipe or folder, not a photo: list regular image files only")
+
+
+def _refuse_bomb(path: Path, pixels: int) -> None:
+    if pixels > MAX_PIXELS:
+        raise UserError(
+            f"{path} claims {pixels / 1e6:,.0f} million pixels, {MAX_PIXELS // 10**6} are allowed: remove it or "
+            "save it smaller"
+        )
+
+
+def _opened(path: Path) -> ImageFile.ImageFile:
+    try:
+        return Image.open(path)
+    except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        raise UserError(
+            f"{path} claims more than {MAX_PIXELS // 10**6} million pixels: remove it or save it smaller"
+        ) from error
+    except BROKEN as error:
+        raise UnreadableError(f"{path}: no image that can be read") from error
+
+
+def _decoded(image: ImageFile.ImageFile, path: Path) -> np.ndarray:
+    """Pixels (H, W, C) uint8 or uint16 as `composite` takes them."""
+    profile = _foreign_profile(image)
+    deep = _deep(image, path)
+    if deep is not None and profile is None:
+        return deep
+    if image.mode in ("F", "I"):
+        raise ValueError(f"pixel type {image.mode!r} has no defined white; save it as PNG or EXR")
+    if profile is None and image.mode in ("RGB", "RGBA") and "transparency" not in image.info:
+        return np.asarray(image)
+    alpha = image.convert("RGBA").getchannel("A") if image.has_transparency_data else None
+    plain = image
+    if image.mode in DEEP_GREY:  # grey with a profile: the colour engine takes 8 bits
+        plain = Image.fromarray((np.asarray(image) >> 8).astype(np.uint8))
+    color = plain.convert("RGB") if profile is None else _to_srgb(plain, profile)
+    if alpha is not None:
+        color.putalpha(alpha)
+    return np.asarray(color)
+
+
+def _deep(image: ImageFile.ImageFile, path: Path) -> np.ndarray | None:
+    """uint16 (H, W, C) of a photo with 16 bits a channel, None for all others.
+
+    Pillow decodes PNGs with 16-bit colour to 8 bits. Its unpackers for the two byte orders take the first and
+    the second byte of each value: decoding with both gives all 16 bits.
+    """
+    if image.mode in DEEP_GREY:
+        return np.asarray(image).astype(np.uint16)[..., None]
+    packing = str(image.tile[0].args) if image.format == "PNG" and image.tile else ""
+    if packing in ("RGB;16B", "RGBA;16B"):
+        high = np.asarray(image)
+        return high.astype(np.uint16) << 8 | _repacked(path, packing[:-1] + "L")
+    if packing == "LA;16B":  # four bytes a pixel, read as if they were RGBA
+        return _repacked(path, "RGBA").view(">u2").astype(np.uint16)
+    return None
+
+
+def _repacked(path: Path, packing: str) -> np.ndarray:
+    with _opened(path) as image:
+        image.tile = [image.tile[0]._replace(args=packing)]
+        return np.asarray(image)
+
+
+def _foreign_profile(image: Image.Image) -> ImageCms.ImageCmsProfile | None:
+    """The embedded colour profile, unless it is sRGB's own: converting that would only cost precision."""
+    data = image.info.get("icc_profile")
+    if not data:
+        return None
+    try:
+        profile = ImageCms.ImageCmsProfile(io.BytesIO(data))
+        return None if "sRGB" in ImageCms.getProfileDescription(profile) else profile
+    except ImageCms.PyCMSError as error:
+        raise ValueError(f"its colour profile is broken ({error}); save it without one") from error
+
+
+def _to_srgb(image: Image.Image, profile: ImageCms.ImageCmsProfile) -> Image.Image:
+    """Through the embedded profile to sRGB (relative colorimetric), 8-bit RGB."""
+    space = profile.profile.xcolor_space.strip()  # pyright: ignore[reportAttributeAccessIssue] stubs lack it
+    mode = {"RGB": "RGB", "GRAY": "L", "CMYK": "CMYK"}.get(space)
+    if mode is None or (mode == "CMYK") != (image.mode == "CMYK"):
+        raise ValueError(f"its colour profile is for {space}, its pixels are {image.mode}; save it without one")
+    try:
+        converted = ImageCms.profileToProfile(
+            image.convert(mode),
+            profile,
+            ImageCms.createProfile("sRGB"),
+            renderingIntent=ImageCms.Intent.RELATIVE_COLORIMETRIC,
+            outputMode="RGB",
+        )
+    except ImageCms.PyCMSError as error:
+        raise ValueError(f"its colour profile is broken ({error}); save it without one") from error
+    assert converted is not None  # None is returned only for conversions in place
+    return converted
+
+
+def _turned(pixels: np.ndarray, orientation: int) -> np.ndarray:
+    """Stored pixels → as displayed, by EXIF orientation 2 … 8."""
+    if orientation >= 5:
+        pixels = pixels.transpose(1, 0, 2)
+    if orientation in (3, 4, 7, 8):
+        pixels = pixels[::-1]
+    if orientation in (2, 3, 6, 7):
+        pixels = pixels[:, ::-1]
+    return pixels

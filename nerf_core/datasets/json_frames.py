@@ -1,0 +1,159 @@
+"""Frames of transforms files (Blender, instant-ngp, nerfstudio) → photos with cameras."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from nerf_core.cameras import Camera
+from nerf_core.datasets.capture import Photo
+from nerf_core.datasets.images import UnreadableError, damage_notes, measure
+from nerf_core.datasets.json_reader import Fields, scaled_note
+from nerf_core.datasets.photo_paths import find_photos, photo_name
+from nerf_core.errors import UserError
+
+LENSES = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")  # all are cases of k1, k2, p1, p2
+NARROWEST = 1e-4  # smallest focal length in image widths: below, the field of view is 180° for all that is known
+
+
+@dataclass(frozen=True)
+class Frame:
+    """An entry of `frames`, the file's own fields (which hold for entries that lack them), and its split if any."""
+
+    fields: Fields
+    common: Fields
+    split: str = ""
+
+    @property
+    def listed(self) -> str:
+        return self.fields.text("file_path")
+
+    def holder(self, *keys: str) -> tuple[Fields, str] | None:
+        """The first of `keys` that the frame has, else that the file has, and the fields that have it."""
+        for fields in (self.fields, self.common):
+            for key in keys:
+                if key in fields:
+                    return fields, key
+        return None
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """photos: each file once. index: per frame, its place in `photos`, None where the photo cannot be used."""
+
+    photos: tuple[Photo, ...]
+    index: tuple[int | None, ...]
+    notes: tuple[str, ...]
+
+
+def frames_of(document: Fields, split: str = "") -> list[Frame]:
+    """The entries of a transforms file. Raises UserError if there are none."""
+    return [Frame(child, document, split) for child in document.children("frames")]
+
+
+def gather(folder: Path, frames: Sequence[Frame], source: Path) -> Gathered:
+    """Find the photos of all frames below `folder` and give them cameras; what is missing or double is noted."""
+    poses = [frame.fields.pose("transform_matrix") for frame in frames]
+    found = find_photos(folder, [frame.listed for frame in frames], source)
+    photos: dict[str, tuple[int, Photo]] = {}
+    seen: set[tuple[str, str]] = set()
+    index: list[int | None] = []
+    damaged: list[str] = []
+    doubles: list[str] = []
+    for frame, (c2w, _), path in zip(frames, poses, found.paths, strict=True):
+        key = os.path.abspath(path) if path else ""
+        if path is not None and key not in photos:
+            try:
+                photos[key] = (len(photos), Photo(photo_name(folder, path), path, _camera(frame, path, c2w)))
+            except UnreadableError as error:
+                damaged.append(str(error))
+        if path is None or key not in photos:
+            index.append(None)
+            continue
+        place, photo = photos[key]
+        repeated = (frame.split, key) in seen
+        if repeated or not np.array_equal(photo.camera.c2w, c2w):
+            doubles.append(photo.name)
+        seen.add((frame.split, key))
+        index.append(None if repeated else place)
+    if not photos:
+        raise UserError(f"{source}: no listed photo can be read ({damaged[0]}): save them as PNG or JPEG")
+    notes = [*found.notes, *scaled_note(source, [length for _, length in poses]), *damage_notes(damaged)]
+    if doubles:
+        notes.append(
+            f"{source}: {len(doubles)} photos are listed more than once (first {doubles[0]}); the first pose holds"
+        )
+    return Gathered(tuple(photo for _, photo in photos.values()), tuple(index), tuple(notes))
+
+
+def bounds(document: Fields) -> tuple[float, float] | None:
+    """The z-depths `near` and `far`, where the file carries both. Raises UserError unless 0 < near < far."""
+    if "near" not in document and "far" not in document:
+        return None
+    near, far = document.positive("near"), document.positive("far")
+    if near >= far:
+        raise document.error("far", f"a number above near, {near:g}, is needed")
+    return near, far
+
+
+def _camera(frame: Frame, path: Path, c2w: np.ndarray) -> Camera:
+    """Intrinsics of one frame; sizes that the file does not state are the photo's own."""
+    _refuse_other_lenses(frame)
+    wide, high = frame.holder("w"), frame.holder("h")
+    if wide and high:
+        width, height = wide[0].count("w"), high[0].count("h")
+    else:
+        header = measure(path)
+        width = wide[0].count("w") if wide else header.width
+        height = high[0].count("h") if high else max(1, round(header.height * width / header.width))
+    fx, fy = _focal(frame, "x", width), _focal(frame, "y", height)
+    if fx is None and fy is None:
+        raise UserError(f"{frame.fields.file}: fl_x and camera_angle_x are missing: add one of them")
+    values = {key: _optional(frame, key, 0.0) for key in ("k1", "k2", "k3", "p1", "p2")}
+    return Camera(
+        width,
+        height,
+        fx=fx or fy or 0.0,
+        fy=fy or fx or 0.0,
+        cx=_optional(frame, "cx", width / 2),
+        cy=_optional(frame, "cy", height / 2),
+        c2w=c2w,
+        **values,
+    )
+
+
+def _focal(frame: Frame, axis: str, size: int) -> float | None:
+    """f = fl, or (size / 2) / tan(angle / 2); None where the file has neither. Raises UserError."""
+    holder = frame.holder(f"fl_{axis}", f"camera_angle_{axis}")
+    if holder is None:
+        return None
+    fields, key = holder
+    value = fields.positive(key)
+    if key.startswith("camera_angle"):
+        if value >= math.pi:
+            raise fields.error(key, "an angle below π (180°) in radians is needed")
+        value = size / 2 / math.tan(value / 2)
+    if value < NARROWEST * size:
+        raise fields.error(key, f"no lens sees that wide; a focal length in pixels of a photo of {size} is needed")
+    return value
+
+
+def _optional(frame: Frame, key: str, default: float) -> float:
+    holder = frame.holder(key)
+    return holder[0].number(key) if holder else default
+
+
+def _refuse_other_lenses(frame: Frame) -> None:
+    if holder := frame.holder("camera_model"):
+        model = holder[0].text("camera_model")
+        if model.upper() not in LENSES:
+            raise holder[0].error("camera_model", f"known are {', '.join(LENSES)}; undistort the photos first")
+    for key in ("is_fisheye", "k4"):
+        holder = frame.holder(key)
+        if holder and holder[0].values[key]:
+            raise holder[0].error(key, "fisheye lenses are not known; undistort the photos first")

@@ -1,0 +1,179 @@
+"""From a path to a `Scene`: which format, which photos can be used, at what size, in which frame."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from nerf_core.datasets.calibration import fitted, oddities
+from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions
+from nerf_core.datasets.formats import recognise
+from nerf_core.datasets.images import Header, UnreadableError, damage_notes, measure, read_photo
+from nerf_core.errors import UserError
+from nerf_core.scene import Scene, View
+
+Progress = Callable[[int, int], None]
+T = TypeVar("T")
+WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
+BYTES_PER_PIXEL = 6  # uint16 RGB
+THREADS = min(4, os.cpu_count() or 1)  # decoders release the GIL; each holds one whole photo, so not too many
+
+
+def load_scene(path: Path | None, options: LoadOptions, progress: Progress | None = None) -> Scene:
+    """Read a capture (None: the demo scene): photos at the wanted size, poses in the trainer's frame.
+
+    progress: called as (photos done, photos in all) from this thread; it may raise to cancel. What is odd but
+    harmless is told in `Scene.notes`. Raises UserError naming file, field and remedy.
+    """
+    from nerf_core.datasets.geometry import normalise
+
+    _check(options)
+    try:
+        source, name, notes = recognise(path, options.format)
+        capture = DATASETS.get(name).read(source, options)
+        capture, headers, damaged = _readable(capture)
+        capture, upright, size_notes = _sized(capture, headers, options)
+        normalised = normalise(capture, options)
+        background = _background(capture, headers, options)
+        images, more_damaged = _images(capture, upright, background, progress)
+    except OSError as error:
+        raise UserError(
+            f"{error.filename or path}: {error.strerror or error}: check the path and its rights"
+        ) from error
+    kept = [i for i, image in enumerate(images) if image is not None]
+    cameras = [normalised.cameras[i] for i in kept]
+    capture = _with_splits(capture.keeping(kept))
+    notes += (*capture.notes, *size_notes, *damage_notes(damaged + more_damaged), *normalised.notes)
+    folder = source if source.is_dir() else source.parent
+    return Scene(
+        name="demo" if path is None else folder.resolve().name,
+        format=capture.format,
+        views=tuple(View(photo.name, camera) for photo, camera in zip(capture.photos, cameras, strict=True)),
+        images=tuple(image for image in images if image is not None),
+        splits=capture.splits or {},
+        near=normalised.near,
+        far=normalised.far,
+        background=background,
+        center=normalised.center,
+        radius=normalised.radius,
+        up=normalised.up,
+        to_input=normalised.to_input,
+        disparity=normalised.disparity,
+        synthetic=capture.synthetic,
+        ndc=normalised.ndc,
+        notes=notes,
+    )
+
+
+def _check(options: LoadOptions) -> None:
+    if options.downscale < 1:
+        raise UserError(f"--downscale is {options.downscale}: give a whole number from 1 up")
+    if options.max_size < 0:
+        raise UserError(f"--max-size is {options.max_size}: give the longer side in pixels, or 0 for no limit")
+    if not options.memory_gb > 0:
+        raise UserError(f"--memory-gb is {options.memory_gb}: give how many GB the photos may take, more than 0")
+
+
+def _readable(capture: Capture) -> tuple[Capture, list[Header], list[str]]:
+    """Drop the photos that are no images; also the headers of the others, and what was wrong with each dropped."""
+    found = _map(lambda i: measure(capture.photos[i].path), range(len(capture.photos)), None)
+    damaged = [str(v) for v in found if isinstance(v, UnreadableError)]
+    kept = [i for i, v in enumerate(found) if isinstance(v, Header)]
+    if not kept:
+        raise UserError(f"none of the {len(found)} photos can be read ({damaged[0]}): save them as PNG or JPEG")
+    return capture.keeping(kept), [v for v in found if isinstance(v, Header)], damaged
+
+
+def _sized(capture: Capture, headers: Sequence[Header], options: LoadOptions) -> tuple[Capture, list[bool], list[str]]:
+    """Cameras in pixels of the photos as they will be loaded, which photos EXIF turns, and what was noticed."""
+    notes = oddities([photo.camera for photo in capture.photos])
+    upright = [fitted(p, h) for p, h in zip(capture.photos, headers, strict=True)]
+    rotated = sum(h.orientation != 1 for h in headers)
+    if rotated:
+        notes.append(
+            f"{rotated} photos carry an EXIF rotation: {sum(upright)} are turned by it, {rotated - sum(upright)} are "
+            "taken as stored, as their calibration says"
+        )
+    shapes = [(h.height, h.width) if turn else (h.width, h.height) for h, turn in zip(headers, upright, strict=True)]
+    further, sizes = 1, [_target(shape, options, 1) for shape in shapes]
+    while BYTES_PER_PIXEL * sum(w * h for w, h in sizes) > options.memory_gb * 1e9:
+        further += 1
+        sizes = [_target(shape, options, further) for shape in shapes]
+    if further > 1:
+        notes.append(
+            f"photos are downscaled by a further {further}, to {sizes[0][0]}×{sizes[0][1]}, to fit into "
+            f"{options.memory_gb:g} GB: raise --memory-gb to keep their size"
+        )
+    photos = tuple(replace(p, camera=p.camera.resized(*size)) for p, size in zip(capture.photos, sizes, strict=True))
+    return replace(capture, photos=photos), upright, notes
+
+
+def _target(size: tuple[int, int], options: LoadOptions, further: int) -> tuple[int, int]:
+    """(width, height) after the options, then divided by `further`. Raises UserError where no pixel is left."""
+    longest = max(size) / options.downscale
+    limit = options.max_size or longest
+    scale = min(1.0, limit / longest) / options.downscale / further
+    width, height = round(size[0] * scale), round(size[1] * scale)
+    if min(width, height) < 1:
+        raise UserError(
+            f"a photo of {size[0]}×{size[1]} pixels has none left at --downscale {options.downscale}, "
+            f"--max-size {options.max_size}, --memory-gb {options.memory_gb:g}: ask for larger photos"
+        )
+    return width, height
+
+
+def _background(capture: Capture, headers: Sequence[Header], options: LoadOptions) -> tuple[float, float, float]:
+    if options.background == "auto":
+        return WHITE if capture.synthetic or any(h.alpha for h in headers) else BLACK
+    return WHITE if options.background == "white" else BLACK
+
+
+def _images(
+    capture: Capture, upright: Sequence[bool], background: tuple[float, float, float], progress: Progress | None
+) -> tuple[list[np.ndarray | None], list[str]]:
+    """The photos, None where one turned out to be damaged, and what was wrong with those."""
+
+    def read(i: int) -> np.ndarray:
+        photo = capture.photos[i]
+        return read_photo(photo.path, (photo.camera.width, photo.camera.height), background, upright[i])
+
+    found = _map(read, range(len(capture.photos)), progress)
+    damaged = [str(v) for v in found if isinstance(v, UnreadableError)]
+    if len(damaged) == len(found):
+        raise UserError(f"none of the {len(found)} photos can be read ({damaged[0]}): save them as PNG or JPEG")
+    return [None if isinstance(v, UnreadableError) else v for v in found], damaged
+
+
+def _map(work: Callable[[int], T], items: Sequence[int], progress: Progress | None) -> list[T | UnreadableError]:
+    """`work` of all items in threads, in order; damaged photos as values. Any other error cancels the rest."""
+
+    def guarded(i: int) -> T | UnreadableError:
+        try:
+            return work(i)
+        except UnreadableError as error:
+            return error
+
+    results: list[T | UnreadableError] = []
+    pool = ThreadPoolExecutor(THREADS, thread_name_prefix="photos")
+    try:
+        for result in pool.map(guarded, items):
+            results.append(result)
+            if progress is not None:
+                progress(len(results), len(items))
+    finally:
+        pool.shutdown(cancel_futures=True)
+    return results
+
+
+def _with_splits(capture: Capture) -> Capture:
+    splits = capture.named_splits()
+    if not splits.get("train"):
+        counts = ", ".join(f"{name} has {len(index)}" for name, index in splits.items())
+        raise UserError(f"no photo of the training split can be used ({counts}): check the photos that it lists")
+    return replace(capture, splits=splits)

@@ -1,0 +1,69 @@
+"""Area averaging and compositing of photos, in float, over premultiplied colour."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+Decode = Callable[[np.ndarray], np.ndarray]
+ROWS_AT_ONCE = 16  # input rows: they stay in the processor's cache
+
+
+def composite(pixels: np.ndarray, size: tuple[int, int], background: tuple[float, float, float]) -> np.ndarray:
+    """Photo → what training sees: averaged to `size` = (width, height), then put over `background`.
+
+    pixels: (H, W, C) uint8, uint16 (full range = 1) or float32; C is 1 grey, 2 grey + alpha, 3 RGB, 4 RGBA, alpha
+    straight. Returns uint16 (height, width, 3), 65535 = 1. Colour is premultiplied before it is averaged, so that
+    invisible colour does not bleed into edges: C = mean(α c) + (1 − mean α) · background.
+    """
+    width, height = size
+    mean = average_rows(pixels, height, _premultiplied)
+    if width != pixels.shape[1]:
+        mean = average_rows(mean.transpose(1, 0, 2), width, lambda columns: columns).transpose(1, 0, 2)
+    color = mean[..., :3]
+    if mean.shape[2] == 4:
+        color = color + (1 - mean[..., 3:]) * np.asarray(background, np.float32)
+    return (np.clip(color, 0, 1) * 65535 + 0.5).astype(np.uint16)
+
+
+def average_rows(image: np.ndarray, count: int, decode: Decode) -> np.ndarray:
+    """Exact area average of (H, W, C) over its rows → (count, W, C'), count ≤ H.
+
+    Output row r averages input rows over [r·H/count, (r+1)·H/count), rows at the ends by the part that is covered.
+    `decode` turns a few input rows into float32 with C' channels: the whole photo is never held in float, since
+    a large one would take gigabytes.
+    """
+    rows = image.shape[0]
+    at_once = max(1, ROWS_AT_ONCE * count // rows)
+    parts = []
+    for start in range(0, count, at_once):
+        r = np.arange(start, min(start + at_once, count))
+        first, last = r * rows // count, -(-(r + 1) * rows // count)
+        block = decode(image[first[0] : last[-1]])
+        mean = np.zeros((len(r), *block.shape[1:]), np.float32)
+        for tap in range(int((last - first).max())):  # no matrix product: BLAS threads would fight with ours
+            i = first + tap
+            covered = np.minimum((i + 1) * count, (r + 1) * rows) - np.maximum(i * count, r * rows)
+            weights = (np.maximum(covered, 0) / rows).astype(np.float32)
+            mean += weights[:, None, None] * block[np.minimum(i - first[0], len(block) - 1)]
+        parts.append(mean)
+    return np.concatenate(parts)
+
+
+def _premultiplied(rows: np.ndarray) -> np.ndarray:
+    """(n, W, 1…4) of any pixel type → float32 (n, W, 3 or 4), colour multiplied by alpha."""
+    full = 1.0 if rows.dtype == np.float32 else float(np.iinfo(rows.dtype).max)
+    values = rows.astype(np.float32)
+    values *= np.float32(1 / full)
+    if values.shape[2] <= 2:
+        values = np.concatenate([np.repeat(values[..., :1], 3, axis=2), values[..., 1:]], axis=2)
+    if values.shape[2] == 4:
+        values[..., :3] *= values[..., 3:]
+    return values
+
+
+def srgb_encoded(linear: np.ndarray) -> np.ndarray:
+    """Linear light → sRGB's curve (IEC 61966-2-1), clipped to [0, 1]; what is brighter than white becomes white."""
+    x = np.clip(linear, 0, 1)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055).astype(np.float32)

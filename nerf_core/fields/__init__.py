@@ -1,0 +1,1 @@
+"""Fields: (x, d) → density and colour."""

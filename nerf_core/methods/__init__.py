@@ -1,0 +1,66 @@
+"""How a field is sampled, supervised, rendered and opened up: one file a method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, Protocol
+
+import torch
+from torch import Tensor
+
+from nerf_core.registry import Registry
+from nerf_core.scene import Scene
+from nerf_core.types import Rays, Rendering, Trace
+
+
+class Method(Protocol):
+    """A model of one scene with its optimiser; owned by one thread.
+
+    `summary` is the sentence that menus show. `tile` is how many rays one call of `render` works on at a time: a
+    preview asks for no more, so that it can be dropped between two calls.
+    """
+
+    summary: ClassVar[str]
+    tile: int
+
+    @staticmethod
+    def configure(scene: Scene, preset: str, changes: Mapping[str, str], device: torch.device) -> Any:
+        """The configuration (a frozen dataclass) of `preset` with `changes` by name. Raises UserError."""
+        ...
+
+    @staticmethod
+    def restore(config: Mapping[str, Any]) -> Any:
+        """The configuration that a checkpoint stores as a JSON object. Raises UserError."""
+        ...
+
+    def __init__(self, scene: Scene, config: Any, device: torch.device, seed: int) -> None: ...
+
+    def train(self, rays: Rays, truth: Tensor, step: int, steps: int | None, pump: Callable[[], None]) -> float:
+        """One optimiser step on R rays and their colours (R, 3); returns the mean squared error of the final colour.
+
+        `pump` is called between pieces of at most some 10 ms on a CPU, so that a preview can be served.
+        """
+        ...
+
+    def render(self, rays: Rays, quality: str = "fine") -> Rendering:
+        """Any number of rays, in padded tiles; "coarse" is the cheaper picture where there is one."""
+        ...
+
+    def trace(self, rays: Rays) -> Trace:
+        """`render` with everything it composited kept."""
+        ...
+
+    def radiance(self, point: Tensor, directions: Tensor) -> Tensor:
+        """Colours (K, 3) that the world point (3,) emits against the ray directions (K, 3), camera to point."""
+        ...
+
+    def state(self) -> dict[str, Tensor]:
+        """Weights, optimiser and random state, by name: what a checkpoint stores."""
+        ...
+
+    def load_state(self, state: Mapping[str, Tensor]) -> None: ...
+
+    def parameters(self) -> list[Tensor]: ...
+
+
+METHODS: Registry[type[Method]] = Registry("method", "nerf_core.methods")

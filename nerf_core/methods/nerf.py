@@ -1,0 +1,256 @@
+"""The paper's NeRF: two networks, stratified then importance sampling (Mildenhall et al. 2020, arXiv:2003.08934)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, NamedTuple
+
+import torch
+from torch import Tensor
+
+from nerf_core.device import fast_precision
+from nerf_core.fields.mlp import MlpField
+from nerf_core.methods import METHODS
+from nerf_core.nerf_config import NerfConfig
+from nerf_core.sampling import inverse_transform, spaced, stratified
+from nerf_core.scene import Scene
+from nerf_core.types import Rays, Rendering, Samples, Trace
+from nerf_core.volume import absorb, composite, expected_depth
+
+# A gradient is needed only where it is not zero. Behind ReLU, empty space has none: when less than this share of
+# samples is alive, evaluating everything without a graph and the living again with one is cheaper than one dense
+# pass (forward : backward = 1 : 2, hence 1 + 3f < 3).
+SPARSE_BELOW = 0.6
+
+
+class _Parametrised(NamedTuple):
+    """Rays in the space that the network sees: x = origins + u · directions, u in [near, far]; see `Ndc`."""
+
+    origins: Tensor
+    directions: Tensor
+    near: Tensor
+    far: Tensor
+    length: Tensor  # of `directions`: what turns steps of u into δ
+    exists: Tensor  # rays that never enter the frustum of NDC show background
+    encoded: Tensor  # γ(d)
+
+
+class _Pass(NamedTuple):
+    """One network along R rays: parameters u, and what was composited."""
+
+    name: str
+    u: Tensor
+    delta: Tensor
+    sigma: Tensor
+    alpha: Tensor
+    transmittance: Tensor
+    weights: Tensor
+    rgb: Tensor
+
+
+@METHODS.register("nerf")
+class Nerf:
+    """The published method, complete; on a CPU its matrix products run in bfloat16 where that is fast."""
+
+    summary: ClassVar[str] = (
+        "The paper's NeRF (2020): two MLPs, every sample through a network; slow, and the reference."
+    )
+
+    configure = staticmethod(NerfConfig.configure)
+    restore = staticmethod(NerfConfig.restore)
+
+    def __init__(self, scene: Scene, config: NerfConfig, device: torch.device, seed: int) -> None:
+        self.config, self.device = config, device
+        self.ndc, self.disparity = scene.ndc, scene.disparity
+        self.background = torch.tensor(scene.background, device=device)
+        self.tile = config.tile or (32 if device.type == "cpu" else 4096)
+        self.generator = torch.Generator(device).manual_seed(seed)
+        start = torch.Generator().manual_seed(seed)
+        self.networks = {"coarse": self._network(start)}
+        if config.fine_samples:
+            self.networks["fine"] = self._network(start)
+        # Adam's fused form reads and writes each parameter once; the equations are the same.
+        self.optimizer = torch.optim.Adam(
+            self.parameters(), lr=config.learning_rate, eps=config.adam_epsilon, fused=True
+        )
+        self._alive = {name: 1.0 for name in self.networks}
+
+    def _network(self, start: torch.Generator) -> MlpField:
+        c = self.config
+        field = MlpField(
+            c.depth, c.width, c.position_frequencies, c.direction_frequencies, c.include_input, c.pi, c.view_directions,
+            fast_precision(self.device),
+        )  # fmt: skip
+        field.initialise(start)
+        return field.to(self.device)
+
+    # ---- sampling -------------------------------------------------------------------------------------------------
+
+    def _parametrise(self, rays: Rays) -> _Parametrised:
+        encoded = self.networks["coarse"].encode_directions(rays.directions)
+        if self.ndc is None:
+            one = torch.ones_like(rays.near)
+            return _Parametrised(rays.origins, rays.directions, rays.near, rays.far, one, one.bool(), encoded)
+        origins, directions, exists = self.ndc.rays(rays.origins, rays.directions)
+        zero, one = torch.zeros_like(rays.near), torch.ones_like(rays.near)
+        return _Parametrised(origins, directions, zero, one, directions.norm(dim=-1), exists, encoded)
+
+    def _coarse_u(self, p: _Parametrised, random: bool) -> Tensor:
+        u = spaced(p.near, p.far, self.config.coarse_samples, self.disparity and self.ndc is None)
+        return stratified(u, self.generator) if random else u
+
+    def _fine_u(self, coarse_u: Tensor, weights: Tensor, random: bool) -> Tensor:
+        """The sorted union of the coarse depths and N_f draws from their weights (ends left out, as in the code)."""
+        middle = (coarse_u[:, 1:] + coarse_u[:, :-1]) / 2
+        draws = inverse_transform(
+            middle, weights[:, 1:-1].detach(), self.config.fine_samples, self.generator if random else None
+        )
+        return torch.cat([coarse_u, draws], -1).sort(-1).values
+
+    # ---- evaluating -----------------------------------------------------------------------------------------------
+
+    def _field(self, name: str, p: _Parametrised, u: Tensor, index: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Raw density (P,) and colour (P, 3) at all samples u (R, S), or at the flat `index` of some."""
+        rays, samples = u.shape
+        x = (p.origins[:, None] + u[..., None] * p.directions[:, None]).flatten(0, 1)
+        if index is None:
+            d = p.encoded.repeat_interleave(samples, 0)
+        else:
+            x, d = x[index], p.encoded[torch.div(index, samples, rounding_mode="floor")]
+        return self.networks[name](x, d)
+
+    def _composite(self, name: str, p: _Parametrised, u: Tensor, raw: Tensor, rgb: Tensor, noise: bool) -> _Pass:
+        steps = u[:, 1:] - u[:, :-1]
+        last = torch.full_like(u[:, :1], self.config.last_delta)
+        delta = torch.cat([steps, last], -1) * p.length[:, None]
+        raw = raw.view(u.shape)
+        if noise and self.config.density_noise > 0:
+            raw = raw + self.config.density_noise * torch.randn(
+                u.shape, generator=self.generator, device=u.device, dtype=u.dtype
+            )
+        sigma = torch.relu(raw) * p.exists[:, None]
+        return _Pass(name, u, delta, sigma, *absorb(sigma, delta), rgb.view(*u.shape, 3))
+
+    # ---- training -------------------------------------------------------------------------------------------------
+
+    def train(self, rays: Rays, truth: Tensor, step: int, steps: int | None, pump: Callable[[], None]) -> float:
+        """Loss: MSE of the coarse colour plus MSE of the fine one; Adam under an exponential decay."""
+        rate = self.config.learning_rate * self.config.decay ** (step / (steps or self.config.decay_steps))
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+        self.optimizer.zero_grad(set_to_none=False)
+        error = torch.zeros((), device=self.device)
+        alive = {name: 0 for name in self.networks}
+        scale = 1 / truth.numel()
+        for start in range(0, len(rays), self.config.chunk_rays):
+            chunk = slice(start, start + self.config.chunk_rays)
+            p = self._parametrise(rays[chunk])
+            u, weights = self._coarse_u(p, random=True), torch.empty(0)
+            for name in self.networks:
+                if name == "fine":
+                    u = self._fine_u(u, weights, random=True)
+                weights, squared, living = self._supervise(name, p, u, truth[chunk], scale)
+                alive[name] += living
+                pump()
+            error += squared  # of the last network: the one that makes the picture
+        self.optimizer.step()
+        for name in alive:
+            self._alive[name] = alive[name] / (len(rays) * self._samples(name))
+        return float(error * scale)
+
+    def _supervise(
+        self, name: str, p: _Parametrised, u: Tensor, truth: Tensor, scale: float
+    ) -> tuple[Tensor, Tensor, int]:
+        """Add the gradient of one network's share of the loss; returns weights, summed squared error, living samples."""
+        dense = self._alive[name] >= SPARSE_BELOW
+        with torch.set_grad_enabled(dense):
+            raw, rgb = self._field(name, p, u)
+        leaves = raw.detach().requires_grad_(), rgb.detach().requires_grad_()
+        done = self._composite(name, p, u, *leaves, noise=True)
+        color, _ = composite(done.weights, done.rgb, self.background)
+        squared = (color - truth).square().sum()
+        raw_grad, rgb_grad = torch.autograd.grad(squared * scale, leaves)
+        living = ((raw_grad != 0) | (rgb_grad != 0).any(-1)).nonzero().squeeze(-1)
+        if not dense and len(living):
+            raw, rgb = self._field(name, p, u, living)
+            raw_grad, rgb_grad = raw_grad[living], rgb_grad[living]
+        if len(living):
+            torch.autograd.backward([raw, rgb], [raw_grad, rgb_grad])
+        return done.weights.detach(), squared.detach(), len(living)
+
+    def _samples(self, name: str) -> int:
+        return self.config.coarse_samples + (self.config.fine_samples if name == "fine" else 0)
+
+    # ---- rendering ------------------------------------------------------------------------------------------------
+
+    @torch.no_grad()
+    def _tile(self, rays: Rays, quality: str) -> Trace:
+        """At most `tile` rays, always evaluated as a full tile: what a pixel is does not depend on its neighbours."""
+        count = len(rays)
+        padded = rays.to(self.device).padded(self.tile)
+        p = self._parametrise(padded)
+        u = self._coarse_u(p, random=False)
+        passes: list[_Pass] = []
+        for name in self.networks:
+            if name == "fine":
+                if quality == "coarse":
+                    break
+                u = self._fine_u(u, passes[-1].weights, random=False)
+            passes.append(self._composite(name, p, u, *self._field(name, p, u), noise=False))
+        color, opacity = composite(passes[-1].weights, passes[-1].rgb, self.background)
+        depth = expected_depth(passes[-1].weights, passes[-1].u)
+        if self.ndc is not None:  # averaged in t′, then mapped
+            depth = self.ndc.world_t(padded.origins, padded.directions, depth[:, None])[:, 0]
+        samples = tuple(self._exported(done, padded, count) for done in passes)
+        return Trace(Rendering(color[:count], opacity[:count], depth[:count]), samples)
+
+    def _exported(self, done: _Pass, rays: Rays, count: int) -> Samples:
+        t = done.u if self.ndc is None else self.ndc.world_t(rays.origins, rays.directions, done.u)
+        return Samples(done.name, *(v[:count] for v in (t, *done[2:])))
+
+    def render(self, rays: Rays, quality: str = "fine") -> Rendering:
+        return Rendering.cat(
+            [self._tile(rays[i : i + self.tile], quality).rendering for i in range(0, len(rays), self.tile)]
+        )
+
+    def trace(self, rays: Rays) -> Trace:
+        if len(rays) > self.tile:
+            raise ValueError(f"trace opens at most {self.tile} rays at a time, got {len(rays)}")
+        return self._tile(rays, "fine")
+
+    @torch.no_grad()
+    def radiance(self, point: Tensor, directions: Tensor) -> Tensor:
+        """The trunk once at the point, then only the view branch over the directions (K, 3)."""
+        name = list(self.networks)[-1]
+        network = self.networks[name]
+        x = point.to(self.device, torch.float32)
+        if self.ndc is not None:
+            x = self.ndc.point(x)
+        _, trunk = network.geometry(x[None])
+        encoded = network.encode_directions(directions.to(self.device, torch.float32))
+        return network.color(trunk.expand(len(encoded), -1), encoded)
+
+    # ---- state ----------------------------------------------------------------------------------------------------
+
+    def parameters(self) -> list[Tensor]:
+        return [p for net in self.networks.values() for p in net.parameters()]
+
+    def state(self) -> dict[str, Tensor]:
+        state = {f"{name}.{k}": v for name, net in self.networks.items() for k, v in net.state_dict().items()}
+        for i, slots in self.optimizer.state_dict()["state"].items():
+            state |= {f"adam.{i}.{k}": v for k, v in slots.items()}
+        state["generator"] = self.generator.get_state()
+        state |= {f"alive.{name}": torch.tensor(share, dtype=torch.float64) for name, share in self._alive.items()}
+        return state
+
+    def load_state(self, state: Mapping[str, Tensor]) -> None:
+        for name, net in self.networks.items():
+            net.load_state_dict({k: state[f"{name}.{k}"] for k in net.state_dict()})
+            self._alive[name] = float(state[f"alive.{name}"])
+        slots: dict[int, dict[str, Any]] = {}
+        for key, value in state.items():
+            if key.startswith("adam."):
+                _, i, slot = key.split(".")
+                slots.setdefault(int(i), {})[slot] = value
+        self.optimizer.load_state_dict({**self.optimizer.state_dict(), "state": slots})
+        self.generator.set_state(state["generator"].cpu())

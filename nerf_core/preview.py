@@ -1,0 +1,119 @@
+"""What to compute next of a picture that is wanted at once: pure logic, no clock, no torch.
+
+A picture starts as a coarse grid of pixels (stride 32, say) and is refined by halving the stride; pixels already
+computed are kept, since every grid contains the coarser one. Within a level, pixels come from the centre outwards.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nerf_core.cameras import Camera
+from nerf_core.messages import Preview
+from nerf_core.render import to_bytes
+
+COARSEST = 64
+STALE = 0.9  # a picture drawn before this share of today's steps is drawn again before it is refined
+
+
+def first_stride(width: int, height: int, affordable: float) -> int:
+    """The smallest power of two, at most COARSEST, at which the grid has no more than `affordable` pixels."""
+    stride = 1
+    while stride < COARSEST and -(-width // stride) * -(-height // stride) > affordable:
+        stride *= 2
+    return stride
+
+
+class Refinement:
+    """The progressive picture of one camera."""
+
+    def __init__(self, camera: Camera, stamp: int, stride: int, quality: str) -> None:
+        self.camera, self.stamp, self.quality = camera, stamp, quality
+        self.stride = stride
+        self.fresh = False  # whether anything was written since `image` was last called
+        self.first_level_done = False
+        shape = (-(-camera.height // stride), -(-camera.width // stride))
+        self._color = np.zeros((*shape, 3), np.float32)
+        self._depth = np.full(shape, np.nan, np.float32)
+        self._step = np.zeros(shape, np.int64)
+        self._known = np.zeros(shape, bool)
+        self._queue = self._ordered(~self._known)
+        self._next = 0
+
+    def _ordered(self, wanted: np.ndarray) -> np.ndarray:
+        """Grid cells (row, column) to compute, nearest to the centre first."""
+        cells = np.argwhere(wanted)
+        centre = (np.array(wanted.shape) - 1) / 2
+        return cells[np.argsort(((cells - centre) ** 2).sum(-1), kind="stable")]
+
+    def advance(self, step: int) -> bool:
+        """When a level is complete: draw it again if training has outrun it, else go to the next; False: all done."""
+        if self._next < len(self._queue):
+            return True
+        if self._step.min() < STALE * step:
+            self._queue = self._ordered(np.ones_like(self._known))
+        elif self.stride > 1:
+            self._refine()
+        elif self._step.min() < step:
+            self._queue = self._ordered(self._step < step)
+        else:
+            return False
+        self._next = 0
+        return True
+
+    def take(self, count: int) -> np.ndarray:
+        """The next at most `count` cells (K, 2) to compute."""
+        return self._queue[self._next : self._next + count]
+
+    def pixels(self, cells: np.ndarray) -> np.ndarray:
+        """Cells (row, column) → integer pixels (column, row) of the full picture."""
+        return cells[:, ::-1] * self.stride
+
+    def write(self, cells: np.ndarray, color: np.ndarray, depth: np.ndarray, step: int) -> None:
+        """Colours (K, 3) and z-depths (K,) of the cells that `take` gave."""
+        rows, columns = cells.T
+        self._color[rows, columns], self._depth[rows, columns] = color, depth
+        self._step[rows, columns], self._known[rows, columns] = step, True
+        self._next += len(cells)
+        self.first_level_done |= self._next >= len(self._queue)
+        self.fresh = True
+
+    def _refine(self) -> None:
+        stride = self.stride // 2
+        shape = (-(-self.camera.height // stride), -(-self.camera.width // stride))
+        known = np.zeros(shape, bool)
+        known[::2, ::2] = True
+        self._color = _doubled(self._color, shape)
+        self._depth = np.repeat(np.repeat(self._depth, 2, 0), 2, 1)[: shape[0], : shape[1]]
+        self._step = np.repeat(np.repeat(self._step, 2, 0), 2, 1)[: shape[0], : shape[1]]
+        self._known, self.stride = known, stride
+        self._queue = self._ordered(~known)
+
+    def complete(self) -> bool:
+        return self.stride == 1 and bool(self._known.all())
+
+    def image(self) -> Preview:
+        """The picture as it stands, once its first level is done."""
+        self.fresh = False
+        rgba = np.full((*self._known.shape, 4), 255, np.uint8)
+        rgba[..., :3] = to_bytes(self._color)
+        return Preview(
+            stamp=self.stamp,
+            camera=self.camera,
+            rgba=rgba,
+            depth=self._depth.copy(),
+            stride=self.stride,
+            complete=self.complete(),
+            step=int(self._step.min()),
+            quality=self.quality,
+        )
+
+
+def _doubled(grid: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """(h, w, 3) → `shape`: every second texel as it was, those between as the mean of their neighbours."""
+    for axis in (0, 1):
+        following = np.concatenate([np.take(grid, range(1, grid.shape[axis]), axis), np.take(grid, [-1], axis)], axis)
+        grid = np.stack([grid, (grid + following) / 2], axis + 1).reshape(
+            *grid.shape[:axis], 2 * grid.shape[axis], *grid.shape[axis + 1 :]
+        )
+    return np.ascontiguousarray(grid[: shape[0], : shape[1]])

@@ -1,0 +1,140 @@
+"""One scene, one model, one step at a time: no input or output, no threads, no clock that decides anything."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from nerf_core.batches import PixelSampler
+from nerf_core.device import pick_device, usable_cores
+from nerf_core.errors import UserError
+from nerf_core.methods import METHODS, Method
+from nerf_core.scene import Scene
+from nerf_core.settings import RunSettings
+
+
+def nothing() -> None:
+    """The pump of whoever has nothing to do between gradient chunks."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a step did. loss: mean squared error of the batch; psnr: −10 log₁₀ of it, in dB; seconds: its duration."""
+
+    step: int
+    loss: float
+    psnr: float
+    rays: int
+    seconds: float
+
+
+class Diverged(UserError):
+    """The loss stopped being a number."""
+
+
+class Trainer:
+    """Owns the method and draws its batches.
+
+    Everything that decides the weights (configuration, seed, thread count, chunk size, schedule) is fixed here and
+    travels in `describe()`; a run is then bit-identical on one CPU, watched or not, saved and resumed or not.
+    """
+
+    def __init__(self, scene: Scene, settings: RunSettings) -> None:
+        self.device = pick_device(settings.device)
+        name = "nerf" if settings.method == "auto" else settings.method
+        config = METHODS.get(name).configure(scene, settings.preset, settings.changes, self.device)
+        self._build(scene, name, config, settings.steps, settings.seed, settings.threads or usable_cores())
+
+    @classmethod
+    def resume(
+        cls, scene: Scene, description: Mapping[str, Any], state: Mapping[str, Tensor], device: str = "auto"
+    ) -> Trainer:
+        """The trainer that `describe()` and `state()` came from. Raises UserError when it cannot be rebuilt here."""
+        trainer = cls.__new__(cls)
+        trainer.device = pick_device(device)
+        config = METHODS.get(description["method"]).restore(description["config"])
+        trainer._build(
+            scene, description["method"], config, description["steps"], description["seed"], description["threads"]
+        )
+        try:
+            trainer.load_state(state)
+        except (KeyError, RuntimeError, ValueError) as error:
+            raise UserError(f"the checkpoint does not fit method {description['method']}: {error}") from None
+        trainer.step_count, trainer.seconds = description["step"], description["seconds"]
+        return trainer
+
+    def _build(self, scene: Scene, name: str, config: Any, steps: int, seed: int, threads: int) -> None:
+        if self.device.type == "cpu":
+            torch.set_num_threads(threads)
+        self.scene, self.method_name, self.config = scene, name, config
+        self.steps, self.seed, self.threads = steps, seed, threads
+        self.total_steps: int = steps or config.total_steps
+        self.method: Method = METHODS.get(name)(scene, config, self.device, seed)
+        self.batches = PixelSampler(scene, config, self.device, seed)
+        self.step_count = 0
+        self.seconds = 0.0
+
+    def step(self, pump: Callable[[], None] = nothing) -> Report:
+        """One optimiser step. `pump` runs between gradient chunks; its time is not counted as training.
+
+        Raises Diverged when the loss is not finite.
+        """
+        waited = 0.0
+
+        def timed_pump() -> None:
+            nonlocal waited
+            begin = time.perf_counter()
+            pump()
+            waited += time.perf_counter() - begin
+
+        start = time.perf_counter()
+        rays, truth = self.batches.draw(self.step_count)
+        loss = self.method.train(rays, truth, self.step_count, self.steps or None, timed_pump)
+        seconds = time.perf_counter() - start - waited
+        self.seconds += seconds
+        self.step_count += 1
+        if not math.isfinite(loss):
+            raise Diverged(
+                f"step {self.step_count}: the loss is {loss}; lower the learning rate (--set learning_rate=…)"
+            )
+        return Report(self.step_count, loss, psnr_of(loss), len(rays), seconds)
+
+    def frozen_method(self) -> Method:
+        """The model as it is now, with weights of its own: training on does not change it."""
+        method = METHODS.get(self.method_name)(self.scene, self.config, self.device, self.seed)
+        method.load_state({name: value.clone() for name, value in self.method.state().items()})
+        return method
+
+    def describe(self) -> dict[str, Any]:
+        """What a checkpoint stores beside the tensors, as JSON values."""
+        return {
+            "method": self.method_name,
+            "config": self.config.to_json(),
+            "steps": self.steps,
+            "seed": self.seed,
+            "threads": self.threads,
+            "step": self.step_count,
+            "seconds": self.seconds,
+            "scene": self.scene.identity(),
+            "scene_name": self.scene.name,
+        }
+
+    def state(self) -> dict[str, Tensor]:
+        """All tensors that a resumed run needs, by name."""
+        parts = {"method": self.method.state(), "batches": self.batches.state()}
+        return {f"{part}.{key}": value for part, tensors in parts.items() for key, value in tensors.items()}
+
+    def load_state(self, state: Mapping[str, Tensor]) -> None:
+        for part, owner in (("method.", self.method), ("batches.", self.batches)):
+            owner.load_state({key.removeprefix(part): v for key, v in state.items() if key.startswith(part)})
+
+
+def psnr_of(mse: float) -> float:
+    """20 log₁₀(1/√MSE) in dB; 100 stands for a perfect picture, whose logarithm has no value."""
+    return -10 * math.log10(mse) if mse > 1e-10 else 100.0

@@ -1,0 +1,63 @@
+"""Orientations as a turntable sees them: azimuth about the up-axis, elevation above its plane, roll about the view."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+# Closer to the pole than this (the sine of the angle) the direction of view no longer tells an azimuth.
+POLE = 1e-6
+
+
+def horizontal_axes(up: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Unit vectors e1, e2 and up, right-handed: azimuth 0 is e1, growing towards e2."""
+    up = up / np.linalg.norm(up)
+    e1 = np.eye(3)[np.argmin(np.abs(up))]
+    e1 = e1 - (e1 @ up) * up
+    e1 /= np.linalg.norm(e1)
+    return e1, np.cross(up, e1), up
+
+
+def rotation_from(azimuth: float, elevation: float, roll: float, up: np.ndarray) -> np.ndarray:
+    """Camera-to-world rotation (3, 3), OpenGL axes, of a camera at these angles (radians) that looks at the middle.
+
+    Its z axis, from the middle to the camera, is cos(el)(cos(az) e1 + sin(az) e2) + sin(el) up; without roll its
+    x axis is horizontal. Defined at the poles too, where the azimuth alone says how the image is turned.
+    """
+    e1, e2, up = horizontal_axes(up)
+    outwards = math.cos(azimuth) * e1 + math.sin(azimuth) * e2
+    back = math.cos(elevation) * outwards + math.sin(elevation) * up
+    right = math.cos(azimuth) * e2 - math.sin(azimuth) * e1
+    upwards = np.cross(back, right)
+    c, s = math.cos(roll), math.sin(roll)
+    return np.stack([c * right + s * upwards, c * upwards - s * right, back], -1)
+
+
+def angles_from(rotation: np.ndarray, up: np.ndarray) -> tuple[float, float, float]:
+    """Azimuth, elevation and roll in radians: the inverse of `rotation_from`."""
+    e1, e2, up = horizontal_axes(up)
+    upwards, back = rotation[:, 1], rotation[:, 2]
+    height, flat = back @ up, math.hypot(back @ e1, back @ e2)
+    elevation = math.atan2(height, flat)
+    # Over the pole the top of the image points away from where the camera would sink to: it tells the azimuth.
+    outwards = back if flat > POLE else -np.sign(height) * upwards
+    azimuth = math.atan2(outwards @ e2, outwards @ e1)
+    upright = rotation_from(azimuth, elevation, 0.0, up)
+    x_axis = rotation[:, 0]
+    return azimuth, elevation, math.atan2(x_axis @ upright[:, 1], x_axis @ upright[:, 0])
+
+
+def level(rotation: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """The same direction of view without roll."""
+    azimuth, elevation, _ = angles_from(rotation, up)
+    return rotation_from(azimuth, elevation, 0.0, up)
+
+
+def looking_along(direction: np.ndarray, rotation: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """The roll-free rotation (3, 3) that looks along unit `direction`; at a pole it keeps the azimuth of `rotation`."""
+    e1, e2, axis = horizontal_axes(up)
+    x, y, z = -direction @ e1, -direction @ e2, -direction @ axis
+    flat = math.hypot(x, y)
+    azimuth = math.atan2(y, x) if flat > POLE else angles_from(rotation, up)[0]
+    return rotation_from(azimuth, math.atan2(z, flat), 0.0, up)

@@ -1,0 +1,403 @@
+"""The worker thread: alone owns the model and the device; trains, and draws what the window asks for between chunks."""
+
+from __future__ import annotations
+
+import os
+import queue
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from nerf_core import checkpoint, messages
+from nerf_core.artist import Artist
+from nerf_core.budget import Budget
+from nerf_core.datasets import load_scene
+from nerf_core.device import describe
+from nerf_core.errors import UserError
+from nerf_core.export import ExportJob
+from nerf_core.history import HistoryLog
+from nerf_core.messages import Command, Notice, Snapshot, ViewRequest
+from nerf_core.scene import Scene
+from nerf_core.settings import RunSettings
+from nerf_core.trainer import Diverged, Trainer
+
+PUBLISH_SECONDS = 1 / 30  # snapshots no faster than a window could show them
+GOOD_SECONDS = 20.0  # how often the weights are remembered, to fall back on when the loss diverges
+IDLE_SECONDS = 0.25  # how long an idle worker sleeps before it looks again
+NICENESS = 10  # the window's thread goes first when both want a core
+
+
+class _Cancelled(Exception):
+    """The window closed while a scene was loading or a step was under way."""
+
+
+class Worker:
+    """One thread behind two mailboxes.
+
+    Commands are done in order; of `request_view` only the newest counts. `snapshot()` gives the newest state and
+    `notices()` what happened since it was last called; neither ever waits. `wake` is called (from the worker's
+    thread) whenever there is something new to show.
+    """
+
+    def __init__(self, settings: RunSettings, wake: Callable[[], None] = lambda: None, share: float = 0.6) -> None:
+        self.settings = settings
+        self.wake = wake
+        self._commands: queue.SimpleQueue[Command] = queue.SimpleQueue()
+        self._notices: queue.SimpleQueue[Notice] = queue.SimpleQueue()
+        self._view: ViewRequest | None = None
+        self._snapshot = Snapshot(wanted_share=share)
+        self._published = 0.0
+        self._thread = threading.Thread(target=self._run, name="nerf-worker", daemon=True)
+        self._quit = threading.Event()
+        self._arrived = threading.Event()
+        self._scene: Scene | None = None
+        self._trainer: Trainer | None = None
+        self._loaded = 0
+        self._training_until: int | None = None  # step at which to pause; None: not training
+        self._failed = False
+        self._loading = ""
+        self._good: tuple[int, float, dict[str, torch.Tensor]] | None = None
+        self._good_time = 0.0
+        self._history = HistoryLog()
+        self._budget = Budget(share)
+        self._artist = Artist()
+        self._export: ExportJob | None = None
+
+    # ---- called from other threads --------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def send(self, command: Command) -> None:
+        self._commands.put(command)
+        if isinstance(command, messages.Quit):
+            self._quit.set()
+        self._arrived.set()
+
+    def request_view(self, request: ViewRequest) -> None:
+        self._view = request
+        self._arrived.set()
+
+    def snapshot(self) -> Snapshot:
+        return self._snapshot
+
+    def notices(self) -> list[Notice]:
+        found = []
+        while True:
+            try:
+                found.append(self._notices.get_nowait())
+            except queue.Empty:
+                return found
+
+    def stop(self, timeout: float = 5.0) -> bool:
+        """Ask the thread to end; whether it did within `timeout` seconds."""
+        self.send(messages.Quit())
+        self._thread.join(timeout)
+        return not self._thread.is_alive()
+
+    @property
+    def alive(self) -> bool:
+        return self._thread.is_alive()
+
+    # ---- the thread -------------------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        if sys.platform == "linux":
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
+        while not self._quit.is_set():
+            try:
+                self._turn()
+            except _Cancelled:
+                break
+            except Exception as error:
+                self._fail(error)
+        if self._export is not None:
+            self._export.abort()
+        self._publish(force=True)
+
+    def _turn(self) -> None:
+        """Commands first; then one training step, or one tile of a picture, or sleep."""
+        self._arrived.clear()
+        self._take_commands()
+        trainer = self._trainer
+        if trainer is not None and self._training_until is not None:
+            if trainer.step_count >= self._training_until:
+                self._stop_training()
+            else:
+                self._train_step(trainer)
+        elif not self._draw(self._view):
+            self._publish(force=self._artist.fresh)
+            self._arrived.wait(IDLE_SECONDS)
+        self._publish()
+
+    def _take_commands(self) -> None:
+        while not self._quit.is_set():
+            try:
+                command = self._commands.get_nowait()
+            except queue.Empty:
+                return
+            self._obey(command)
+            self._publish(force=True)
+
+    def _obey(self, command: Command) -> None:
+        match command:
+            case messages.OpenScene(path, options):
+                self._open(path, options if isinstance(options, RunSettings) else self.settings)
+            case messages.Train(steps):
+                self._start_training(steps)
+            case messages.Pause():
+                self._training_until = None
+            case messages.Reset():
+                self._need_trainer()
+                self._adopt(Trainer(self._need_scene(), self.settings))
+            case messages.SetShare(train):
+                self._budget.share = min(max(train, 0.05), 0.95)
+            case messages.SaveCheckpoint(path):
+                self._save(path)
+            case messages.LoadCheckpoint(path):
+                self._load(path)
+            case messages.Inspect():
+                self._artist.inspect(command)
+            case messages.StopInspecting():
+                self._artist.inspect(None)
+            case messages.ExportPath():
+                self._start_export(command)
+            case messages.CancelExport():
+                if self._export is not None:
+                    self._export.cancel()
+            case messages.Quit():
+                pass
+
+    # ---- scenes and checkpoints -------------------------------------------------------------------------------------
+
+    def _open(self, path: Path | None, settings: RunSettings) -> None:
+        self._loading = f"opening {path or 'the demo scene'}"
+        self._publish(force=True)
+
+        def progress(done: int, total: int) -> None:
+            if self._quit.is_set():
+                raise _Cancelled
+            self._loading = f"loading photos: {done} of {total}"
+            self._publish()
+
+        try:
+            scene = load_scene(path, settings.load, progress)
+            trainer = Trainer(scene, settings)
+        finally:
+            self._loading = ""
+        self._scene, self.settings = scene, settings
+        self._loaded += 1
+        self._artist = Artist()
+        self._adopt(trainer)
+        for note in scene.notes:
+            self._notices.put(Notice("warning", note))
+
+    def _adopt(self, trainer: Trainer) -> None:
+        """Make this the model; a paused one, whose history begins now."""
+        self._trainer, self._training_until, self._failed = trainer, None, False
+        self._history = HistoryLog()
+        self._artist.forget_pictures()
+        self._remember(trainer)
+
+    def _load(self, path: Path) -> None:
+        description, state = checkpoint.load(path)
+        scene = self._need_scene()
+        if description["scene"] != scene.identity():
+            raise UserError(
+                f"{path}: trained on another scene or with other loading options ({description['scene_name']}); "
+                f"open that one first (now open: {scene.name})"
+            )
+        self._adopt(Trainer.resume(scene, description, state, self.settings.device))
+        self._notices.put(Notice("info", f"loaded {path.name}: step {description['step']:,}", path))
+
+    def _save(self, path: Path) -> None:
+        trainer = self._need_trainer()
+        checkpoint.save(path, trainer.describe(), trainer.state())
+        self._notices.put(Notice("info", f"saved step {trainer.step_count:,} to {path}", path))
+
+    def _need_scene(self) -> Scene:
+        if self._scene is None:
+            raise UserError("no scene is open: open one first")
+        return self._scene
+
+    def _need_trainer(self) -> Trainer:
+        if self._trainer is None:
+            raise UserError("no scene is open: open one first")
+        return self._trainer
+
+    # ---- training ---------------------------------------------------------------------------------------------------
+
+    def _start_training(self, steps: int | None) -> None:
+        trainer = self._need_trainer()
+        self._failed = False
+        end = trainer.total_steps if steps is None else trainer.step_count + steps
+        if trainer.step_count >= end:
+            self._notices.put(Notice("info", f"all {trainer.total_steps:,} steps of the schedule are done"))
+        else:
+            self._training_until = end
+
+    def _stop_training(self) -> None:
+        self._training_until = None
+
+    def _train_step(self, trainer: Trainer) -> None:
+        try:
+            report = trainer.step(self._pump)
+        except Diverged as error:
+            self._recover(trainer, error)
+            return
+        except torch.OutOfMemoryError as error:
+            self._training_until = None
+            raise UserError(
+                f"out of device memory: {error}; use fewer rays a step or a smaller --set chunk_rays"
+            ) from None
+        self._budget.trained(report.seconds, report.rays)
+        self._history.add(report.step, report.loss)
+        if time.monotonic() - self._good_time > GOOD_SECONDS:
+            self._remember(trainer)
+
+    def _remember(self, trainer: Trainer) -> None:
+        state = {name: value.clone() for name, value in trainer.state().items()}
+        self._good, self._good_time = (trainer.step_count, trainer.seconds, state), time.monotonic()
+
+    def _recover(self, trainer: Trainer, error: Diverged) -> None:
+        """Back to the last weights that were known to be good, paused."""
+        self._training_until, self._failed = None, True
+        if self._good is not None:
+            trainer.step_count, trainer.seconds, state = self._good
+            trainer.load_state(state)
+        self._notices.put(Notice("error", f"{error}; back at step {trainer.step_count:,}, paused"))
+
+    def _pump(self) -> None:
+        """Between two gradient chunks: serve the window for as long as the budget allows.
+
+        A new view gets its first pixels at once, but only one new view each time: a hand that keeps moving must
+        not stop the training.
+        """
+        if self._quit.is_set():
+            raise _Cancelled
+        view = self._view
+        while self._artist.urgent(view) and (view is self._view or (view and view.moving)) and self._draw(view):
+            pass
+        while self._budget.may_draw() and not self._artist.urgent(self._view) and self._draw(self._view):
+            self._publish()
+        self._publish(force=self._artist.fresh)
+
+    # ---- pictures ---------------------------------------------------------------------------------------------------
+
+    def _draw(self, view: ViewRequest | None) -> bool:
+        """One piece of drawing of at most some 15 ms; whether there was any to do."""
+        trainer = self._trainer
+        if trainer is None:
+            return False
+        begin = time.perf_counter()
+        turns = [self._draw_export, lambda: self._artist.draw(trainer, view)]
+        if self._artist.urgent(view) or self._budget.artist_is_next():
+            turns.reverse()
+        did = any(turn() for turn in turns)
+        if did:
+            self._budget.drew(time.perf_counter() - begin)
+        return did
+
+    def _draw_export(self) -> bool:
+        job = self._export
+        if job is None:
+            return False
+        try:
+            running = job.advance()
+        except UserError as error:
+            running = False
+            self._notices.put(Notice("error", f"export failed: {error}"))
+        if not running:
+            self._export = None
+            if job.progress.state == "done":
+                self._notices.put(Notice("info", f"exported {job.progress.file}", job.progress.file))
+        self._snapshot = replace(self._snapshot, export=job.progress)
+        return True
+
+    def _start_export(self, command: messages.ExportPath) -> None:
+        trainer = self._need_trainer()
+        if self._export is not None:
+            raise UserError(f"an export to {self._export.progress.file} is running: cancel it or wait for it")
+        self._export = ExportJob(trainer.frozen_method(), trainer.scene, command)
+
+    # ---- messages ---------------------------------------------------------------------------------------------------
+
+    def _fail(self, error: Exception) -> None:
+        """An error is a message: the thread lives on and so does what was open."""
+        if isinstance(error, UserError):
+            self._notices.put(Notice("error", str(error)))
+        else:
+            self._training_until, self._failed = None, True
+            text = f"{type(error).__name__}: {error}".splitlines()[0]
+            self._notices.put(Notice("error", f"the worker failed: {text}", detail=traceback.format_exc()))
+        self._publish(force=True)
+
+    def _status(self) -> messages.Status:
+        if self._loading:
+            return "loading"
+        if self._failed:
+            return "failed"
+        trainer = self._trainer
+        if trainer is None:
+            return "empty"
+        if self._training_until is not None:
+            return "training"
+        if trainer.step_count >= trainer.total_steps:
+            return "finished"
+        return "paused" if trainer.step_count else "ready"
+
+    def _publish(self, force: bool = False) -> None:
+        now = time.monotonic()
+        if not force and now - self._published < PUBLISH_SECONDS:
+            return
+        self._published = now
+        status, trainer = self._status(), self._trainer
+        common = replace(
+            self._snapshot, status=status, loading=self._loading, loaded=self._loaded, scene=self._scene,
+            wanted_share=self._budget.share,
+        )  # fmt: skip
+        if trainer is not None:
+            rate = self._budget.rays_per_second() if status == "training" else 0.0
+            left = None
+            if rate and self._training_until is not None:
+                left = (self._training_until - trainer.step_count) * trainer.config.rays / rate
+            common = replace(
+                common,
+                method=trainer.method_name,
+                preset=self.settings.preset,
+                device=describe(trainer.device),
+                step=trainer.step_count,
+                total_steps=trainer.total_steps,
+                seconds=trainer.seconds,
+                rays_per_second=rate,
+                seconds_left=left,
+                train_share=self._budget.train_share(),
+                memory_bytes=_memory(trainer.device),
+                history=self._history.view(),
+                preview=self._artist.preview(common.preview),
+                ray=self._artist.ray,
+                radiance=self._artist.radiance,
+                preview_rays_per_second=self._artist.rays_per_second("fine"),
+            )
+        self._snapshot = common
+        self.wake()
+
+
+def _memory(device: torch.device) -> int:
+    """Bytes this process holds: on the device, or resident in memory."""
+    if device.type == "cuda":
+        return torch.cuda.memory_allocated(device)
+    try:
+        with open("/proc/self/statm", encoding="ascii") as file:
+            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:  # not Linux: the peak is what the standard library can tell
+        import resource
+
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return peak if sys.platform == "darwin" else peak * 1024

@@ -1,0 +1,20 @@
+"""Options and fixtures that all tests share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--scenes", type=Path, default=None, help="folder of real scenes (lego, fox, fern, can) to test on as well")
+
+
+@pytest.fixture(scope="session")
+def scenes(request: pytest.FixtureRequest) -> Path:
+    """The folder given with --scenes; without it the test is skipped."""
+    folder: Path | None = request.config.getoption("--scenes")
+    if folder is None:
+        pytest.skip("needs --scenes DIR")
+    return folder.resolve()

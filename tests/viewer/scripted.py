@@ -1,0 +1,170 @@
+"""A worker that answers at once and always the same: a checkered ground and a ball, computed in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from nerf_core.cameras import Camera
+from nerf_core.messages import (
+    Command,
+    History,
+    Inspect,
+    Notice,
+    Pause,
+    Preview,
+    Snapshot,
+    StopInspecting,
+    Train,
+    ViewRequest,
+)
+from nerf_core.probe import PassProbe, RadianceProbe, RayProbe, disc_grid
+from nerf_core.scene import Scene, View
+
+BALL, GROUND_SIZE = 1.0, 3.0
+BACKGROUND = (1.0, 1.0, 1.0)
+
+
+def pinhole(width: int, height: int, eye: tuple[float, float, float], target: tuple[float, float, float]) -> Camera:
+    """Looks from `eye` at `target`, z up, 45° high."""
+    back = np.subtract(eye, target).astype(float)
+    back /= np.linalg.norm(back)
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right /= np.linalg.norm(right)
+    c2w = np.stack([right, np.cross(back, right), back, np.asarray(eye, float)], -1)
+    focal = height / 2 / np.tan(np.radians(45) / 2)
+    return Camera(width, height, focal, focal, width / 2, height / 2, c2w)
+
+
+def make_scene() -> Scene:
+    angles = np.arange(8) * 2 * np.pi / 8
+    cameras = [pinhole(40, 30, (5 * np.cos(a), 5 * np.sin(a), 3.0), (0.0, 0.0, 0.3)) for a in angles]
+    return Scene(
+        name="ball", format="scripted", views=tuple(View(f"view {k}", c) for k, c in enumerate(cameras)),
+        images=tuple(np.full((30, 40, 3), 65535, np.uint16) for _ in cameras),
+        splits={"train": (0, 1, 2, 3, 4, 5), "test": (6, 7)}, near=1.0, far=12.0, background=BACKGROUND,
+        center=np.array([0.0, 0.0, 0.3]), radius=2.0, up=np.array([0.0, 0.0, 1.0]), to_input=np.eye(4),
+    )  # fmt: skip
+
+
+def trace(origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distance (R,), NaN for a miss, and colour (R, 3) of what rays of unit direction (R, 3) meet."""
+    ahead = directions @ origin
+    root = ahead**2 - (origin @ origin - BALL**2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ball = np.where(root > 0, -ahead - np.sqrt(np.maximum(root, 0)), np.inf)
+        ground = -(origin[2] + 0.7) / directions[:, 2]
+    ball = np.where(ball > 0, ball, np.inf)
+    on_ground = origin + np.where(np.isfinite(ground), ground, 0)[:, None] * directions
+    inside = (ground > 0) & (np.abs(on_ground[:, :2]) < GROUND_SIZE).all(-1)
+    ground = np.where(inside, ground, np.inf)
+    t = np.minimum(ball, ground)
+    checks = (np.floor(on_ground[:, 0]) + np.floor(on_ground[:, 1])) % 2
+    normal = (origin + np.where(np.isfinite(ball), ball, 0)[:, None] * directions) / BALL
+    shade = 0.35 + 0.65 * np.clip(normal @ np.array([0.5, -0.3, 0.8]), 0, 1)
+    color = np.where((ball < ground)[:, None], shade[:, None] * [0.85, 0.35, 0.25], 0.35 + 0.35 * checks[:, None])
+    color = np.where(np.isfinite(t)[:, None], color, BACKGROUND)
+    return np.where(np.isfinite(t), t, np.nan), color
+
+
+def rays(camera: Camera, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit directions (R, 3) through pixel centres, and the z-depth of a unit step along each (R,)."""
+    local = np.stack([(x + 0.5 - camera.cx) / camera.fx, -(y + 0.5 - camera.cy) / camera.fy, -np.ones(x.shape)], -1)
+    length = np.linalg.norm(local, axis=-1)
+    return (local / length[:, None]) @ camera.c2w[:, :3].T, 1 / length
+
+
+def render(request: ViewRequest, stride: int = 1) -> Preview:
+    camera = request.camera
+    y, x = np.mgrid[: camera.height : stride, : camera.width : stride]
+    directions, z = rays(camera, x.ravel(), y.ravel())
+    t, color = trace(camera.c2w[:, 3], directions)
+    rgba = np.full((*x.shape, 4), 255, np.uint8)
+    rgba[..., :3] = np.round(color.reshape(*x.shape, 3) * 255)
+    depth = (t * z).reshape(x.shape).astype(np.float32)
+    return Preview(request.stamp, camera, rgba, depth, stride, True, 100, "fine")
+
+
+def open_ray(inspect: Inspect) -> tuple[RayProbe, RadianceProbe]:
+    """64 samples around what was hit."""
+    camera, (x, y) = inspect.camera, inspect.pixel
+    directions, _ = rays(camera, np.array([x]), np.array([y]))
+    origin = camera.c2w[:, 3]
+    hit, color = trace(origin, directions)
+    t = np.linspace(1.0, 12.0, 65)
+    delta, t = np.diff(t), t[:-1]
+    surface = float(hit[0])
+    sigma = np.zeros(64) if np.isnan(surface) else 12 * np.exp(-(((t - surface - 0.1) / 0.25) ** 2))
+    alpha = 1 - np.exp(-sigma * delta)
+    light = np.concatenate([[1.0], np.cumprod(1 - alpha)[:-1]])
+    weights = alpha * light
+    opened = PassProbe("fine", t, delta, sigma, alpha, light, weights, np.tile(color, (64, 1)))
+    opacity = float(weights.sum())
+    rendered = weights @ opened.rgb + (1 - opacity) * np.asarray(BACKGROUND)
+    median = None if opacity < 0.5 else surface
+    probe = RayProbe(
+        100, inspect.pixel, origin, directions[0], 1.0, 12.0, (opened,), rendered, opacity, median, median,
+        float(t[weights.argmax()]), rendered, np.asarray(BACKGROUND),
+    )  # fmt: skip
+    point_t = inspect.point_t or median or probe.depth_strongest
+    return probe, _radiance(camera, origin + point_t * directions[0], point_t, color[0])
+
+
+def _radiance(camera: Camera, point: np.ndarray, t: float, color: np.ndarray) -> RadianceProbe:
+    polar, azimuth = np.meshgrid((np.arange(32) + 0.5) / 32 * np.pi, (np.arange(64) + 0.5) / 64 * 2 * np.pi, indexing="ij")
+    around = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], -1)
+    x, y, inside = disc_grid()
+    facing = np.stack([x, y, np.sqrt(np.maximum(1 - x * x - y * y, 0))], -1)[inside] @ camera.c2w[:, :3].T
+    directions = np.concatenate([around.reshape(-1, 3), facing])
+    gloss = np.clip(directions @ np.array([0.5, -0.3, 0.8]), 0, 1)[:, None] ** 8
+    rgb = np.clip(color + 0.5 * gloss, 0, 1).astype(np.float32)
+    up, first = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
+    return RadianceProbe(100, point, t, directions, rgb, camera.c2w[:, :3].T.copy(), up, first)
+
+
+class ScriptedWorker:
+    """The interface of `nerf_core.worker.Worker`. sent, views: what it was asked, in order."""
+
+    def __init__(self, scene: Scene | None = None) -> None:
+        steps = np.arange(0, 101, dtype=np.int64)
+        loss = (0.1 * np.exp(-steps / 30)).astype(np.float32)
+        history = History(steps, loss, (-10 * np.log10(loss)).astype(np.float32))
+        self.current = Snapshot("empty")
+        if scene is not None:
+            self.current = Snapshot(
+                "ready", 1, scene, "nerf", "CPU", "complete", 100, 30_000, 12.0, 64_000.0, 70.0, memory_bytes=512 << 20,
+                history=history,
+            )  # fmt: skip
+        self.sent: list[Command] = []
+        self.views: list[ViewRequest] = []
+        self.answering = True
+        self.stride = 1
+        self.waiting_notices: list[Notice] = []
+
+    def send(self, command: Command) -> None:
+        self.sent.append(command)
+        match command:
+            case Train():
+                self.current = replace(self.current, status="training")
+            case Pause():
+                self.current = replace(self.current, status="paused")
+            case Inspect():
+                ray, radiance = open_ray(command)
+                self.current = replace(self.current, ray=ray, radiance=radiance)
+            case StopInspecting():
+                self.current = replace(self.current, ray=None, radiance=None)
+            case _:
+                pass
+
+    def request_view(self, request: ViewRequest) -> None:
+        self.views.append(request)
+        if self.answering:
+            self.current = replace(self.current, preview=render(request, self.stride))
+
+    def snapshot(self) -> Snapshot:
+        return self.current
+
+    def notices(self) -> list[Notice]:
+        found, self.waiting_notices = self.waiting_notices, []
+        return found

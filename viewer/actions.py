@@ -1,0 +1,99 @@
+"""Does what panels, keys and menus ask for."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+from nerf_core.cameras import Camera
+from nerf_core.errors import UserError
+from nerf_core.messages import ExportPath, Inspect, Notice, OpenScene, StopInspecting
+from nerf_core.paths import orbit
+from nerf_core.scene import Scene
+from viewer.link import Link
+from viewer.state import (
+    Action,
+    AppState,
+    FocusOn,
+    FrameScene,
+    GoToView,
+    OrbitForm,
+    ResetView,
+    SaveScreenshot,
+    SetPointDepth,
+    ShownNotice,
+    StartOrbitExport,
+)
+
+
+class Actions:
+    def __init__(self, state: AppState, link: Link) -> None:
+        self._state = state
+        self._link = link
+        self.screenshots: list[Path] = []  # to be written when the frame is complete
+
+    def perform(self, action: Action) -> None:
+        """Do it now. What cannot be done becomes an error notice."""
+        try:
+            self._perform(action)
+        except UserError as error:
+            self.tell(Notice("error", str(error)))
+
+    def tell(self, notice: Notice) -> None:
+        self._state.notices.append(ShownNotice(notice, self._state.time))
+
+    def _perform(self, action: Action) -> None:
+        state, scene = self._state, self._state.snapshot.scene
+        match action:
+            case GoToView() | FocusOn() | ResetView() | FrameScene():
+                self._move(action)
+            case SetPointDepth(t):
+                if state.inspect is not None:
+                    self._perform(replace(state.inspect, point_t=t))
+            case SaveScreenshot(path):
+                self.screenshots.append(path)
+            case StartOrbitExport():
+                if scene is None:
+                    raise UserError("there is no scene to make an orbit of: open one first")
+                self._link.send(orbit_export(scene, state.orbit))
+            case Inspect():
+                state.inspect = action
+                self._link.send(action)
+            case StopInspecting() | OpenScene():
+                state.inspect = None
+                self._link.send(action)
+            case _:
+                self._link.send(action)
+
+    def _move(self, action: GoToView | FocusOn | ResetView | FrameScene) -> None:
+        state, scene = self._state, self._state.snapshot.scene
+        state.current_view = None
+        match action:
+            case GoToView(index):
+                if scene is not None and 0 <= index < len(scene.views):  # else another scene was opened since
+                    state.camera.go_to(scene.views[index].camera)
+                    state.current_view = index
+            case FocusOn(point):
+                state.camera.focus(point)
+            case ResetView():
+                state.camera.reset()
+            case FrameScene():
+                state.camera.frame()
+
+
+def orbit_export(scene: Scene, form: OrbitForm) -> ExportPath:
+    """The command that the export form describes. Raises UserError for values that give no film."""
+    if not (math.isfinite(form.fps) and form.fps > 0):
+        raise UserError(f"an orbit of {form.fps:g} frames a second is none: take a positive number")
+    if not form.file.strip():
+        raise UserError("the orbit has no file name: give one that ends in .mp4")
+    cameras: tuple[Camera, ...] = orbit(
+        scene,
+        form.frames,
+        form.width or None,
+        form.height or None,
+        elevation_degrees=form.elevation_degrees,
+        radius=form.radius or None,
+    )
+    return ExportPath(cameras, form.fps, Path(form.file.strip()).expanduser(), form.png_frames)

@@ -1,0 +1,267 @@
+"""The window's one loop: read the newest snapshot → panels → send commands → draw."""
+
+from __future__ import annotations
+
+import time as clock
+from collections import deque
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from imgui_bundle import ImVec2, imgui, implot
+
+from nerf_core.cameras import Camera
+from nerf_core.errors import UserError
+from nerf_core.messages import Notice, ViewRequest
+from nerf_core.video import write_png
+from viewer.actions import Actions
+from viewer.bars import Bars
+from viewer.draw.imgui_renderer import ImguiRenderer
+from viewer.draw.textures import TextureCache
+from viewer.draw.viewport import same_view
+from viewer.inject import Hand
+from viewer.layout import Layout
+from viewer.link import Link
+from viewer.pacing import Pacer
+from viewer.panel_host import PanelHost, PanelUi, Rect
+from viewer.panels import Panel
+from viewer.state import Action, AppState
+from viewer.theme import DarkTheme
+from viewer.viewport_panel import ViewportPanel
+from viewer.window import Window
+
+SCENE = "Scene"  # the panel that opens captures
+SHORTEST = 1e-4  # seconds: imgui wants time to pass between frames, even on a clock that stands still
+
+
+class App:
+    """Everything that the user sees, on any window. Close it before the window.
+
+    layout_file: where the docks are remembered; None (headless, tests): nothing is read or written.
+    panels: all that are registered, unless given. time: a monotonic clock in seconds.
+    """
+
+    def __init__(
+        self,
+        window: Window,
+        link: Link,
+        *,
+        layout_file: Path | None = None,
+        panels: Sequence[Panel] | None = None,
+        time: Callable[[], float] = clock.monotonic,
+    ) -> None:
+        self.window = window
+        self.link = link
+        self._time = time
+        self.state = AppState(has_display=window.has_display, time=time())
+        self._context = imgui.create_context()
+        implot.create_context()
+        self._connect_clipboard()
+        io = imgui.get_io()
+        io.config_flags |= imgui.ConfigFlags_.docking_enable
+        io.config_windows_move_from_title_bar_only = True  # dragging in a plot must not move its panel
+        self.theme = DarkTheme()
+        self.theme.load_fonts()
+        self._scale = 0.0
+        self._renderer = ImguiRenderer(window.context)
+        self._textures = TextureCache(self._renderer)
+        self._viewport = ViewportPanel(window.context, self._renderer)
+        self._ui = PanelUi(self.theme, self._textures)
+        self._host = PanelHost(panels)
+        self._bars = Bars()
+        self._layout = Layout(layout_file)
+        self._pacer = Pacer()
+        self._actions = Actions(self.state, link)
+        self._requested: tuple[Camera, bool, int] | None = None  # camera, moving, scene
+        self._stamp = 0
+        self._drawn_at = self.state.time
+        self._frame_times: deque[float] = deque(maxlen=120)
+        self._warn(self._layout.load())
+        self.hand = Hand(lambda: self.frame(force=True))
+
+    # ---- the loop ---------------------------------------------------------------------------------------------
+
+    def run(self, until: Callable[[], bool] = lambda: False) -> None:
+        """Until the window is closed or `until()`."""
+        while not (self.window.should_close() or until()):
+            input_came = self.window.poll(self._pacer.wait(self._time()))
+            self._pacer.note(self._time(), hand=input_came)
+            self.frame()
+        self._warn(self._layout.save_if_changed())
+
+    def frame(self, force: bool = False) -> bool:
+        """One turn of the loop; whether it drew. force: draw although nothing changed."""
+        self.state.time = now = self._time()
+        self._read()
+        moved = self.state.camera.update(now)
+        self._pacer.note(now, hand=moved or force)
+        drew = False
+        if (force or self._pacer.due(now)) and min(self.window.size()) > 0:
+            self._draw(now)
+            self._show(now)
+            drew = True
+        self._request_view(now)
+        return drew
+
+    def _read(self) -> None:
+        """Take what the worker has to say."""
+        old, new = self.state.snapshot, self.link.snapshot()
+        if new is not old:
+            self.state.snapshot = new
+            picture = new.preview is not old.preview or new.ray is not old.ray or new.radiance is not old.radiance
+            self._pacer.note(self.state.time, picture=picture, figures=True)
+            if new.loaded != old.loaded and new.scene is not None:
+                self.state.camera.set_scene(new.scene)
+                self.state.inspect = self.state.current_view = None
+        notices = self.link.notices()
+        for notice in notices:
+            self._actions.tell(notice)
+        if notices:
+            self._pacer.note(self.state.time, hand=True)
+
+    def _request_view(self, now: float) -> None:
+        """Tell the worker what to draw, when that changed or the camera came to rest."""
+        if self.state.snapshot.scene is None or min(self.window.size()) == 0:
+            return
+        camera, moving = self.state.camera.camera(*self.state.viewport), self.state.camera.moving(now)
+        loaded = self.state.snapshot.loaded
+        if self._requested is not None:
+            last, was_moving, was_loaded = self._requested
+            if same_view(last, camera) and (was_moving, was_loaded) == (moving, loaded):
+                return
+        self._stamp += 1
+        self._requested = camera, moving, loaded
+        self.link.request_view(ViewRequest(self._stamp, camera, moving))
+
+    # ---- drawing ----------------------------------------------------------------------------------------------
+
+    def _draw(self, now: float) -> None:
+        if self.window.scale() != self._scale:
+            self._scale = self.window.scale()
+            self.theme.apply(self._scale)
+        io = imgui.get_io()
+        io.display_size = ImVec2(*self.window.size())
+        io.delta_time = max(now - self._drawn_at, SHORTEST)
+        self._drawn_at = now
+        self._count_frame(now)
+        self._textures.begin_frame()
+        self._ui.widgets.clear()
+        imgui.new_frame()
+        actions = self._draw_interface()
+        imgui.render()
+        target = self.window.framebuffer
+        target.use()
+        self.window.context.scissor = None
+        ground = self.theme.ground
+        target.clear(ground.x, ground.y, ground.z, 1.0)
+        self._renderer.render(imgui.get_draw_data(), target)
+        for action in actions:
+            self._actions.perform(action)
+        self._save_screenshots()
+
+    def _show(self, now: float) -> None:
+        self.window.swap()
+        self.window.set_cursor(imgui.get_mouse_cursor())
+        self._pacer.drew(now)
+        self._warn(self._layout.save_if_changed())
+
+    def _draw_interface(self) -> list[Action]:
+        state, ui, bars, viewport = self.state, self._ui, self._bars, self._viewport
+        flying = viewport.input.keys(state, imgui.get_io().delta_time)
+        held = any(imgui.is_mouse_down(button) for button in range(3))
+        self._pacer.note(self.state.time, hand=flying or held)
+        actions = list(bars.draw_menu(ui, state))
+        bars.draw_status(ui, state)
+        self._wishes()
+        if state.show_panels:
+            self._layout.dock(self._host.panels, ui.em)
+        viewport.draw(ui, state, alone=not state.show_panels)
+        if state.show_panels:
+            actions += self._host.draw(ui, state)
+        actions += self._host.draw_overlays(ui, state)
+        for notice in self._host.notices:
+            self._actions.tell(notice)
+        self._host.notices.clear()
+        return actions + viewport.input.take()
+
+    def _save_screenshots(self) -> None:
+        """Those that were asked for in this frame, before it leaves the back buffer."""
+        paths, self._actions.screenshots = self._actions.screenshots, []
+        for path in paths:
+            try:
+                write_png(path, self.window.read_pixels())
+            except UserError as error:
+                self._actions.tell(Notice("error", str(error)))
+            else:
+                self._actions.tell(Notice("info", f"saved {path}", path))
+
+    def _wishes(self) -> None:
+        """What menus and keys ask of the window itself."""
+        bars = self._bars
+        if self.state.focus_open:
+            imgui.set_window_focus(SCENE)  # its tab may lie behind another; the panel focuses the field
+        if bars.reset_layout_wanted:
+            self._layout.reset()
+        if bars.quit_wanted:
+            self.window.request_close()
+        bars.reset_layout_wanted = bars.quit_wanted = False
+
+    def _count_frame(self, now: float) -> None:
+        """Frames of the last second."""
+        self._frame_times.append(now)
+        while now - self._frame_times[0] > 1:
+            self._frame_times.popleft()
+        self.state.frames_per_second = float(len(self._frame_times))
+
+    # ---- for scripts, tests and the headless mode ---------------------------------------------------------------
+
+    @property
+    def widgets(self) -> dict[str, Rect]:
+        """Where the marked widgets lie that were visible in the last frame; "viewport" is the picture."""
+        return dict(self._ui.widgets)
+
+    @property
+    def stale(self) -> bool:
+        """Whether the last frame showed a warp of an older picture."""
+        return self._viewport.stale
+
+    def perform(self, action: Action) -> None:
+        """Do what a panel could have asked for."""
+        self._actions.perform(action)
+
+    def pixels(self) -> np.ndarray:
+        """Draw a frame and read the whole window: uint8 (H, W, 3)."""
+        self.frame(force=True)  # takes what is waiting
+        self._draw(self.state.time)
+        pixels = self.window.read_pixels()
+        self._show(self.state.time)
+        return pixels
+
+    def screenshot(self, path: Path) -> None:
+        """Write the whole window as a PNG. Raises UserError when that fails."""
+        write_png(path, self.pixels())
+
+    def settle(self, frames: int = 3) -> None:
+        """Draw until imgui has taken in the input and the layout."""
+        for _ in range(frames):
+            self.frame(force=True)
+
+    # ---- beginning and end --------------------------------------------------------------------------------------
+
+    def _connect_clipboard(self) -> None:
+        platform = imgui.get_platform_io()
+        platform.platform_get_clipboard_text_fn = lambda _: self.window.clipboard()
+        platform.platform_set_clipboard_text_fn = lambda _, text: self.window.set_clipboard(text)
+
+    def _warn(self, text: str | None) -> None:
+        if text:
+            self._actions.tell(Notice("warning", text))
+
+    def close(self) -> None:
+        """Remember the layout and free everything but the window."""
+        self._layout.save()
+        self._viewport.release()
+        self._textures.release()
+        self._renderer.release()
+        implot.destroy_context()
+        imgui.destroy_context(self._context)

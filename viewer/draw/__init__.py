@@ -1,0 +1,1 @@
+"""What is drawn with GL: imgui's lists, the preview, lines over it."""

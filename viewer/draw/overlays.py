@@ -1,0 +1,113 @@
+"""Lines and points in space, drawn over the viewport with the camera's own projection."""
+
+from __future__ import annotations
+
+import numpy as np
+from imgui_bundle import ImVec2, ImVec4, imgui
+
+from nerf_core.cameras import Camera
+from nerf_core.probe import RayProbe
+
+NEAR = 1e-3  # of the distance to the orbit's centre: what lies nearer to the eye is cut off
+FAINT = 1e-3  # a sample of less weight cannot change an 8-bit pixel: it is not drawn
+
+
+class Overlay:
+    """Draws 3D figures for one camera into an imgui draw list.
+
+    origin: where the viewport's top left pixel lies on the screen. near: z-depth at which lines are cut.
+    """
+
+    def __init__(self, draw: imgui.ImDrawList, camera: Camera, origin: tuple[float, float], near: float) -> None:
+        self._draw = draw
+        self._camera = camera
+        self._origin = np.asarray(origin, dtype=np.float64)
+        self._near = near
+
+    def lines(self, starts: np.ndarray, ends: np.ndarray, color: ImVec4, thickness: float) -> None:
+        """Segments between world points (N, 3) and (N, 3)."""
+        a, b, visible = clip_segments(self._camera, starts, ends, self._near)
+        packed = imgui.color_convert_float4_to_u32(color)
+        for p, q in zip(a[visible] + self._origin, b[visible] + self._origin, strict=True):
+            self._draw.add_line(ImVec2(*p), ImVec2(*q), packed, thickness)
+
+    def samples(self, ray: RayProbe, em: float, outline: ImVec4) -> None:
+        """The last pass's samples: area grows with weight, colour is what each sample emits."""
+        last = ray.passes[-1]
+        drawn = np.flatnonzero(last.weights > FAINT)
+        points = ray.origin + last.t[drawn, None] * ray.direction
+        pixels, depth = self._camera.project(points)
+        ring = imgui.color_convert_float4_to_u32(outline)
+        for k in np.argsort(-depth):  # nearer ones over farther ones
+            if depth[k] < self._near:
+                continue
+            centre = ImVec2(*(pixels[k] + self._origin))
+            radius = em * (0.12 + 0.38 * float(np.sqrt(last.weights[drawn[k]])))
+            red, green, blue = (float(v) for v in last.rgb[drawn[k]])
+            fill = imgui.color_convert_float4_to_u32(ImVec4(red, green, blue, 1.0))
+            self._draw.add_circle_filled(centre, radius, fill)
+            self._draw.add_circle(centre, radius, ring, thickness=max(1.0, 0.08 * em))
+
+    def point(self, position: np.ndarray, em: float, color: ImVec4) -> None:
+        """A crosshair with a gap, so that what it marks stays visible."""
+        pixels, depth = self._camera.project(np.asarray(position, dtype=np.float64)[None])
+        if depth[0] < self._near:
+            return
+        x, y = pixels[0] + self._origin
+        packed = imgui.color_convert_float4_to_u32(color)
+        for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            start, end = ImVec2(x + 0.25 * em * dx, y + 0.25 * em * dy), ImVec2(x + 0.7 * em * dx, y + 0.7 * em * dy)
+            self._draw.add_line(start, end, packed, max(1.0, 0.1 * em))
+
+
+def clip_segments(
+    camera: Camera, starts: np.ndarray, ends: np.ndarray, near: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """World segments (N, 3), (N, 3) → their visible parts in pixels (N, 2), (N, 2), and which (N,) there are.
+
+    Cut first at z-depth `near`, in space, where a point behind the eye has no pixel; then at the picture's edges
+    (Liang and Barsky), so that no coordinate outgrows what a rasteriser can take.
+    """
+    starts, ends = np.asarray(starts, dtype=np.float64), np.asarray(ends, dtype=np.float64)
+    axis = -camera.c2w[:, 2]
+    za, zb = (starts - camera.c2w[:, 3]) @ axis, (ends - camera.c2w[:, 3]) @ axis
+    visible = (za >= near) | (zb >= near)
+    span = np.where(za == zb, 1.0, zb - za)  # parallel to the plane: nothing to cut
+    cut = starts + ((near - za) / span)[:, None] * (ends - starts)
+    a = camera.project(np.where((za < near)[:, None], cut, starts))[0]
+    b = camera.project(np.where((zb < near)[:, None], cut, ends))[0]
+    first, last = np.zeros(len(a)), np.ones(len(a))
+    way = b - a
+    for dimension, size in ((0, camera.width), (1, camera.height)):
+        for sign, edge in ((-1.0, 0.0), (1.0, float(size))):
+            speed = sign * way[:, dimension]
+            room = sign * (edge - a[:, dimension])
+            at = room / np.where(speed == 0, 1.0, speed)
+            first = np.where(speed < 0, np.maximum(first, at), first)
+            last = np.where(speed > 0, np.minimum(last, at), last)
+            visible &= (speed != 0) | (room >= 0)
+    visible &= first < last
+    return a + first[:, None] * way, a + last[:, None] * way, visible
+
+
+def frusta(cameras: list[Camera], size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Each camera as a pyramid `size` deep: starts and ends (8·N, 3) of its edges."""
+    starts, ends = [], []
+    for camera in cameras:
+        x = np.array([0, camera.width, camera.width, 0]) - camera.cx
+        y = np.array([0, 0, camera.height, camera.height]) - camera.cy
+        local = np.stack([x / camera.fx, -y / camera.fy, -np.ones(4)], -1) * size
+        corners = local @ camera.c2w[:, :3].T + camera.c2w[:, 3]
+        starts += [np.broadcast_to(camera.c2w[:, 3], (4, 3)), corners]
+        ends += [corners, np.roll(corners, -1, 0)]
+    return np.concatenate(starts), np.concatenate(ends)
+
+
+def axis_directions(camera: Camera, up: np.ndarray) -> list[tuple[np.ndarray, float, bool]]:
+    """World x, y, z as seen by the camera: (2,) right and down, how far towards the viewer, whether it is up."""
+    found = []
+    for k in range(3):
+        axis = np.eye(3)[k]
+        x, y, z = axis @ camera.c2w[:, :3]
+        found.append((np.array([x, -y]), float(z), bool(abs(axis @ up) > 0.99)))
+    return found

@@ -1,0 +1,48 @@
+"""Textures by name, for what panels show."""
+
+from __future__ import annotations
+
+import moderngl
+import numpy as np
+from imgui_bundle import imgui
+
+from viewer.draw.imgui_renderer import ImguiRenderer
+
+
+class TextureCache:
+    """Keeps one GL texture a name; uploads only when it is given another array object."""
+
+    def __init__(self, renderer: ImguiRenderer) -> None:
+        self._renderer = renderer
+        self._held: dict[str, tuple[np.ndarray, moderngl.Texture]] = {}
+        self._retired: list[moderngl.Texture] = []
+
+    def begin_frame(self) -> None:
+        """Free what was replaced in the last frame: its draw commands named the old textures to the end."""
+        for texture in self._retired:
+            self._renderer.remove(texture)
+            texture.release()
+        self._retired.clear()
+
+    def get(self, key: str, rgba: np.ndarray, smooth: bool = True) -> imgui.ImTextureRef:
+        """`rgba` uint8 (h, w, 4), row 0 at uv y = 0 (the top of an imgui image). Raises ValueError on other shapes."""
+        if rgba.ndim != 3 or rgba.shape[2] != 4 or rgba.dtype != np.uint8 or 0 in rgba.shape:
+            raise ValueError(f"texture {key!r}: got {rgba.dtype} {rgba.shape}, wants uint8 (h, w, 4)")
+        held, texture = self._held.get(key, (None, None))
+        if texture is not None and texture.size != (rgba.shape[1], rgba.shape[0]):
+            self._retired.append(self._held.pop(key)[1])
+            texture = held = None
+        if texture is None:
+            texture = self._renderer.context.texture((rgba.shape[1], rgba.shape[0]), 4)
+            texture.repeat_x = texture.repeat_y = False
+        if held is not rgba:
+            texture.write(np.ascontiguousarray(rgba))
+            self._held[key] = (rgba, texture)
+        kind = moderngl.LINEAR if smooth else moderngl.NEAREST
+        texture.filter = (kind, kind)
+        return self._renderer.add(texture)
+
+    def release(self) -> None:
+        self._retired += [texture for _, texture in self._held.values()]
+        self._held.clear()
+        self.begin_frame()

@@ -1,0 +1,122 @@
+"""Where the panels lie: the default, and the user's own, remembered between runs."""
+
+from __future__ import annotations
+
+import os
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+
+from imgui_bundle import ImVec2, imgui
+
+from viewer.panels import Panel
+
+VIEWPORT = "Viewport"
+HEADER = "; nerf-viewer layout 1 "
+RIGHT_EM, BOTTOM_EM, BOTTOM_RIGHT_EM = 23.0, 17.5, 23.0
+RIGHT_ROOM = (0.3, 0.34)  # of the column's height, from the top; what is left goes to the last panels, as tabs
+
+
+class Layout:
+    """file: where the layout is kept; None: nothing is read or written."""
+
+    def __init__(self, file: Path | None) -> None:
+        self._file = file
+        self._build_next = True
+
+    def load(self) -> str | None:
+        """Hand the remembered layout to imgui, before its first frame; a warning when the file is no good."""
+        imgui.get_io().set_ini_filename("")  # imgui writes nothing by itself
+        if self._file is None or not self._file.exists():
+            return None
+        try:
+            header, _, body = self._file.read_text("utf-8").partition("\n")
+            if header != f"{HEADER}{_checksum(body)}":
+                raise ValueError("damaged")
+        except (OSError, ValueError) as error:  # UnicodeDecodeError is a ValueError
+            backup = self._file.with_suffix(".bad")
+            try:
+                self._file.replace(backup)
+            except OSError as failure:
+                return f"{self._file}: the window layout cannot be read ({error}; {failure}); the default is shown"
+            return f"{self._file}: the window layout was damaged; the default is shown, the old file is {backup.name}"
+        imgui.load_ini_settings_from_memory(body)
+        self._build_next = False
+        return None
+
+    def save_if_changed(self) -> str | None:
+        """Write the layout when imgui says that it changed; a warning when that fails, and then no more attempts."""
+        io = imgui.get_io()
+        if not io.want_save_ini_settings:
+            return None
+        io.want_save_ini_settings = False
+        return self.save()
+
+    def save(self) -> str | None:
+        """Write the layout now; a warning when that fails."""
+        if self._file is None:
+            return None
+        body = imgui.save_ini_settings_to_memory()
+        try:
+            self._file.parent.mkdir(parents=True, exist_ok=True)
+            part = self._file.with_suffix(f".{os.getpid()}.part")
+            part.write_text(f"{HEADER}{_checksum(body)}\n{body}", "utf-8")
+            part.replace(self._file)
+        except OSError as error:
+            file, self._file = self._file, None
+            return f"{file}: the window layout cannot be kept ({error.strerror})"
+        return None
+
+    def reset(self) -> None:
+        """Show the default from the next frame on."""
+        self._build_next = True
+
+    def dock(self, panels: Sequence[Panel], em: float) -> None:
+        """The dock space over what the bars leave of the window; call before the panels' windows."""
+        area = imgui.get_main_viewport()
+        space = imgui.get_id("docks")
+        if self._build_next and area.work_size.x > 0 and area.work_size.y > 0:
+            self._build_next = False
+            _build(space, panels, area.work_size, em)
+        imgui.dock_space_over_viewport(space, area)
+
+
+def _checksum(body: str) -> str:
+    return f"{zlib.crc32(body.encode()):08x}"
+
+
+def _build(space: int, panels: Sequence[Panel], size: ImVec2, em: float) -> None:
+    docks = imgui.internal
+    docks.dock_builder_remove_node(space)
+    docks.dock_builder_add_node(space, imgui.internal.DockNodeFlagsPrivate_.dock_space)
+    docks.dock_builder_set_node_size(space, size)
+    right = docks.dock_builder_split_node(space, imgui.Dir.right, _share(RIGHT_EM * em, size.x))
+    rest = right.id_at_opposite_dir
+    bottom = docks.dock_builder_split_node(rest, imgui.Dir.down, _share(BOTTOM_EM * em, size.y))
+    left_width = size.x * (1 - _share(RIGHT_EM * em, size.x))
+    corner = docks.dock_builder_split_node(bottom.id_at_dir, imgui.Dir.right, _share(BOTTOM_RIGHT_EM * em, left_width))
+    docks.dock_builder_dock_window(VIEWPORT, bottom.id_at_opposite_dir)
+    places = {"bottom": corner.id_at_opposite_dir, "bottom_right": corner.id_at_dir}
+    for panel in panels:
+        if panel.dock in places:
+            docks.dock_builder_dock_window(panel.title, places[panel.dock])
+    _stack(right.id_at_dir, [panel.title for panel in panels if panel.dock == "right"])
+    docks.dock_builder_finish(space)
+
+
+def _stack(node: int, titles: list[str]) -> None:
+    """One below the other, as many as there is room for; the others share the last place as tabs."""
+    left = 1.0
+    for room in RIGHT_ROOM:
+        if len(titles) < 2:
+            break
+        split = imgui.internal.dock_builder_split_node(node, imgui.Dir.up, room / left)
+        imgui.internal.dock_builder_dock_window(titles.pop(0), split.id_at_dir)
+        node, left = split.id_at_opposite_dir, left - room
+    for title in titles:
+        imgui.internal.dock_builder_dock_window(title, node)
+
+
+def _share(wanted: float, whole: float) -> float:
+    """Of a side, but never more than 45 %: in a tiny window the picture still comes first."""
+    return min(wanted / max(whole, 1.0), 0.45)

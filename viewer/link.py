@@ -1,0 +1,19 @@
+"""What the window needs of the worker."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from nerf_core.messages import Command, Notice, Snapshot, ViewRequest
+
+
+class Link(Protocol):
+    """The window's side of `nerf_core.worker.Worker`; none of these ever waits."""
+
+    def send(self, command: Command) -> None: ...
+
+    def request_view(self, request: ViewRequest) -> None: ...
+
+    def snapshot(self) -> Snapshot: ...
+
+    def notices(self) -> list[Notice]: ...

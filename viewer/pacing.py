@@ -1,0 +1,52 @@
+"""When to draw: at once for the hand, seldom for figures, never for nothing. Every frame costs training its CPU."""
+
+from __future__ import annotations
+
+FASTEST = 1 / 60  # seconds between frames while a hand moves something
+PICTURE = 1 / 20  # while the picture sharpens by itself
+FIGURES = 1 / 5  # live plots and counts
+SETTLE_FRAMES = 3  # imgui takes input over several frames: hover, then press, then what that opened
+SETTLE_SECONDS = 0.7  # tooltips wait for the pointer to rest
+SETTLE_GAP = 1 / 10
+
+
+class Pacer:
+    """Pure logic; the caller hands in the time in seconds."""
+
+    def __init__(self) -> None:
+        self._drawn_at = -float("inf")
+        self._input_at = -float("inf")
+        self._settling = 0
+        self._hand = self._picture = self._figures = False
+
+    def note(self, now: float, *, hand: bool = False, picture: bool = False, figures: bool = False) -> None:
+        """hand: input, or a movement under way; picture: a new preview; figures: anything else that is new."""
+        if hand:
+            self._input_at = now
+            self._settling = SETTLE_FRAMES
+        self._hand |= hand
+        self._picture |= picture
+        self._figures |= figures
+
+    def due(self, now: float) -> bool:
+        gap = self._gap(now)
+        return gap is not None and now - self._drawn_at >= gap
+
+    def wait(self, now: float) -> float:
+        """Seconds until the next look: until a frame is due, else until something could be new."""
+        gap = self._gap(now)
+        return PICTURE if gap is None else min(max(0.0, self._drawn_at + gap - now), PICTURE)
+
+    def drew(self, now: float) -> None:
+        self._drawn_at = now
+        self._settling = max(0, self._settling - 1)
+        self._hand = self._picture = self._figures = False
+
+    def _gap(self, now: float) -> float | None:
+        if self._hand or self._settling:
+            return FASTEST
+        if self._picture:
+            return PICTURE
+        if now - self._input_at < SETTLE_SECONDS:
+            return SETTLE_GAP
+        return FIGURES if self._figures else None

@@ -1,0 +1,168 @@
+"""Why a pixel has its colour: everything that was composited along its ray."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from typing import Literal
+
+import numpy as np
+from imgui_bundle import ImVec2, imgui
+
+from nerf_core.probe import RayProbe
+from viewer.panels import PANELS, Ui
+from viewer.ray_plots import DEPTHS, Glyph, RayPlots, Steps, steps_of
+from viewer.state import Action, AppState, SetPointDepth
+from viewer.widgets import Row, faded, figures, hint, number, packed, same_line_if_fits, swatch, vector
+
+BACKGROUND_OPACITY = 0.01  # under it the ray met nothing that one could see
+SIDE_EM, SIDE_NEEDS_EM = 17.0, 36.0  # the figures' column, and the width from which it stands beside the plots
+LOW_EM = 18.0  # height of the plots where the figures stand under them
+
+
+@PANELS.register("ray")
+class RayPanel:
+    title = "Ray"
+    dock: Literal["bottom"] = "bottom"
+    order = 0
+
+    def __init__(self) -> None:
+        self._plots = RayPlots()
+        self._probe: RayProbe | None = None
+        self._passes: tuple[Steps, ...] = ()
+        self._opened: tuple[object, ...] = ()
+
+    def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
+        ray = state.snapshot.ray
+        if ray is None:
+            hint(ui, _nothing_yet(state))
+            return
+        self._take(ray, state.snapshot.loaded)
+        avail = imgui.get_content_region_avail()
+        beside = avail.x > SIDE_NEEDS_EM * ui.em
+        size = ImVec2(avail.x - SIDE_EM * ui.em, avail.y) if beside else ImVec2(avail.x, LOW_EM * ui.em)
+        imgui.begin_child("plots", size)
+        t = self._draw_plots(ui, state, ray)
+        imgui.end_child()
+        if beside:
+            imgui.same_line(0, ui.em)
+            imgui.begin_child("figures")
+        self._draw_figures(ui, state, ray)
+        if beside:
+            imgui.end_child()
+        if self._plots.hovered is not None:
+            _tooltip(ui, *self._plots.hovered)
+        if t is not None:
+            yield SetPointDepth(t)
+
+    def _take(self, ray: RayProbe, loaded: int) -> None:
+        if ray is self._probe:
+            return
+        self._probe, self._passes = ray, steps_of(ray)
+        opened = (loaded, ray.pixel, ray.origin.tobytes(), ray.direction.tobytes())
+        if opened != self._opened:  # the same ray of a later step keeps its axes
+            self._opened = opened
+            self._plots.open(ray, self._passes)
+
+    def _draw_plots(self, ui: Ui, state: AppState, ray: RayProbe) -> float | None:
+        self._legend(ui)
+        scene = state.snapshot.scene
+        units = "NDC unit" if scene is not None and scene.ndc is not None else "unit"
+        return self._plots.draw(ui, ray, self._passes, _point_t(state, ray), units, imgui.get_content_region_avail())
+
+    def _legend(self, ui: Ui) -> None:
+        entries = [(f"{s.probe.name} w", "box", ui.theme.coarse) for s in self._passes[:-1]]
+        entries += [(f"{s.probe.name} w", "filled", ui.theme.fine) for s in self._passes[-1:]]
+        entries += [("T", "line", ui.theme.transmittance), ("σ", "line", ui.theme.density)]
+        entries.append(("radiance point", "bar", ui.theme.accent))
+        for i, (label, shape, color) in enumerate(entries):
+            if i:
+                same_line_if_fits(f"   {label}")
+            _key(ui, shape, packed(color), packed(faded(color, 0.55)))
+            imgui.same_line(0, 0.3 * ui.em)
+            imgui.text_colored(ui.theme.muted, label)
+        same_line_if_fits("   log σ")
+        imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(0, 0))
+        changed, self._plots.log_density = imgui.checkbox("log σ", self._plots.log_density)
+        imgui.pop_style_var()
+        ui.mark("ray.log")
+        if changed:
+            self._plots.scale_density(self._passes)
+
+    def _draw_figures(self, ui: Ui, state: AppState, ray: RayProbe) -> None:
+        asked = state.inspect
+        if asked is not None and asked.pixel != ray.pixel:
+            hint(ui, f"Opening the ray through pixel {asked.pixel[0]:,}, {asked.pixel[1]:,} …")
+        if ray.opacity < BACKGROUND_OPACITY:
+            hint(ui, f"Background: the ray met nothing (opacity {number(ray.opacity, 2)}).", ui.theme.warning)
+        difference = float(np.abs(ray.color - ray.rendered_color).max())
+        rows: list[Row] = [
+            ("pixel", f"{ray.pixel[0]:,}, {ray.pixel[1]:,}"),
+            ("composited", vector(ray.color), partial(swatch, ui, ray.color)),
+            ("rendered", vector(ray.rendered_color), partial(swatch, ui, ray.rendered_color)),
+            ("difference", number(difference, 2)),
+            ("opacity", f"{ray.opacity:.4f}"),
+        ]
+        for label, name, glyph in DEPTHS:
+            rows.append((label, number(getattr(ray, name), 5), partial(_glyph, ui, glyph)))
+        rows.append(("samples", " + ".join(f"{len(p.t):,}" for p in ray.passes)))
+        rows.append(("at step", f"{ray.step:,}"))
+        figures(ui, "ray figures", rows)
+
+
+def _nothing_yet(state: AppState) -> str:
+    if state.inspect is not None:
+        column, row = state.inspect.pixel
+        return f"Opening the ray through pixel {column:,}, {row:,} …"
+    if state.snapshot.scene is None:
+        return "No scene yet. Once there is one, click a pixel to see where along its ray the colour comes from."
+    return "Click a pixel: here you will see where along its ray the light comes from, sample by sample."
+
+
+def _point_t(state: AppState, ray: RayProbe) -> float:
+    """Where the radiance point is now: as asked for, as answered, else where it will be by default."""
+    if state.inspect is not None and state.inspect.point_t is not None:
+        return state.inspect.point_t
+    if state.snapshot.radiance is not None:
+        return state.snapshot.radiance.t
+    return ray.depth_median if ray.depth_median is not None else ray.depth_strongest
+
+
+def _key(ui: Ui, shape: str, color: int, fill: int) -> None:
+    """A legend's sign, in the shape that the plot draws."""
+    at, high, em = imgui.get_cursor_screen_pos(), imgui.get_text_line_height(), ui.em
+    draw, low, right = imgui.get_window_draw_list(), ImVec2(at.x, at.y + 0.25 * high), at.x + 0.9 * em
+    corner, middle = ImVec2(right, at.y + 0.8 * high), at.y + 0.55 * high
+    if shape == "filled":
+        draw.add_rect_filled(low, corner, fill)
+    if shape in ("box", "filled"):
+        draw.add_rect(low, corner, color, thickness=0.1 * em)
+    elif shape == "line":
+        draw.add_line(ImVec2(at.x, middle), ImVec2(right, middle), color, 0.14 * em)
+    else:
+        x = at.x + 0.45 * em
+        draw.add_line(ImVec2(x, at.y), ImVec2(x, at.y + high), color, 0.18 * em)
+    imgui.dummy(ImVec2(0.9 * em, high))
+
+
+def _glyph(ui: Ui, glyph: Glyph) -> None:
+    at, high = imgui.get_cursor_screen_pos(), imgui.get_text_line_height()
+    centre = ImVec2(at.x + 0.5 * high, at.y + 0.5 * high)
+    glyph(imgui.get_window_draw_list(), centre, 0.3 * ui.em, packed(ui.theme.text))
+    imgui.dummy(ImVec2(high, high))
+
+
+def _tooltip(ui: Ui, steps: Steps, index: int) -> None:
+    p = steps.probe
+    rows: list[Row] = [
+        ("t", f"{p.t[index]:.5f}"),
+        ("σ", number(float(p.sigma[index]), 5)),
+        ("α", f"{p.alpha[index]:.5f}"),
+        ("T", f"{p.transmittance[index]:.5f}"),
+        ("w", f"{p.weights[index]:.5f}"),
+        ("rgb", vector(p.rgb[index]), partial(swatch, ui, p.rgb[index])),
+    ]
+    if imgui.begin_tooltip():
+        imgui.text_colored(ui.theme.muted, f"{p.name} sample {index + 1:,} of {len(p.t):,}")
+        figures(ui, "sample", rows, 15 * ui.em)
+        imgui.end_tooltip()

@@ -1,0 +1,122 @@
+"""Training: start, pause, step, reset; how far it is and how well it goes; checkpoints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Literal
+
+from imgui_bundle import icons_fontawesome_6 as icons
+from imgui_bundle import imgui
+
+from nerf_core.messages import LoadCheckpoint, Pause, Reset, SaveCheckpoint, SetShare, Snapshot, Train
+from viewer.history_plots import HistoryPlots
+from viewer.panels import PANELS, Ui
+from viewer.state import Action, AppState
+from viewer.widgets import (
+    Confirmation, Row, button, duration, field_width, figures, hint, rate, same_line_if_fits,
+)  # fmt: skip
+
+START, PAUSE = f"{icons.ICON_FA_PLAY}  Train", f"{icons.ICON_FA_PAUSE}  Pause"
+STEP, RESET = f"{icons.ICON_FA_FORWARD_STEP}  Step", f"{icons.ICON_FA_ROTATE_LEFT}  Reset"
+SAVE, LOAD = f"{icons.ICON_FA_FLOPPY_DISK}  Save", f"{icons.ICON_FA_FOLDER_OPEN}  Load"
+
+
+@PANELS.register("training")
+class TrainingPanel:
+    title = "Training"
+    dock: Literal["right"] = "right"
+    order = 1
+
+    def __init__(self) -> None:
+        self._plots = HistoryPlots()
+        self._reset, self._load = Confirmation(), Confirmation()
+        self._share: float | None = None  # what the slider was set to, until the worker has taken it
+
+    def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
+        snapshot = state.snapshot
+        text, color = _progress(ui, snapshot)
+        hint(ui, text, color)
+        yield from self._buttons(ui, snapshot)
+        if snapshot.scene is None:
+            return
+        self._plots.draw(ui, snapshot)
+        figures(ui, "training", _rows(snapshot))
+        yield from self._time_share(ui, snapshot)
+        yield from self._checkpoint(ui, state)
+
+    def _buttons(self, ui: Ui, snapshot: Snapshot) -> Iterator[Action]:
+        can_train = snapshot.status in ("ready", "paused")
+        if snapshot.status == "training":
+            if button(ui, PAUSE, "training.pause", tip="pause (Space)"):
+                yield Pause()
+        elif button(ui, START, "training.start", enabled=can_train, tip="train until the schedule ends (Space)"):
+            yield Train()
+        same_line_if_fits(STEP)
+        if button(ui, STEP, "training.step", enabled=can_train, tip="one step (.)"):
+            yield Train(steps=1)
+        same_line_if_fits(RESET)
+        if button(ui, RESET, "training.reset", enabled=snapshot.step > 0, tip="forget the weights and start again"):
+            self._reset.asking = True
+        if self._reset.draw(ui, f"This forgets {snapshot.step:,} trained steps.", "Reset", "training.reset"):
+            yield Reset()
+
+    def _time_share(self, ui: Ui, snapshot: Snapshot) -> Iterator[Action]:
+        if self._share is not None and abs(self._share - snapshot.wanted_share) < 1e-6:
+            self._share = None
+        percent = 100 * (self._share if self._share is not None else snapshot.wanted_share)
+        hint(ui, "time for training while a preview is drawn")
+        field_width(ui, "##share")
+        changed, percent = imgui.slider_float("##share", percent, 5, 95, "%.0f %%", imgui.SliderFlags_.always_clamp)
+        ui.mark("training.share")
+        if changed:
+            self._share = percent / 100
+        if imgui.is_item_deactivated_after_edit() and self._share is not None:
+            yield SetShare(self._share)
+
+    def _checkpoint(self, ui: Ui, state: AppState) -> Iterator[Action]:
+        hint(ui, "checkpoint")
+        field_width(ui, "##checkpoint")
+        _, state.checkpoint_file = imgui.input_text_with_hint(
+            "##checkpoint", "file.safetensors", state.checkpoint_file
+        )
+        ui.mark("training.checkpoint")
+        path = state.checkpoint_file.strip()
+        if button(ui, SAVE, "training.save", enabled=bool(path), tip="save the weights and all that training needs (Ctrl+S)"):
+            yield SaveCheckpoint(Path(path).expanduser())
+        same_line_if_fits(LOAD)
+        pressed = button(ui, LOAD, "training.load", enabled=bool(path), tip="go on from this checkpoint")
+        self._load.asking = self._load.asking or (pressed and state.snapshot.step > 0)
+        question = f"Loading replaces {state.snapshot.step:,} trained steps."
+        if self._load.draw(ui, question, "Load", "training.load") or (pressed and state.snapshot.step == 0):
+            yield LoadCheckpoint(Path(path).expanduser())
+
+
+def _progress(ui: Ui, s: Snapshot) -> tuple[str, object]:
+    steps = f"{s.step:,} of {s.total_steps:,} steps"
+    match s.status:
+        case "empty":
+            return "Nothing to train yet: open a scene.", ui.theme.muted
+        case "loading":
+            return "Training starts once the scene is loaded.", ui.theme.muted
+        case "ready":
+            return f"Ready: {steps}", ui.theme.text
+        case "training":
+            left = f", {duration(s.seconds_left)} left" if s.seconds_left is not None else ""
+            return f"Training: {steps}{left}", ui.theme.text
+        case "paused":
+            return f"Paused: {steps}", ui.theme.text
+        case "finished":
+            return f"Finished: {s.step:,} steps in {duration(s.seconds)}", ui.theme.good
+        case "failed":
+            return f"Stopped by an error after {steps}: see Notices.", ui.theme.error
+
+
+def _rows(s: Snapshot) -> list[Row]:
+    share = f"{100 * s.train_share:.0f} % training" if s.status == "training" else "–"
+    return [
+        ("speed", f"{rate(s.rays_per_second)} rays/s"),
+        ("trained", duration(s.seconds)),
+        ("left", duration(s.seconds_left)),
+        ("time share", share),
+    ]

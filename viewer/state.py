@@ -1,0 +1,102 @@
+"""What the window knows: the worker's newest snapshot, the user's camera, forms and choices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from nerf_core.messages import Command, Inspect, Notice, Snapshot
+from viewer.camera_control import CameraControl
+
+# ---- what a panel may ask of the app, besides the worker's commands -------------------------------------------
+
+
+@dataclass(frozen=True)
+class GoToView:
+    """Fly to the photo with this index in the scene."""
+
+    index: int
+
+
+@dataclass(frozen=True)
+class FocusOn:
+    """Orbit around this world point."""
+
+    point: np.ndarray
+
+
+@dataclass(frozen=True)
+class ResetView:
+    pass
+
+
+@dataclass(frozen=True)
+class FrameScene:
+    pass
+
+
+@dataclass(frozen=True)
+class SetPointDepth:
+    """Show the radiance at this world distance along the inspected ray; None: back to the median depth."""
+
+    t: float | None
+
+
+@dataclass(frozen=True)
+class SaveScreenshot:
+    path: Path
+
+
+@dataclass(frozen=True)
+class StartOrbitExport:
+    """Export the orbit that `AppState.orbit` describes."""
+
+
+Action = Command | GoToView | FocusOn | ResetView | FrameScene | SetPointDepth | SaveScreenshot | StartOrbitExport
+
+
+@dataclass
+class OrbitForm:
+    """The export panel's fields. width, height 0: the training photos' size. radius 0: the capture's own."""
+
+    frames: int = 60
+    fps: float = 30.0
+    elevation_degrees: float = 25.0
+    radius: float = 0.0
+    width: int = 0
+    height: int = 0
+    png_frames: bool = False
+    file: str = "orbit.mp4"
+
+
+@dataclass
+class ShownNotice:
+    notice: Notice
+    born: float  # seconds on the app's clock
+    dismissed: bool = False
+
+
+@dataclass
+class AppState:
+    """One object, owned by the GUI thread; panels read it and write only what is theirs to edit (marked *)."""
+
+    snapshot: Snapshot = field(default_factory=Snapshot)
+    camera: CameraControl = field(default_factory=CameraControl)
+    inspect: Inspect | None = None  # the ray that was asked for last; the answer is snapshot.ray
+    viewport: tuple[int, int] = (640, 480)  # framebuffer pixels
+    viewport_rect: tuple[float, float, float, float] | None = None  # x, y, width, height in imgui's coordinates
+    frames_per_second: float = 0.0
+    notices: list[ShownNotice] = field(default_factory=list)
+    orbit: OrbitForm = field(default_factory=OrbitForm)  # *
+    checkpoint_file: str = ""  # *
+    open_path: str = ""  # *
+    focus_open: bool = False  # * give the scene panel's path field the keyboard in the next frame
+    show_cameras: bool = False  # * training cameras in the viewport
+    show_samples: bool = True  # * the inspected ray and its samples in the viewport
+    show_help: bool = False  # *
+    show_panels: bool = True  # *
+    current_view: int | None = None  # the photo whose camera was flown to, until the camera moves
+    time: float = 0.0  # seconds on the app's clock
+    has_display: bool = True

@@ -1,0 +1,105 @@
+"""A window without a screen: an offscreen framebuffer in an EGL context; input is injected by code."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import moderngl
+import numpy as np
+
+from nerf_core.errors import UserError
+from viewer.window import DEBIAN_PACKAGES
+
+
+class EglWindow:
+    """See `viewer.window.Window`. Raises UserError where EGL or OpenGL 3.3 is missing."""
+
+    has_display = False
+
+    def __init__(self, size: tuple[int, int], scale: float = 1.0) -> None:
+        try:
+            settings: Any = {"backend": "egl"}  # moderngl's annotation of these is wrong
+            self.context = moderngl.create_standalone_context(require=330, **settings)
+        except Exception as error:  # moderngl raises plain Exception and ValueError for what the driver lacks
+            raise UserError(
+                f"cannot draw offscreen: no OpenGL 3.3 through EGL ({error}): install {DEBIAN_PACKAGES}"
+            ) from error
+        self._size = (0, 0)
+        self._scale = scale
+        self._awake = threading.Event()
+        self._came = self._closing = False
+        self._clipboard = ""
+        self._closed = False
+        self._make_framebuffer(1, 1)  # a minimised window has no framebuffer of its own size
+        self.resize(*size)
+
+    def size(self) -> tuple[int, int]:
+        return self._size
+
+    def scale(self) -> float:
+        return self._scale
+
+    def resize(self, width: int, height: int) -> None:
+        if (width, height) == self._size:
+            return
+        self._size = (width, height)
+        if width and height:
+            self._free_framebuffer()
+            self._make_framebuffer(width, height)
+        self._came = True
+        self.wake()
+
+    def _make_framebuffer(self, width: int, height: int) -> None:
+        self._color = self.context.texture((width, height), 4)
+        self.framebuffer = self.context.framebuffer([self._color])
+        self.framebuffer.use()
+
+    def _free_framebuffer(self) -> None:
+        self.framebuffer.release()
+        self._color.release()
+
+    def poll(self, timeout: float) -> bool:
+        self._awake.wait(timeout)
+        self._awake.clear()
+        came, self._came = self._came, False
+        return came
+
+    def swap(self) -> None:
+        self.context.finish()
+
+    def read_pixels(self) -> np.ndarray:
+        width, height = self._size
+        if not (width and height):
+            return np.zeros((height, width, 3), np.uint8)
+        pixels = np.frombuffer(self.framebuffer.read(components=3, alignment=1), np.uint8)
+        return pixels.reshape(height, width, 3)[::-1].copy()
+
+    def should_close(self) -> bool:
+        return self._closing
+
+    def request_close(self) -> None:
+        self._came = self._closing = True
+        self.wake()
+
+    def set_title(self, title: str) -> None:
+        pass  # nothing shows it
+
+    def set_cursor(self, cursor: int) -> None:
+        pass  # nothing shows it
+
+    def clipboard(self) -> str:
+        return self._clipboard
+
+    def set_clipboard(self, text: str) -> None:
+        self._clipboard = text
+
+    def wake(self) -> None:
+        self._awake.set()
+
+    def close(self) -> None:
+        if self._closed:
+            return
+        self._closed = True
+        self._free_framebuffer()
+        self.context.release()

@@ -1,0 +1,226 @@
+"""A window on the user's screen, through GLFW. Lives on the main thread, as GLFW demands."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import moderngl
+import numpy as np
+from imgui_bundle import imgui  # before glfw: it names the GLFW library for both
+from PIL import Image
+
+import glfw  # isort: skip
+
+from nerf_core.assets_path import assets_dir
+from nerf_core.errors import UserError
+from viewer.window import DEBIAN_PACKAGES, DisplayError
+from viewer.window.glfw_keys import CURSORS, KEYS, MODIFIERS
+
+MOUSE_BUTTONS = 5  # as many as imgui knows
+
+
+class _GlfwLoader:
+    """Finds GL functions through GLFW: moderngl's own search assumes X11 and fails under Wayland."""
+
+    def __enter__(self) -> _GlfwLoader:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def load_opengl_function(self, name: str) -> int:
+        return glfw.get_proc_address(name) or 0  # pyright: ignore[reportReturnType]  an int, whatever its stub says
+
+    load = load_opengl_function
+
+    def release(self) -> None:
+        pass
+
+
+class GlfwWindow:
+    """See `viewer.window.Window`. Raises DisplayError without a screen, UserError without OpenGL 3.3."""
+
+    def __init__(self, title: str, size: tuple[int, int], visible: bool = True) -> None:
+        glfw.ERROR_REPORTING = "ignore"  # ours are read with get_error; a missing cursor shape is no error to us
+        if not glfw.init():
+            raise DisplayError(f"cannot open a window: {_glfw_error()}: set DISPLAY or use --headless")
+        self.has_display = visible
+        self._handle = self._create(title, size, visible)
+        glfw.make_context_current(self._handle)
+        glfw.swap_interval(0)  # the app paces itself; waiting for the screen here would hold back input
+        try:
+            self.context = moderngl.create_context(require=330, context=_GlfwLoader())  # pyright: ignore[reportArgumentType]  duck-typed
+        except Exception as error:  # moderngl raises plain Exception and ValueError for what the driver lacks
+            self._destroy()
+            raise UserError(f"cannot draw: no OpenGL 3.3 ({error}): install {DEBIAN_PACKAGES}") from error
+        self.framebuffer = self.context.detect_framebuffer(0)
+        self._cursors: dict[int, Any] = {}
+        self._came = False
+        self._closed = False
+        self._connect()
+        if visible:
+            self._set_icon()
+        self._resized()
+
+    @staticmethod
+    def _create(title: str, size: tuple[int, int], visible: bool) -> Any:
+        glfw.window_hint(glfw.CONTEXT_VERSION_MAJOR, 3)
+        glfw.window_hint(glfw.CONTEXT_VERSION_MINOR, 3)
+        glfw.window_hint(glfw.OPENGL_PROFILE, glfw.OPENGL_CORE_PROFILE)
+        glfw.window_hint(glfw.OPENGL_FORWARD_COMPAT, True)  # macOS gives a core profile only to those who ask
+        glfw.window_hint(glfw.SRGB_CAPABLE, False)  # values reach the screen as they are
+        glfw.window_hint(glfw.VISIBLE, visible)
+        glfw.window_hint(glfw.SCALE_TO_MONITOR, visible)
+        glfw.window_hint_string(glfw.X11_CLASS_NAME, "nerf-viewer")
+        glfw.window_hint_string(glfw.WAYLAND_APP_ID, "nerf-viewer")
+        handle = glfw.create_window(*size, title, None, None)
+        if not handle:
+            error = _glfw_error()
+            glfw.terminate()
+            raise UserError(f"cannot open a window with OpenGL 3.3: {error}: install {DEBIAN_PACKAGES}")
+        return handle
+
+    def _set_icon(self) -> None:
+        with Image.open(assets_dir() / "icon.png") as icon:
+            images: Any = [icon.convert("RGBA")]  # GLFW's wrapper takes Pillow's images; its stub does not say so
+        glfw.set_window_icon(self._handle, 1, images)
+
+    def _connect(self) -> None:
+        glfw.set_key_callback(self._handle, self._on_key)
+        glfw.set_char_callback(self._handle, lambda _, code: self._io().add_input_character(code))
+        glfw.set_cursor_pos_callback(self._handle, self._on_move)
+        glfw.set_cursor_enter_callback(self._handle, self._on_enter)
+        glfw.set_mouse_button_callback(self._handle, self._on_button)
+        glfw.set_scroll_callback(self._handle, lambda _, x, y: self._io().add_mouse_wheel_event(x, y))
+        glfw.set_window_focus_callback(self._handle, lambda _, focused: self._io().add_focus_event(bool(focused)))
+        glfw.set_framebuffer_size_callback(self._handle, lambda *_: self._resized())
+        glfw.set_window_content_scale_callback(self._handle, lambda *_: self._resized())
+        glfw.set_window_refresh_callback(self._handle, lambda _: self._note())
+        glfw.set_window_close_callback(self._handle, lambda _: self._note())
+
+    # ---- input ------------------------------------------------------------------------------------------------
+
+    def _note(self) -> None:
+        self._came = True
+
+    def _io(self) -> imgui.IO:
+        self._came = True
+        return imgui.get_io()
+
+    def _resized(self) -> None:
+        self._came = True
+        self.framebuffer.viewport = (0, 0, *self.size())
+
+    def _on_key(self, _window: Any, key: int, _scancode: int, action: int, modifiers: int) -> None:
+        io = self._io()
+        if action == glfw.REPEAT or key not in KEYS:
+            return  # imgui repeats keys itself
+        down = action == glfw.PRESS
+        self._send_modifiers(io, modifiers, key, down)
+        io.add_key_event(KEYS[key], down)
+
+    @staticmethod
+    def _send_modifiers(io: imgui.IO, modifiers: int, key: int = -1, down: bool = False) -> None:
+        # X11 reports the modifiers as they were before the event, so a modifier key itself decides over its bit.
+        own = {
+            glfw.KEY_LEFT_CONTROL: glfw.MOD_CONTROL, glfw.KEY_RIGHT_CONTROL: glfw.MOD_CONTROL,
+            glfw.KEY_LEFT_SHIFT: glfw.MOD_SHIFT, glfw.KEY_RIGHT_SHIFT: glfw.MOD_SHIFT,
+            glfw.KEY_LEFT_ALT: glfw.MOD_ALT, glfw.KEY_RIGHT_ALT: glfw.MOD_ALT,
+            glfw.KEY_LEFT_SUPER: glfw.MOD_SUPER, glfw.KEY_RIGHT_SUPER: glfw.MOD_SUPER,
+        }.get(key)  # fmt: skip
+        for bit, modifier in MODIFIERS.items():
+            io.add_key_event(modifier, down if bit == own else bool(modifiers & bit))
+
+    def _on_button(self, _window: Any, button: int, action: int, modifiers: int) -> None:
+        io = self._io()
+        self._send_modifiers(io, modifiers)
+        if button < MOUSE_BUTTONS:
+            io.add_mouse_button_event(button, action == glfw.PRESS)
+
+    def _on_move(self, _window: Any, x: float, y: float) -> None:
+        # GLFW counts window points here; imgui works in framebuffer pixels.
+        width, height = glfw.get_window_size(self._handle)
+        pixels = self.size()
+        self._io().add_mouse_pos_event(x * pixels[0] / max(width, 1), y * pixels[1] / max(height, 1))
+
+    def _on_enter(self, _window: Any, entered: int) -> None:
+        if not entered and not any(glfw.get_mouse_button(self._handle, b) for b in range(MOUSE_BUTTONS)):
+            self._io().add_mouse_pos_event(-1e9, -1e9)  # outside: nothing is hovered; a drag keeps its pointer
+
+    # ---- the contract -----------------------------------------------------------------------------------------
+
+    def size(self) -> tuple[int, int]:
+        return glfw.get_framebuffer_size(self._handle)
+
+    def scale(self) -> float:
+        return max(glfw.get_window_content_scale(self._handle))
+
+    def resize(self, width: int, height: int) -> None:
+        window, pixels = glfw.get_window_size(self._handle), self.size()
+        ratio = window[0] / pixels[0] if pixels[0] else 1.0
+        glfw.set_window_size(self._handle, round(width * ratio), round(height * ratio))
+
+    def poll(self, timeout: float) -> bool:
+        self._came = False
+        if timeout > 0:
+            glfw.wait_events_timeout(timeout)
+        else:
+            glfw.poll_events()
+        return self._came
+
+    def swap(self) -> None:
+        glfw.swap_buffers(self._handle)
+
+    def read_pixels(self) -> np.ndarray:
+        width, height = self.size()
+        if not (width and height):
+            return np.zeros((height, width, 3), np.uint8)
+        data = self.framebuffer.read(viewport=(0, 0, width, height), components=3, alignment=1)
+        return np.frombuffer(data, np.uint8).reshape(height, width, 3)[::-1].copy()
+
+    def should_close(self) -> bool:
+        return bool(glfw.window_should_close(self._handle))
+
+    def request_close(self) -> None:
+        glfw.set_window_should_close(self._handle, True)
+        self.wake()
+
+    def set_title(self, title: str) -> None:
+        glfw.set_window_title(self._handle, title)
+
+    def set_cursor(self, cursor: int) -> None:
+        shape = CURSORS.get(cursor, CURSORS[imgui.MouseCursor_.arrow])
+        if shape not in self._cursors:
+            self._cursors[shape] = glfw.create_standard_cursor(shape)  # None where the system has no such shape
+        glfw.set_cursor(self._handle, self._cursors[shape])
+
+    def clipboard(self) -> str:
+        no_window: Any = None  # GLFW asks for none any more; its stubs do
+        return _text(glfw.get_clipboard_string(no_window))
+
+    def set_clipboard(self, text: str) -> None:
+        no_window: Any = None
+        glfw.set_clipboard_string(no_window, text)
+
+    def wake(self) -> None:
+        glfw.post_empty_event()
+
+    def close(self) -> None:
+        if not self._closed:
+            self._closed = True
+            self.context.release()
+            self._destroy()
+
+    def _destroy(self) -> None:
+        glfw.destroy_window(self._handle)
+        glfw.terminate()
+
+
+def _glfw_error() -> str:
+    _code, message = glfw.get_error()
+    return _text(message).strip() or "GLFW gives no reason"
+
+
+def _text(raw: Any) -> str:
+    """GLFW's strings are bytes, or None; its stubs call them str."""
+    return raw.decode("utf-8", "replace") if raw else ""
