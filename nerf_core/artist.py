@@ -74,8 +74,8 @@ class Artist:
         drawn = trainer.method.render(rays, picture.quality)
         color, depth = drawn.color.cpu().numpy(), drawn.depth.cpu()
         seconds = time.perf_counter() - begin
-        # distance along the ray → depth along the optical axis: `near` is that axis' bound on every ray
-        z = depth * trainer.scene.near / rays.near
+        # distance along the ray → depth along the optical axis: `far`, never 0, is that axis' bound on every ray
+        z = depth * trainer.scene.far / rays.far
         picture.write(cells, color, z.numpy(), trainer.step_count)
         if len(cells) == trainer.method.tile:  # a padded tile would be counted as slower than it is
             rate = len(cells) / max(seconds, 1e-6)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-MEMORY_SECONDS = 2.0  # the account forgets with this time constant: yesterday's idle hour earns no burst today
+MEMORY_SECONDS = 2.0  # the half-life of what the account remembers: yesterday's idle hour earns no burst today
 
 
 class Budget:

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ def save(path: Path, description: Mapping[str, Any], tensors: Mapping[str, Tenso
 
     arrays = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
     text = json.dumps(description, sort_keys=True)
-    metadata = {"nerf": text, "version": str(VERSION), "sha256": _digest(text, arrays)}
+    metadata = {"nerf": text, "version": str(VERSION), "sha256": _digest(str(VERSION), text, arrays)}
     write_atomically(path, serialise(arrays, metadata=metadata))
 
 
@@ -47,11 +48,11 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
         raise UserError(f"{path}: not a readable checkpoint ({shorten(str(error))}); use an earlier one") from None
     if not {"nerf", "version", "sha256"} <= set(metadata):
         raise UserError(f"{path}: a safetensors file, but not a checkpoint of nerf-viewer")
-    if not metadata["version"].isdigit() or int(metadata["version"]) > VERSION:
+    if not metadata["version"].isdecimal() or int(metadata["version"]) > VERSION:
         raise UserError(
             f"{path}: checkpoint version {shorten(metadata['version'])}, this program reads up to {VERSION}: update it"
         )
-    if metadata["sha256"] != _digest(metadata["nerf"], arrays):
+    if metadata["sha256"] != _digest(metadata["version"], metadata["nerf"], arrays):
         raise UserError(f"{path}: damaged: its checksum does not match; use an earlier checkpoint")
     description = json.loads(metadata["nerf"])
     for name, kind in REQUIRED.items():
@@ -60,9 +61,9 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     return description, arrays
 
 
-def _digest(text: str, arrays: Mapping[str, Tensor]) -> str:
-    """SHA-256 over the JSON and every tensor's name, type, shape and bytes: safetensors itself has no checksum."""
-    digest = hashlib.sha256(text.encode())
+def _digest(version: str, text: str, arrays: Mapping[str, Tensor]) -> str:
+    """SHA-256 over version, JSON and every tensor's name, type, shape and bytes: safetensors itself has no checksum."""
+    digest = hashlib.sha256(f"{version} {text}".encode())
     for name in sorted(arrays):
         value = arrays[name]
         digest.update(f"{name} {value.dtype} {tuple(value.shape)}".encode())
@@ -84,7 +85,8 @@ def write_atomically(path: Path, data: bytes | str) -> None:
             os.fsync(file.fileno())
         temporary.replace(path)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # where the path itself is impossible, removing fails as creating did
+            temporary.unlink()
         raise UserError(f"{path}: cannot be written: {error.strerror or error}") from None
     except BaseException:
         temporary.unlink(missing_ok=True)

@@ -38,9 +38,13 @@ class OpenScene:
 
 @dataclass(frozen=True)
 class Train:
-    """Train on, until `steps` more steps are done (None: until the schedule ends)."""
+    """Train on, until `steps` more steps are done or `seconds` more of training time have passed.
+
+    None: no such limit. Without either, until the schedule ends.
+    """
 
     steps: int | None = None
+    seconds: float | None = None
 
 
 @dataclass(frozen=True)
@@ -98,6 +102,14 @@ class ExportPath:
 
 
 @dataclass(frozen=True)
+class ExportStill:
+    """Render one camera at full resolution to a .png, or a .npy of float32 (H, W, 3) before rounding."""
+
+    camera: Camera
+    file: Path
+
+
+@dataclass(frozen=True)
 class CancelExport:
     pass
 
@@ -109,7 +121,7 @@ class Quit:
 
 Command = (
     OpenScene | Train | Pause | Reset | SetShare | SaveCheckpoint | LoadCheckpoint | Inspect | StopInspecting
-    | ExportPath | CancelExport | Quit
+    | ExportPath | ExportStill | CancelExport | Quit
 )  # fmt: skip
 
 # ---- from the worker -----------------------------------------------------------------------------------------
@@ -149,7 +161,7 @@ class Preview:
 
 @dataclass(frozen=True)
 class Export:
-    """An export in progress or just over."""
+    """An export in progress or just over; done and total count the renderer's tiles."""
 
     file: Path
     done: int
@@ -185,6 +197,7 @@ class Snapshot:
     device: str = ""
     preset: str = ""
     step: int = 0
+    saved_step: int = 0  # of the newest checkpoint that was written or loaded
     total_steps: int = 0
     seconds: float = 0.0
     rays_per_second: float = 0.0

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from nerf_core.cameras import Camera
+from nerf_core.checkpoint import finite
 from nerf_core.errors import UserError
 from nerf_core.methods import Method
 from nerf_core.render import tile_rays
@@ -186,3 +187,32 @@ def _disc(axes: np.ndarray) -> np.ndarray:
     x, y, inside = disc_grid()
     x, y = x[inside], y[inside]
     return np.stack([x, y, np.sqrt(1 - x * x - y * y)], -1) @ axes
+
+
+def inspection(ray: RayProbe, radiance: RadianceProbe) -> dict[str, object]:
+    """Everything of both probes as JSON values: finite numbers, null for what is not defined, lists of lists."""
+    return finite(
+        {
+            "step": ray.step,
+            "pixel": list(ray.pixel),
+            "origin": ray.origin,
+            "direction": ray.direction,
+            "near": ray.near,
+            "far": ray.far,
+            "background": ray.background,
+            "passes": [
+                {f.name: getattr(one, f.name) for f in fields(one)} for one in ray.passes
+            ],
+            "color": ray.color,
+            "opacity": ray.opacity,
+            "depth_expected": ray.depth_expected,
+            "depth_median": ray.depth_median,
+            "rendered_color": ray.rendered_color,
+            "radiance": {
+                "point": radiance.point,
+                "t": radiance.t,
+                "directions": radiance.directions,
+                "rgb": radiance.rgb,
+            },
+        }
+    )

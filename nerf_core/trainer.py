@@ -83,6 +83,7 @@ class Trainer:
     def step(self, pump: Callable[[], None] = nothing) -> Report:
         """One optimiser step. `pump` runs between gradient chunks; its time is not counted as training.
 
+        What `pump` raises abandons the step, which then has not happened: the state is what it was before.
         Raises Diverged when the loss is not finite.
         """
         waited = 0.0
@@ -94,8 +95,13 @@ class Trainer:
             waited += time.perf_counter() - begin
 
         start = time.perf_counter()
+        drawn = self.batches.state()
         rays, truth = self.batches.draw(self.step_count)
-        loss = self.method.train(rays, truth, self.step_count, self.steps or None, timed_pump)
+        try:
+            loss = self.method.train(rays, truth, self.step_count, self.steps or None, timed_pump)
+        except BaseException:
+            self.batches.load_state(drawn)
+            raise
         seconds = time.perf_counter() - start - waited
         self.seconds += seconds
         self.step_count += 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import queue
 import sys
@@ -20,7 +21,7 @@ from nerf_core.budget import Budget
 from nerf_core.datasets import load_scene
 from nerf_core.device import describe
 from nerf_core.errors import UserError
-from nerf_core.export import ExportJob
+from nerf_core.export import FilmJob, Job, StillJob
 from nerf_core.history import HistoryLog
 from nerf_core.messages import Command, Notice, Snapshot, ViewRequest
 from nerf_core.scene import Scene
@@ -60,14 +61,16 @@ class Worker:
         self._trainer: Trainer | None = None
         self._loaded = 0
         self._training_until: int | None = None  # step at which to pause; None: not training
+        self._training_seconds = math.inf
         self._failed = False
         self._loading = ""
+        self._saved_step = 0
         self._good: tuple[int, float, dict[str, torch.Tensor]] | None = None
         self._good_time = 0.0
         self._history = HistoryLog()
         self._budget = Budget(share)
         self._artist = Artist()
-        self._export: ExportJob | None = None
+        self._export: Job | None = None
 
     # ---- called from other threads --------------------------------------------------------------------------------
 
@@ -105,12 +108,19 @@ class Worker:
     def alive(self) -> bool:
         return self._thread.is_alive()
 
+    @property
+    def _closing(self) -> bool:
+        """Quit has come and nothing before it waits: a save sent just before it is still done, on a whole step."""
+        return self._quit.is_set() and self._commands.qsize() <= 1
+
     # ---- the thread -------------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
         if sys.platform == "linux":
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
-        while not self._quit.is_set():
+            thread = threading.get_native_id()
+            # only root may lower a niceness that the user has set higher
+            os.setpriority(os.PRIO_PROCESS, thread, max(NICENESS, os.getpriority(os.PRIO_PROCESS, thread)))
+        while not self._closing:
             try:
                 self._turn()
             except _Cancelled:
@@ -127,8 +137,8 @@ class Worker:
         self._take_commands()
         trainer = self._trainer
         if trainer is not None and self._training_until is not None:
-            if trainer.step_count >= self._training_until:
-                self._stop_training()
+            if trainer.step_count >= self._training_until or trainer.seconds >= self._training_seconds:
+                self._training_until = None
             else:
                 self._train_step(trainer)
         elif not self._draw(self._view):
@@ -137,7 +147,7 @@ class Worker:
         self._publish()
 
     def _take_commands(self) -> None:
-        while not self._quit.is_set():
+        while not self._closing:
             try:
                 command = self._commands.get_nowait()
             except queue.Empty:
@@ -149,8 +159,8 @@ class Worker:
         match command:
             case messages.OpenScene(path, options):
                 self._open(path, options if isinstance(options, RunSettings) else self.settings)
-            case messages.Train(steps):
-                self._start_training(steps)
+            case messages.Train(steps, seconds):
+                self._start_training(steps, seconds)
             case messages.Pause():
                 self._training_until = None
             case messages.Reset():
@@ -166,7 +176,7 @@ class Worker:
                 self._artist.inspect(command)
             case messages.StopInspecting():
                 self._artist.inspect(None)
-            case messages.ExportPath():
+            case messages.ExportPath() | messages.ExportStill():
                 self._start_export(command)
             case messages.CancelExport():
                 if self._export is not None:
@@ -181,7 +191,7 @@ class Worker:
         self._publish(force=True)
 
         def progress(done: int, total: int) -> None:
-            if self._quit.is_set():
+            if self._closing:
                 raise _Cancelled
             self._loading = f"loading photos: {done} of {total}"
             self._publish()
@@ -201,6 +211,7 @@ class Worker:
     def _adopt(self, trainer: Trainer) -> None:
         """Make this the model; a paused one, whose history begins now."""
         self._trainer, self._training_until, self._failed = trainer, None, False
+        self._saved_step = 0
         self._history = HistoryLog()
         self._artist.forget_pictures()
         self._remember(trainer)
@@ -214,11 +225,13 @@ class Worker:
                 f"open that one first (now open: {scene.name})"
             )
         self._adopt(Trainer.resume(scene, description, state, self.settings.device))
+        self._saved_step = description["step"]
         self._notices.put(Notice("info", f"loaded {path.name}: step {description['step']:,}", path))
 
     def _save(self, path: Path) -> None:
         trainer = self._need_trainer()
         checkpoint.save(path, trainer.describe(), trainer.state())
+        self._saved_step = trainer.step_count
         self._notices.put(Notice("info", f"saved step {trainer.step_count:,} to {path}", path))
 
     def _need_scene(self) -> Scene:
@@ -233,17 +246,15 @@ class Worker:
 
     # ---- training ---------------------------------------------------------------------------------------------------
 
-    def _start_training(self, steps: int | None) -> None:
+    def _start_training(self, steps: int | None, seconds: float | None) -> None:
         trainer = self._need_trainer()
         self._failed = False
+        self._training_seconds = math.inf if seconds is None else trainer.seconds + seconds
         end = trainer.total_steps if steps is None else trainer.step_count + steps
         if trainer.step_count >= end:
             self._notices.put(Notice("info", f"all {trainer.total_steps:,} steps of the schedule are done"))
         else:
             self._training_until = end
-
-    def _stop_training(self) -> None:
-        self._training_until = None
 
     def _train_step(self, trainer: Trainer) -> None:
         try:
@@ -263,6 +274,8 @@ class Worker:
 
     def _remember(self, trainer: Trainer) -> None:
         state = {name: value.clone() for name, value in trainer.state().items()}
+        if not all(value.isfinite().all() for value in state.values()):
+            return  # a step's loss is that of the weights before it: these are broken, as the next step will find
         self._good, self._good_time = (trainer.step_count, trainer.seconds, state), time.monotonic()
 
     def _recover(self, trainer: Trainer, error: Diverged) -> None:
@@ -271,6 +284,7 @@ class Worker:
         if self._good is not None:
             trainer.step_count, trainer.seconds, state = self._good
             trainer.load_state(state)
+        self._artist.forget_pictures()
         self._notices.put(Notice("error", f"{error}; back at step {trainer.step_count:,}, paused"))
 
     def _pump(self) -> None:
@@ -279,14 +293,15 @@ class Worker:
         A new view gets its first pixels at once, but only one new view each time: a hand that keeps moving must
         not stop the training.
         """
-        if self._quit.is_set():
+        if self._closing:
             raise _Cancelled
         view = self._view
+        served = False
         while self._artist.urgent(view) and (view is self._view or (view and view.moving)) and self._draw(view):
-            pass
+            served = True
         while self._budget.may_draw() and not self._artist.urgent(self._view) and self._draw(self._view):
             self._publish()
-        self._publish(force=self._artist.fresh)
+        self._publish(force=served)
 
     # ---- pictures ---------------------------------------------------------------------------------------------------
 
@@ -320,11 +335,15 @@ class Worker:
         self._snapshot = replace(self._snapshot, export=job.progress)
         return True
 
-    def _start_export(self, command: messages.ExportPath) -> None:
+    def _start_export(self, command: messages.ExportPath | messages.ExportStill) -> None:
         trainer = self._need_trainer()
         if self._export is not None:
             raise UserError(f"an export to {self._export.progress.file} is running: cancel it or wait for it")
-        self._export = ExportJob(trainer.frozen_method(), trainer.scene, command)
+        method = trainer.frozen_method()
+        if isinstance(command, messages.ExportPath):
+            self._export = FilmJob(method, trainer.scene, command)
+        else:
+            self._export = StillJob(method, trainer.scene, command)
 
     # ---- messages ---------------------------------------------------------------------------------------------------
 
@@ -334,6 +353,7 @@ class Worker:
             self._notices.put(Notice("error", str(error)))
         else:
             self._training_until, self._failed = None, True
+            self._view = None  # what cannot be drawn is reported once, not at every turn: the next view tries again
             text = f"{type(error).__name__}: {error}".splitlines()[0]
             self._notices.put(Notice("error", f"the worker failed: {text}", detail=traceback.format_exc()))
         self._publish(force=True)
@@ -373,6 +393,7 @@ class Worker:
                 preset=self.settings.preset,
                 device=describe(trainer.device),
                 step=trainer.step_count,
+                saved_step=self._saved_step,
                 total_steps=trainer.total_steps,
                 seconds=trainer.seconds,
                 rays_per_second=rate,

@@ -2,54 +2,90 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+import struct
+import subprocess
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from nerf_core.datasets.resample import srgb_encoded
 from nerf_core.errors import UserError
 
+MAGIC = b"\x76\x2f\x31\x01"
+HEADER_BYTES = 1_000_000  # headers with previews stay far below; what comes later is pixels
+SECONDS = 120  # for one photo: ffmpeg must not wait for ever on a damaged one
+
 
 def exr_header(path: Path) -> tuple[int, int, bool]:
-    """Width, height and whether there is alpha. Raises OSError for damaged files."""
-    with _frames(path) as (header, _):
-        width, height = header["size"]
-        return width, height, header["pix_fmt"].startswith(("gbrap", "rgba", "ya"))
+    """Width and height of the display window, and whether there is alpha. Raises OSError for damaged files.
+
+    Layout: magic, version, then attributes as name 0, type 0, size, data, until an empty name
+    (openexr.com, "OpenEXR File Layout").
+    """
+    with path.open("rb") as file:
+        data = file.read(HEADER_BYTES)
+    if not data.startswith(MAGIC):
+        raise OSError("no EXR image")
+    attributes: dict[bytes, bytes] = {}
+    rest = data[8:]
+    while rest and rest[0]:
+        name, kind_and_more = _split(rest)
+        _, rest = _split(kind_and_more)
+        (size,) = struct.unpack_from("<i", rest)
+        if not 0 <= size <= len(rest) - 4:
+            raise OSError("EXR header breaks off")
+        attributes[name], rest = rest[4 : 4 + size], rest[4 + size :]
+    if not {b"displayWindow", b"channels"} <= attributes.keys():
+        raise OSError("EXR header names no size or no channels")
+    left, top, right, bottom = struct.unpack("<4i", attributes[b"displayWindow"])
+    if right < left or bottom < top:
+        raise OSError("EXR image without pixels")
+    channels = attributes[b"channels"]
+    return right - left + 1, bottom - top + 1, channels.startswith(b"A\0")  # channels are sorted by name
 
 
 def exr_pixels(path: Path) -> np.ndarray:
-    """(H, W, 4) float32, sRGB-encoded, straight alpha. Raises OSError for damaged files.
+    """(H, W, 4) float32, sRGB-encoded, straight alpha. Raises OSError for damaged files, UserError without ffmpeg.
 
     EXR stores linear light premultiplied by alpha; the curve belongs to the straight colour. Colour without
     alpha (pure glow) has no straight counterpart and is dropped.
     """
-    with _frames(path) as (header, frames):
-        width, height = header["size"]
-        data = next(frames)
+    width, height, _ = exr_header(path)
+    data = _decoded(path)
+    if len(data) != 16 * width * height:
+        raise OSError("no EXR image that can be read")
     green, blue, red, alpha = np.frombuffer(data, np.float32).reshape(4, height, width)
     if not all(np.isfinite(plane).all() for plane in (red, green, blue, alpha)):
         raise OSError("holds pixels that are not finite")
     alpha = np.clip(alpha, 0, 1)
-    inverse = np.divide(1, alpha, out=np.zeros_like(alpha), where=alpha > 0)
+    inverse = np.divide(1, alpha, out=np.zeros_like(alpha), where=alpha > 1e-6)  # below: nothing to be seen
     return np.dstack([srgb_encoded(plane * inverse) for plane in (red, green, blue)] + [alpha])
 
 
-@contextmanager
-def _frames(path: Path) -> Iterator[tuple[dict[str, Any], Iterator[bytes]]]:
+def _split(data: bytes) -> tuple[bytes, bytes]:
+    text, zero, rest = data.partition(b"\0")
+    if not zero:
+        raise OSError("EXR header breaks off")
+    return text, rest
+
+
+def _decoded(path: Path) -> bytes:
+    """Planes green, blue, red, alpha in float32, linear, premultiplied."""
     import imageio_ffmpeg
 
     try:
-        imageio_ffmpeg.get_ffmpeg_exe()
+        ffmpeg = imageio_ffmpeg.get_ffmpeg_exe()
     except RuntimeError as error:
         raise UserError(f"{path}: EXR photos need ffmpeg, which is missing: install it or save them as PNG") from error
-    frames = imageio_ffmpeg.read_frames(str(path.absolute()), pix_fmt="gbrapf32le", bits_per_pixel=128)
+    command = [ffmpeg, "-v", "error", "-f", "exr_pipe", "-i", f"file:{path.absolute()}", "-frames:v", "1"]
     try:
-        header: dict[str, Any] = next(frames)  # pyright: ignore[reportAssignmentType] the first item, by its contract
-        yield header, frames  # pyright: ignore[reportReturnType]
-    except (RuntimeError, StopIteration, KeyError) as error:
-        raise OSError("no EXR image that can be read") from error
-    finally:
-        frames.close()
+        done = subprocess.run(
+            [*command, "-f", "rawvideo", "-pix_fmt", "gbrapf32le", "-"],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            timeout=SECONDS,
+            check=False,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise OSError(f"decoding took longer than {SECONDS} s") from error
+    return done.stdout

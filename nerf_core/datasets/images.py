@@ -180,7 +180,7 @@ def _foreign_profile(image: Image.Image) -> ImageCms.ImageCmsProfile | None:
     try:
         profile = ImageCms.ImageCmsProfile(io.BytesIO(data))
         return None if "sRGB" in ImageCms.getProfileDescription(profile) else profile
-    except ImageCms.PyCMSError as error:
+    except (ImageCms.PyCMSError, OSError) as error:
         raise ValueError(f"its colour profile is broken ({error}); save it without one") from error
 
 
@@ -198,7 +198,7 @@ def _to_srgb(image: Image.Image, profile: ImageCms.ImageCmsProfile) -> Image.Ima
             renderingIntent=ImageCms.Intent.RELATIVE_COLORIMETRIC,
             outputMode="RGB",
         )
-    except ImageCms.PyCMSError as error:
+    except (ImageCms.PyCMSError, OSError) as error:
         raise ValueError(f"its colour profile is broken ({error}); save it without one") from error
     assert converted is not None  # None is returned only for conversions in place
     return converted

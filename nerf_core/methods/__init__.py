@@ -38,7 +38,8 @@ class Method(Protocol):
     def train(self, rays: Rays, truth: Tensor, step: int, steps: int | None, pump: Callable[[], None]) -> float:
         """One optimiser step on R rays and their colours (R, 3); returns the mean squared error of the final colour.
 
-        `pump` is called between pieces of at most some 10 ms on a CPU, so that a preview can be served.
+        `pump` is called between pieces of at most some 10 ms on a CPU, so that a preview can be served. What it
+        raises abandons the step and leaves `state()` as it was.
         """
         ...
 

@@ -73,6 +73,8 @@ class Nerf:
         self.optimizer = torch.optim.Adam(
             self.parameters(), lr=config.learning_rate, eps=config.adam_epsilon, fused=True
         )
+        for parameter in self.parameters():  # Adam skips what has no gradient: a resumed run must not differ by that
+            parameter.grad = torch.zeros_like(parameter)
         self._alive = {name: 1.0 for name in self.networks}
 
     def _network(self, start: torch.Generator) -> MlpField:
@@ -251,6 +253,8 @@ class Nerf:
         for key, value in state.items():
             if key.startswith("adam."):
                 _, i, slot = key.split(".")
-                slots.setdefault(int(i), {})[slot] = value
+                slots.setdefault(int(i), {})[slot] = value.clone()  # Adam keeps what it is given and writes into it
         self.optimizer.load_state_dict({**self.optimizer.state_dict(), "state": slots})
-        self.generator.set_state(state["generator"].cpu())
+        generator = state["generator"].cpu()
+        if len(generator) == len(self.generator.get_state()):  # else of another kind of device: draws begin at the seed
+            self.generator.set_state(generator)

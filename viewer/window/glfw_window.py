@@ -16,6 +16,7 @@ from nerf_core.errors import UserError
 from viewer.window import DEBIAN_PACKAGES, DisplayError
 from viewer.window.glfw_keys import CURSORS, KEYS, MODIFIERS
 
+ICON_PIXELS = 64  # what title bars and task lists show
 MOUSE_BUTTONS = 5  # as many as imgui knows
 
 
@@ -46,19 +47,25 @@ class GlfwWindow:
             raise DisplayError(f"cannot open a window: {_glfw_error()}: set DISPLAY or use --headless")
         self.has_display = visible
         self._handle = self._create(title, size, visible)
+        self._cursors: dict[int, Any] = {}
+        self._came = False
+        self._closed = False
+        try:
+            self._prepare()
+        except BaseException:
+            self._destroy()
+            raise
+
+    def _prepare(self) -> None:
         glfw.make_context_current(self._handle)
         glfw.swap_interval(0)  # the app paces itself; waiting for the screen here would hold back input
         try:
             self.context = moderngl.create_context(require=330, context=_GlfwLoader())  # pyright: ignore[reportArgumentType]  duck-typed
         except Exception as error:  # moderngl raises plain Exception and ValueError for what the driver lacks
-            self._destroy()
             raise UserError(f"cannot draw: no OpenGL 3.3 ({error}): install {DEBIAN_PACKAGES}") from error
         self.framebuffer = self.context.detect_framebuffer(0)
-        self._cursors: dict[int, Any] = {}
-        self._came = False
-        self._closed = False
         self._connect()
-        if visible:
+        if self.has_display:
             self._set_icon()
         self._resized()
 
@@ -82,7 +89,8 @@ class GlfwWindow:
 
     def _set_icon(self) -> None:
         with Image.open(assets_dir() / "icon.png") as icon:
-            images: Any = [icon.convert("RGBA")]  # GLFW's wrapper takes Pillow's images; its stub does not say so
+            pixels = np.asarray(icon.convert("RGBA").resize((ICON_PIXELS, ICON_PIXELS), Image.Resampling.LANCZOS))
+        images: Any = [(ICON_PIXELS, ICON_PIXELS, pixels.tolist())]  # not how its stub has it
         glfw.set_window_icon(self._handle, 1, images)
 
     def _connect(self) -> None:

@@ -112,7 +112,9 @@ def open_ray(inspect: Inspect) -> tuple[RayProbe, RadianceProbe]:
 
 
 def _radiance(camera: Camera, point: np.ndarray, t: float, color: np.ndarray) -> RadianceProbe:
-    polar, azimuth = np.meshgrid((np.arange(32) + 0.5) / 32 * np.pi, (np.arange(64) + 0.5) / 64 * 2 * np.pi, indexing="ij")
+    polar, azimuth = np.meshgrid(
+        (np.arange(32) + 0.5) / 32 * np.pi, (np.arange(64) + 0.5) / 64 * 2 * np.pi, indexing="ij"
+    )
     around = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], -1)
     x, y, inside = disc_grid()
     facing = np.stack([x, y, np.sqrt(np.maximum(1 - x * x - y * y, 0))], -1)[inside] @ camera.c2w[:, :3].T

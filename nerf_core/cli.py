@@ -1,0 +1,239 @@
+"""The `nerf-core` command: train, eval, render."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from nerf_core.checkpoint import write_atomically
+from nerf_core.console import Display, duration
+from nerf_core.datasets import load_scene
+from nerf_core.device import describe
+from nerf_core.errors import UserError
+from nerf_core.evaluate import evaluate, select
+from nerf_core.export import ExportJob
+from nerf_core.messages import ExportPath
+from nerf_core.metrics import Lpips
+from nerf_core.options import TrainOptions, run_name
+from nerf_core.paths import PATHS
+from nerf_core.runs import RunFolder, must_agree
+from nerf_core.signals import Interrupted, Signals
+from nerf_core.trainer import Diverged, Trainer
+from nerf_core.training import Progress, train_run
+
+DATA_HELP = "Folder of the capture (or its .json file); none: the demo scene."
+MOVED_HELP = "Where the capture is now, if it moved."
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a scene into a run folder. Ctrl-C or SIGTERM saves and ends; --resume then continues."""
+
+    options: TrainOptions
+    data: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="DATA", help=DATA_HELP)] = None
+    out: Path | None = None
+    """The run folder; by default runs/SCENE-METHOD."""
+    resume: bool = False
+    """Continue the run in --out with its own data, options and schedule; --steps and --seconds still say when it
+    ends, counted from its beginning."""
+    save_every: float = 60.0
+    """Seconds of training between checkpoints; the newest two are kept."""
+
+    def run(self, signals: Signals) -> int:
+        settings = self.options.settings()
+        if not self.save_every > 0:
+            raise UserError(f"--save-every {self.save_every}: give a number above 0")
+        run = RunFolder(
+            self.out or Path("runs") / run_name(self.data, "nerf" if settings.method == "auto" else settings.method)
+        )
+        if self.resume:
+            must_agree(settings, run)
+        with run.claimed():
+            if self.resume:
+                trainer = _restored(run, self.data, settings.device)
+                run.rewind(trainer.step_count)
+                print(f"continuing {run.path} at step {trainer.step_count:,}")
+            else:
+                run.must_be_new()
+                with _loading() as progress:
+                    scene = load_scene(self.data, settings.load, progress)
+                _tell(scene.notes)
+                trainer = Trainer(scene, settings)
+                run.begin(self.data, settings, trainer)
+            return self._train(run, trainer, signals)
+
+    def _train(self, run: RunFolder, trainer: Trainer, signals: Signals) -> int:
+        goal = self.options.goal(trainer.total_steps)
+        if goal.reached(trainer):
+            print(f"nothing to do: {_summary(trainer)}; --steps and --seconds count from the beginning of the run")
+            return 0
+        views = len(trainer.scene.split("train"))
+        print(f"training {trainer.method_name} on {trainer.scene.name} ({views} photos), {describe(trainer.device)}")
+        signals.be_polite()
+        with Display("training") as display:
+
+            def show(p: Progress) -> None:
+                text = f"step {p.step:,}, {p.rays_per_second:,.0f} rays/s, {p.psnr:.2f} dB"
+                display.show(p.fraction, text, p.seconds_left)
+
+            finished = train_run(
+                run, trainer, goal, save_every=self.save_every, show=show, warn=_warn,
+                stop=lambda: signals.received is not None,
+            )  # fmt: skip
+        print(f"{'finished' if finished else 'stopped'}: {_summary(trainer)}; saved {run.steps()[-1]}")
+        return 0 if finished else 128 + (signals.received or 0)
+
+
+@dataclass(frozen=True)
+class Eval:
+    """Compare a trained run with held-out photos: writes metrics.json and eval/ (rendering | photo)."""
+
+    run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR", help="A run folder.")]
+    split: Literal["test", "val", "train"] | None = None
+    """By default test, else val, else every 8th photo."""
+    views: int | None = None
+    """Only so many of them, evenly spread; metrics.json then says that it is a subset."""
+    lpips_weights: Path | None = None
+    """VGG16 and LPIPS heads in one .safetensors file; without it LPIPS is not computed."""
+    data: Annotated[Path | None, tyro.conf.arg(help=MOVED_HELP)] = None
+    device: str = "auto"
+    """auto, cpu, cuda or cuda:N."""
+
+    def run(self, signals: Signals) -> int:
+        run = RunFolder(self.run_folder)
+        trainer = _restored(run, self.data, self.device)
+        selection = select(trainer.scene, self.split, self.views)
+        lpips = None if self.lpips_weights is None else Lpips(self.lpips_weights, trainer.device)
+        count = len(selection.views)
+        with Display("evaluating") as display:
+            metrics = evaluate(
+                trainer, selection, lpips=lpips, pictures=run.path / "eval",
+                progress=lambda done, fraction: display.show(fraction, f"{done} of {count} images"),
+            )  # fmt: skip
+        file = run.path / "metrics.json"
+        write_atomically(file, json.dumps(metrics, indent=2, allow_nan=False) + "\n")
+        _print_metrics(metrics, count)
+        print(f"wrote {file} and {run.path / 'eval'}")
+        return 0
+
+
+@dataclass(frozen=True)
+class Render:
+    """Render a camera path of a trained run to an MP4."""
+
+    run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR", help="A run folder.")]
+    out: Path
+    """The .mp4 file."""
+    path: Literal["orbit", "spiral", "test"] = "orbit"
+    """Around the scene, a spiral before it, or through the held-out views."""
+    frames: int | None = None
+    """Number of frames; by default 60 (orbit), 120 (spiral), all (test)."""
+    fps: float = 30.0
+    """Frames a second."""
+    width: int | None = None
+    """Of the video in pixels; by default that of the training photos."""
+    height: int | None = None
+    """Of the video in pixels; by default that of the training photos."""
+    elevation: float | None = None
+    """Of an orbit, degrees above the horizon; by default 25."""
+    radius: float | None = None
+    """Of an orbit, in scene units; by default the cameras' own distance."""
+    png_frames: bool = False
+    """Also write every frame as a PNG, beside the video."""
+    data: Annotated[Path | None, tyro.conf.arg(help=MOVED_HELP)] = None
+    device: str = "auto"
+    """auto, cpu, cuda or cuda:N."""
+
+    def run(self, signals: Signals) -> int:
+        if self.out.suffix.lower() != ".mp4":
+            raise UserError(f"--out {self.out}: only MP4 is written: name a .mp4 file")
+        around = {"elevation_degrees": self.elevation, "radius": self.radius}
+        chosen: dict[str, Any] = {name: value for name, value in around.items() if value is not None}
+        if chosen and self.path != "orbit":
+            raise UserError(f"--elevation and --radius belong to --path orbit, not to {self.path}: leave them out")
+        trainer = _restored(RunFolder(self.run_folder), self.data, self.device)
+        cameras = PATHS[self.path](trainer.scene, self.frames, self.width, self.height, **chosen)
+        job = ExportJob(trainer.method, trainer.scene, ExportPath(cameras, self.fps, self.out, self.png_frames))
+        try:
+            with Display("rendering") as display:
+                while job.advance():
+                    p = job.progress
+                    display.show(p.done / p.total, f"{p.done} of {p.total} frames", p.seconds_left)
+        finally:
+            job.abort()  # of a finished video: does nothing
+        print(f"wrote {self.out}: {len(cameras)} frames")
+        return 0
+
+
+@contextmanager
+def _loading() -> Iterator[Callable[[int, int], None]]:
+    with Display("loading") as display:
+        yield lambda done, total: display.show(done / total, f"{done} of {total} photos")
+
+
+def _restored(run: RunFolder, data: Path | None, device: str) -> Trainer:
+    with _loading() as progress:
+        trainer, notes = run.restore(data, device, progress)
+    _tell(notes)
+    return trainer
+
+
+def _tell(notes: Sequence[str]) -> None:
+    for note in notes:
+        print(f"note: {note}")
+
+
+def _warn(text: str) -> None:
+    print(f"warning: {text}", file=sys.stderr, flush=True)
+
+
+def _summary(trainer: Trainer) -> str:
+    text = f"step {trainer.step_count:,} after {duration(trainer.seconds)} of training"
+    if trainer.seconds > 0:
+        text += f", {trainer.step_count * trainer.config.rays / trainer.seconds:,.0f} rays/s"
+    return text
+
+
+def _print_metrics(metrics: dict[str, Any], count: int) -> None:
+    mean = metrics["mean"]
+    lpips = "not computed (needs --lpips-weights)" if mean["lpips"] is None else f"{mean['lpips']:.4f}"
+    of = f"{count} {metrics['split']} images" + (f" ({metrics['subset']})" if "subset" in metrics else "")
+    print(f"{of} at step {metrics['step']:,}: PSNR {mean['psnr']:.2f} dB, SSIM {mean['ssim']:.4f}, LPIPS {lpips}")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The exit status: 0; 1 when training diverged; 2 for what the user can mend; 130 and 143 after signals."""
+    commands = (
+        Annotated[Train, tyro.conf.subcommand("train")]
+        | Annotated[Eval, tyro.conf.subcommand("eval")]
+        | Annotated[Render, tyro.conf.subcommand("render")]
+    )
+    config = (
+        tyro.conf.OmitArgPrefixes,
+        tyro.conf.UseAppendAction,
+        tyro.conf.FlagCreatePairsOff,
+        tyro.conf.DisallowNone,
+    )
+    with Signals() as signals:
+        try:
+            command = tyro.cli(commands, prog="nerf-core", args=arguments, config=config)
+            return command.run(signals)
+        except Diverged as error:
+            status, text = 1, str(error)
+        except UserError as error:
+            status, text = 2, str(error)
+        except Interrupted as error:
+            status, text = error.status, f"interrupted ({error})"
+    print(f"nerf-core: {text}", file=sys.stderr)
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,66 @@
+"""Progress on a terminal: a bar; elsewhere (a file, a pipe): a line now and then."""
+
+from __future__ import annotations
+
+import sys
+import time
+from types import TracebackType
+
+LINE_SECONDS = 5.0
+FRAME_SECONDS = 0.1
+
+
+class Display:
+    """The progress of one piece of work, as a context manager. On a terminal the bar vanishes when it ends."""
+
+    def __init__(self, title: str) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
+        self._title = title
+        self._bar = None
+        self._every, self._shown = LINE_SECONDS, time.monotonic()
+        if sys.stdout.isatty():
+            columns = (
+                TextColumn("{task.description}"),
+                BarColumn(),
+                TaskProgressColumn(),
+                TextColumn("{task.fields[text]}"),
+            )
+            # without a refreshing thread of its own, which would contend with training
+            self._bar = Progress(*columns, console=Console(), auto_refresh=False, transient=True)
+            self._task = self._bar.add_task(title, total=1.0, text="")
+            self._every, self._shown = FRAME_SECONDS, float("-inf")
+
+    def __enter__(self) -> Display:
+        if self._bar is not None:
+            self._bar.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def show(self, fraction: float, text: str, seconds_left: float | None = None) -> None:
+        """`fraction` of the work is done; shown no more often than an eye can follow."""
+        now = time.monotonic()
+        if now - self._shown < self._every:
+            return
+        self._shown = now
+        if seconds_left is not None:
+            text += f", {duration(seconds_left)} left"
+        if self._bar is None:
+            print(f"{self._title}: {fraction:.0%}, {text}", flush=True)
+        else:
+            self._bar.update(self._task, completed=fraction, text=text)
+            self._bar.refresh()
+
+
+def duration(seconds: float) -> str:
+    """3 s, 4 min 05 s, 2 h 07 min."""
+    whole = max(0, round(seconds))
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02} min"

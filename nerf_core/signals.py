@@ -1,0 +1,51 @@
+"""Ctrl-C and SIGTERM: at once where nothing is lost, politely where there is something to save first."""
+
+from __future__ import annotations
+
+import signal
+from types import FrameType, TracebackType
+from typing import Any
+
+
+class Interrupted(KeyboardInterrupt):
+    """A signal ended the program; `status` is the exit status that shells expect: 130 for Ctrl-C, 143 for SIGTERM."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(signal.Signals(number).name)
+        self.status = 128 + number
+
+
+class Signals:
+    """While this context lasts, SIGINT and SIGTERM raise `Interrupted` in the main thread.
+
+    After `be_polite()` the first one is only noted, in `received`, for the program to look at; a second one raises.
+    """
+
+    NUMBERS = (signal.SIGINT, signal.SIGTERM)
+
+    def __init__(self) -> None:
+        self.received: int | None = None
+        self._polite = False
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Signals:
+        self._before = {number: signal.getsignal(number) for number in self.NUMBERS}
+        self._install()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler if handler is not None else signal.SIG_DFL)
+
+    def be_polite(self) -> None:
+        self._install()  # again: pycolmap, imported by then, puts a handler of its own on SIGTERM
+        self._polite = True
+
+    def _install(self) -> None:
+        for number in self.NUMBERS:
+            signal.signal(number, self._handle)
+
+    def _handle(self, number: int, _: FrameType | None) -> None:
+        if not self._polite or self.received is not None:
+            raise Interrupted(number)
+        self.received = number

@@ -1,0 +1,77 @@
+"""A display of our own, windows on it and off it, and an imgui context."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from viewer.window import Window, open_offscreen, open_window
+
+SIZE = (640, 480)
+
+
+@pytest.fixture(scope="session")
+def display() -> Iterator[str]:
+    """An Xvfb of our own: the tests neither need nor disturb the user's screen."""
+    if shutil.which("Xvfb") is None:
+        pytest.skip("needs Xvfb (Debian package xvfb)")
+    read, write = os.pipe()
+    command = ["Xvfb", "-displayfd", str(write), "-screen", "0", "1600x1200x24", "-nolisten", "tcp"]
+    with subprocess.Popen(command, pass_fds=[write], stderr=subprocess.DEVNULL) as server:
+        os.close(write)
+        with os.fdopen(read) as pipe:
+            number = pipe.readline().strip()
+        assert number, "Xvfb did not start"
+        yield f":{number}"
+        server.terminate()
+
+
+@pytest.fixture(params=["egl", "glfw"])
+def window(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Window]:
+    """Each kind of window in turn."""
+    if request.param == "glfw":
+        monkeypatch.setenv("DISPLAY", request.getfixturevalue("display"))
+        monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+        window = open_window("test", SIZE)
+    else:
+        window = open_offscreen(SIZE)
+    with _imgui_context():
+        yield window
+    window.close()
+
+
+@pytest.fixture
+def offscreen() -> Iterator[Callable[..., Window]]:
+    """Opens offscreen windows and closes them after the test."""
+    opened: list[Window] = []
+
+    def open_one(size: tuple[int, int] = SIZE, scale: float = 1.0) -> Window:
+        opened.append(open_offscreen(size, scale))
+        return opened[-1]
+
+    yield open_one
+    for window in opened:
+        window.close()
+
+
+class _imgui_context:  # noqa: N801  a context manager, used like a function
+    def __enter__(self) -> None:
+        from imgui_bundle import imgui
+
+        self._context = imgui.create_context()
+        imgui.get_io().set_ini_filename("")
+
+    def __exit__(self, *_: object) -> None:
+        from imgui_bundle import imgui
+
+        imgui.destroy_context(self._context)
+
+
+@pytest.fixture
+def imgui_context() -> Iterator[None]:
+    with _imgui_context():
+        yield

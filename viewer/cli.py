@@ -1,0 +1,86 @@
+"""The `nerf-viewer` command."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import tyro
+
+from nerf_core.command import parse, report
+from nerf_core.errors import UserError
+from nerf_core.options import TrainOptions
+
+DEBIAN_PACKAGES = "libegl1 libgl1 libgl1-mesa-dri libx11-6 libxext6 libxcb1"
+
+
+@dataclass(frozen=True)
+class ViewerOptions:
+    """Watch a neural radiance field learn, fly through it, and open any pixel.
+
+    If any file is asked for, the window does what was asked for and closes. With --headless, or where there is no
+    display, the same happens offscreen. Exit status 0 only if everything asked for was written.
+    """
+
+    train: tyro.conf.OmitArgPrefixes[TrainOptions]
+    data: tyro.conf.Positional[Path | None] = None
+    """Folder with posed photos, or a transforms.json; without it the demo scene."""
+    headless: bool = False
+    """Draw offscreen (EGL): the same loop, panels and messages without a window."""
+    size: str = "1440x900"
+    """Size of the window in pixels."""
+    scale: float = 1.0
+    """Size of text and panels offscreen; a window takes its screen's."""
+    click: tyro.conf.UseAppendAction[list[tuple[str, str]]] = field(default_factory=list)
+    """Click into the viewport at X Y after training: in pixels, or with a decimal point in fractions. Repeatable."""
+    screenshot: Path | None = None
+    """Write the whole interface as a PNG."""
+    render: Path | None = None
+    """Write the viewport's picture alone at full resolution: .png, or .npy (float32 before rounding)."""
+    inspect: Path | None = None
+    """Write all arrays of the clicked ray and of its point's radiance as JSON."""
+    orbit: Path | None = None
+    """Write an orbit video (MP4)."""
+    load: Path | None = None
+    """Start from this checkpoint."""
+    save: Path | None = None
+    """Write a checkpoint when training is done or interrupted."""
+    doctor: bool = False
+    """Print what was found (Python, torch, device, GL, display, video) and what to do about what is missing."""
+
+
+def main() -> None:
+    """Exit status 0; 1 for what the doctor found missing, 2 for a mistake, 130 and 143 after Ctrl-C and SIGTERM."""
+    sys.exit(report("nerf-viewer", lambda: run(parse("nerf-viewer", ViewerOptions))))
+
+
+def run(options: ViewerOptions) -> int:
+    """What the command does; returns its exit status. Raises UserError."""
+    if options.doctor:
+        from viewer.doctor import examine
+
+        return 0 if examine(print) else 1
+    try:
+        import viewer.session as sessions
+    except ImportError as error:
+        raise UserError(f"a system library is missing ({error}): install {DEBIAN_PACKAGES}") from error
+    size, settings = sessions.parse_size(options.size), options.train.settings()
+    if not 0.5 <= options.scale <= 4:
+        raise UserError(f"--scale {options.scale:g}: give a number from 0.5 to 4")
+    signals = sessions.Signals()
+    window, reason = sessions.open_window("nerf-viewer", size, options.headless, options.scale)
+    wishes = sessions.Wishes(
+        load=options.load, steps=options.train.steps, seconds=options.train.seconds, save=options.save,
+        clicks=tuple(options.click), inspect=options.inspect, render=options.render, orbit=options.orbit,
+        screenshot=options.screenshot,
+    )  # fmt: skip
+    if reason:
+        print(f"{reason}\nworking offscreen")
+    if not window.has_display:
+        wishes = sessions.unattended(wishes)
+    session = sessions.Session(window, settings, signals, print)
+    try:
+        return session.run(options.data, wishes)
+    finally:
+        session.close()

@@ -1,0 +1,257 @@
+"""What the command line asks of the app, done by the app itself: the same loop, panels and messages as by hand."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from nerf_core.checkpoint import write_atomically
+from nerf_core.errors import UserError
+from nerf_core.messages import (
+    CancelExport,
+    Command,
+    ExportStill,
+    LoadCheckpoint,
+    Notice,
+    OpenScene,
+    Pause,
+    SaveCheckpoint,
+    Snapshot,
+    Train,
+)
+from nerf_core.probe import inspection
+from nerf_core.settings import RunSettings
+from nerf_core.worker import Worker
+from viewer.app import App
+from viewer.state import StartOrbitExport
+
+FRAME_SECONDS = 0.25  # how often an offscreen interface is drawn while it waits: drawing takes time from training
+SHARPEN_SECONDS = 30.0  # how long a screenshot waits for the preview to reach full resolution
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """Files to write and things to do before it, in this order; see `viewer.cli.ViewerOptions`."""
+
+    load: Path | None = None
+    steps: int | None = None
+    seconds: float | None = None
+    save: Path | None = None
+    clicks: tuple[tuple[str, str], ...] = ()
+    inspect: Path | None = None
+    render: Path | None = None
+    orbit: Path | None = None
+    screenshot: Path | None = None
+
+    def any_file(self) -> bool:
+        return any((self.save, self.inspect, self.render, self.orbit, self.screenshot))
+
+    def files(self) -> tuple[Path, ...]:
+        return tuple(p for p in (self.save, self.inspect, self.render, self.orbit, self.screenshot) if p is not None)
+
+
+class Interrupted(Exception):
+    """Ctrl-C, SIGTERM, or the window was closed in the middle of a script."""
+
+
+@dataclass
+class Script:
+    """Drives an app until every wish is a file. Raises UserError when one cannot be had."""
+
+    app: App
+    worker: Worker
+    wishes: Wishes
+    interrupted: Callable[[], bool]
+    say: Callable[[str], None]
+    _seen: list[Notice] = field(default_factory=list)
+
+    def open(self, path: Path | None, settings: RunSettings) -> None:
+        """Load the capture, and the checkpoint if one was asked for."""
+        with _Bar("loading", 1) as bar:
+            self._do(OpenScene(path, settings), lambda s: s.scene is not None and not s.loading, bar)
+        scene = self._snapshot().scene
+        assert scene is not None
+        for note in scene.notes:
+            self.say(f"note: {note}")
+        if self.wishes.load is not None:
+            self._do(LoadCheckpoint(self.wishes.load), lambda _: self._told("loaded"))
+
+    def run(self) -> None:
+        """Train, save, click, inspect, render, film, picture."""
+        wishes = self.wishes
+        if wishes.steps or wishes.seconds:
+            self._train(wishes.steps, wishes.seconds)
+        if wishes.save is not None:
+            self._do(SaveCheckpoint(wishes.save), lambda _: self._told("saved"))
+        self.app.settle()
+        for x, y in wishes.clicks:
+            self._click(x, y)
+        if wishes.inspect is not None:
+            self._inspect(wishes.inspect)
+        if wishes.render is not None:
+            camera = self.app.state.camera.camera(*self.app.state.viewport)
+            self._export(ExportStill(camera, wishes.render), f"rendering {camera.width}×{camera.height}")
+        if wishes.orbit is not None:
+            self.app.state.orbit.file = str(wishes.orbit)
+            self._export(StartOrbitExport(), "orbit")
+        if wishes.screenshot is not None:
+            self._sharpen()
+            self.app.settle()
+            self.app.screenshot(wishes.screenshot)
+        for file in wishes.files():
+            if not file.is_file():
+                raise UserError(f"{file}: was not written")
+            self.say(f"wrote {file}")
+
+    # ---- pieces ---------------------------------------------------------------------------------------------------
+
+    def _train(self, steps: int | None, seconds: float | None) -> None:
+        start = self._snapshot()
+        left = None if steps is None else max(steps - start.step, 0)
+        if left == 0:
+            return
+        self.worker.send(Train(left, seconds))
+        rate = 0.0
+        with _Bar("training", 1) as bar:
+
+            def done(s: Snapshot) -> bool:
+                nonlocal rate
+                rate = s.rays_per_second or rate
+                parts = [0.0]
+                if left:
+                    parts.append((s.step - start.step) / left)
+                if seconds:
+                    parts.append((s.seconds - start.seconds) / seconds)
+                psnr = f"{s.history.psnr[-20:].mean():.1f} dB" if len(s.history.psnr) else ""
+                bar.show(max(parts), f"step {s.step:,}  {s.rays_per_second:,.0f} rays/s  {psnr}")
+                return s.step > start.step and s.status in ("paused", "finished")
+
+            try:
+                self._wait(done)
+            except Interrupted:
+                self.worker.send(Pause())
+                raise
+        s = self._snapshot()
+        trained = s.seconds - start.seconds
+        self.say(f"trained to step {s.step:,} in {trained:.1f} s of training, {rate:,.0f} rays/s")
+
+    def _click(self, x: str, y: str) -> None:
+        left, top, right, bottom = self.app.widgets["viewport"]
+        at = [_position(v, size) for v, size in ((x, right - left), (y, bottom - top))]
+        self.app.hand.click(left + at[0] + 0.5, top + at[1] + 0.5)
+        asked = self.app.state.inspect
+        if asked is None:
+            raise UserError(f"--click {x} {y}: hit no pixel of the {right - left:.0f}×{bottom - top:.0f} viewport")
+        self._wait(lambda s: s.ray is not None and s.ray.pixel == asked.pixel and s.ray.step == s.step)
+
+    def _inspect(self, file: Path) -> None:
+        snapshot = self._snapshot()
+        if snapshot.ray is None or snapshot.radiance is None:
+            raise UserError(f"--inspect {file}: no ray is open; add --click X Y")
+        write_atomically(file, json.dumps(inspection(snapshot.ray, snapshot.radiance)))
+
+    def _export(self, action: Command | StartOrbitExport, label: str) -> None:
+        before = self._snapshot().export
+        self.app.perform(action)
+        with _Bar(label, 1) as bar:
+
+            def done(s: Snapshot) -> bool:
+                export = s.export
+                if export is None or export is before:
+                    return False
+                bar.show(export.done / max(export.total, 1), "")
+                return export.state != "running"
+
+            try:
+                self._wait(done)
+            except Interrupted:
+                self.worker.send(CancelExport())
+                raise
+
+    def _sharpen(self) -> None:
+        limit = time.monotonic() + SHARPEN_SECONDS
+
+        def sharp(s: Snapshot) -> bool:
+            current = s.preview is not None and s.preview.complete and s.preview.step == s.step and not self.app.stale
+            return current or time.monotonic() > limit
+
+        self._wait(sharp)
+        preview = self._snapshot().preview
+        if preview is not None and not preview.complete:
+            self.say(f"screenshot: the preview reached 1/{preview.stride} resolution in {SHARPEN_SECONDS:.0f} s")
+
+    # ---- waiting --------------------------------------------------------------------------------------------------
+
+    def _snapshot(self) -> Snapshot:
+        return self.app.state.snapshot
+
+    def _told(self, word: str) -> bool:
+        return any(n.text.startswith(word) for n in self._seen)
+
+    def _do(self, command: Command, done: Callable[[Snapshot], bool], bar: _Bar | None = None) -> None:
+        self._seen.clear()
+        self.app.perform(command)
+
+        def and_show(s: Snapshot) -> bool:
+            if bar is not None:
+                bar.show(0, s.loading)
+            return done(s)
+
+        self._wait(and_show)
+
+    def _wait(self, done: Callable[[Snapshot], bool]) -> None:
+        """Keep the app alive until `done`. Raises UserError with the worker's complaint, Interrupted on request."""
+        known = len(self.app.state.notices)
+        while True:
+            self.app.window.poll(0.02)
+            due = self.app.state.time + FRAME_SECONDS <= time.monotonic()
+            self.app.frame(force=due and self.app.state.has_display)
+            for shown in self.app.state.notices[known:]:
+                if shown.notice.level == "error":
+                    raise UserError(shown.notice.text)
+                self._seen.append(shown.notice)
+            known = len(self.app.state.notices)
+            if done(self._snapshot()):
+                return
+            if self.interrupted() or self.app.window.should_close():
+                raise Interrupted
+            if not self.worker.alive:
+                raise UserError("the worker ended unexpectedly")
+
+
+def _position(text: str, size: float) -> int:
+    """A coordinate of --click: with a decimal point a fraction of the viewport, else pixels."""
+    try:
+        value = float(text) * size if "." in text else int(text)
+    except ValueError:
+        raise UserError(f"--click {text}: expected a whole number of pixels, or a fraction such as 0.5") from None
+    if not (math.isfinite(value) and 0 <= value <= size):
+        raise UserError(f"--click {text}: outside the viewport, which is {size:.0f} pixels wide here")
+    return min(int(value), int(size) - 1)
+
+
+class _Bar:
+    """A progress bar where there is a terminal; silent where there is none."""
+
+    def __init__(self, label: str, total: float) -> None:
+        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"), TimeRemainingColumn())
+        self._progress = Progress(*columns, transient=True)
+        self._progress.disable = not self._progress.console.is_terminal
+        self._task = self._progress.add_task(label, total=total, note="")
+
+    def show(self, done: float, note: str) -> None:
+        self._progress.update(self._task, completed=done, note=note)
+
+    def __enter__(self) -> _Bar:
+        self._progress.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._progress.stop()

@@ -1,0 +1,138 @@
+"""One sitting: a window or its offscreen stand-in, the worker behind it, and what was asked for on the command line."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import FrameType
+
+import platformdirs
+
+from nerf_core.errors import UserError
+from nerf_core.messages import LoadCheckpoint, OpenScene, SaveCheckpoint, Train
+from nerf_core.settings import RunSettings
+from nerf_core.worker import Worker
+from viewer.app import App
+from viewer.script import Interrupted, Script, Wishes
+from viewer.window import DisplayError, Window
+
+APP = "nerf-viewer"
+UNATTENDED_SECONDS = 60.0  # how long an offscreen run trains when nobody said how long
+INTERRUPTED, TERMINATED = 130, 143  # exit statuses as shells have them: 128 + signal
+SAVE_SECONDS = 4.0  # what a closing session may spend on saving; whoever sent SIGTERM soon sends SIGKILL
+
+
+class Signals:
+    """Ctrl-C and SIGTERM ask politely the first time; a second Ctrl-C ends the process at once."""
+
+    def __init__(self) -> None:
+        self.status = 0
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._came)
+
+    def _came(self, number: int, _: FrameType | None) -> None:
+        self.status = INTERRUPTED if number == signal.SIGINT else TERMINATED
+        signal.signal(number, signal.SIG_DFL)
+
+
+def open_window(title: str, size: tuple[int, int], headless: bool, scale: float) -> tuple[Window, str]:
+    """A window, or the offscreen one where there is no display; and why it is offscreen ("" when it was asked for)."""
+    if not headless:
+        from viewer.window.glfw_window import GlfwWindow
+
+        try:
+            return GlfwWindow(title, size), ""
+        except DisplayError as error:
+            reason = str(error)
+    else:
+        reason = ""
+    from viewer.window.egl_window import EglWindow
+
+    return EglWindow(size, scale), reason
+
+
+@dataclass
+class Session:
+    """Runs once. `autosave` is where a closing window leaves the weights that nobody saved."""
+
+    window: Window
+    settings: RunSettings
+    signals: Signals
+    say: Callable[[str], None]
+
+    def __post_init__(self) -> None:
+        self.worker = Worker(self.settings, wake=self.window.wake)
+        layout = Path(platformdirs.user_config_dir(APP)) / "layout.ini" if self.window.has_display else None
+        self.app = App(self.window, self.worker, layout_file=layout)
+        self.worker.start()
+
+    def run(self, data: Path | None, wishes: Wishes) -> int:
+        """The wishes, then (in a window that was asked for no files) the user; returns the exit status."""
+        script = Script(self.app, self.worker, wishes, lambda: self.signals.status != 0, self.say)
+        try:
+            if self.window.has_display and not wishes.any_file():
+                self._attend(data, wishes)
+            else:
+                script.open(data, self.settings)
+                script.run()
+        except Interrupted:
+            self.signals.status = self.signals.status or INTERRUPTED
+        if self.signals.status or not wishes.any_file():
+            self._save_unsaved(wishes.save)
+        return self.signals.status
+
+    def _attend(self, data: Path | None, wishes: Wishes) -> None:
+        """Open, start training, and follow the user's hand until the window closes."""
+        self.worker.send(OpenScene(data, self.settings))
+        if wishes.load is not None:
+            self.worker.send(LoadCheckpoint(wishes.load))
+        self.worker.send(Train(wishes.steps, wishes.seconds))
+        self.app.run(lambda: self.signals.status != 0)
+
+    def _save_unsaved(self, asked: Path | None) -> None:
+        """Weights are hours of work: a closing session leaves them where it was told to, else in the user's data folder."""
+        snapshot = self.worker.snapshot()
+        if snapshot.scene is None or snapshot.step == 0 or snapshot.step == snapshot.saved_step:
+            return
+        name = f"{snapshot.scene.name}-{snapshot.scene.identity()[:8]}.safetensors"
+        path = asked or Path(platformdirs.user_data_dir(APP)) / "autosave" / name
+        self.worker.send(SaveCheckpoint(path))
+        self.worker.stop(SAVE_SECONDS)
+        if self.worker.snapshot().saved_step == 0 or not path.is_file():
+            print(f"{APP}: step {snapshot.step:,} could not be saved in time", file=sys.stderr)
+        else:
+            self.say(f"saved to {path}; continue with --load {path}")
+
+    def close(self) -> None:
+        self.worker.stop(SAVE_SECONDS)
+        self.app.close()
+        self.window.close()
+
+
+def unattended(wishes: Wishes) -> Wishes:
+    """What an offscreen run does when it was not told: a minute of training; a picture, a film and one ray."""
+    if wishes.load is None and wishes.steps is None and wishes.seconds is None:
+        wishes = replace(wishes, seconds=UNATTENDED_SECONDS)
+    if not wishes.any_file():
+        folder = Path.cwd() / time.strftime("nerf-viewer-%Y%m%d-%H%M%S")
+        print(f"training first, then a screenshot, an orbit and the inspection of one ray go to {folder}")
+        wishes = replace(
+            wishes,
+            clicks=wishes.clicks or (("0.5", "0.5"),),
+            screenshot=folder / "screenshot.png",
+            orbit=folder / "orbit.mp4",
+            inspect=folder / "ray.json",
+        )
+    return wishes
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """"1440x900" → (1440, 900). Raises UserError."""
+    width, x, height = text.lower().partition("x")
+    if not (x and width.isdigit() and height.isdigit()) or not all(16 <= int(v) <= 16384 for v in (width, height)):
+        raise UserError(f"--size {text}: write WIDTHxHEIGHT in pixels, 16 to 16384 each, as in --size 1280x800")
+    return int(width), int(height)
