@@ -18,14 +18,14 @@ from nerf_core.datasets import load_scene
 from nerf_core.device import describe
 from nerf_core.errors import UserError
 from nerf_core.evaluate import evaluate, select
-from nerf_core.export import ExportJob
+from nerf_core.export import FilmJob
 from nerf_core.messages import ExportPath
 from nerf_core.metrics import Lpips
 from nerf_core.options import TrainOptions, run_name
 from nerf_core.paths import PATHS
 from nerf_core.runs import RunFolder, must_agree
 from nerf_core.signals import Interrupted, Signals
-from nerf_core.trainer import Diverged, Trainer
+from nerf_core.trainer import Diverged, Trainer, method_name
 from nerf_core.training import Progress, train_run
 
 DATA_HELP = "Folder of the capture (or its .json file); none: the demo scene."
@@ -36,7 +36,7 @@ MOVED_HELP = "Where the capture is now, if it moved."
 class Train:
     """Train a scene into a run folder. Ctrl-C or SIGTERM saves and ends; --resume then continues."""
 
-    options: TrainOptions
+    training: TrainOptions
     data: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="DATA", help=DATA_HELP)] = None
     out: Path | None = None
     """The run folder; by default runs/SCENE-METHOD."""
@@ -47,12 +47,10 @@ class Train:
     """Seconds of training between checkpoints; the newest two are kept."""
 
     def run(self, signals: Signals) -> int:
-        settings = self.options.settings()
+        settings = self.training.settings()
         if not self.save_every > 0:
             raise UserError(f"--save-every {self.save_every}: give a number above 0")
-        run = RunFolder(
-            self.out or Path("runs") / run_name(self.data, "nerf" if settings.method == "auto" else settings.method)
-        )
+        run = RunFolder(self.out or Path("runs") / run_name(self.data, method_name(settings.method)))
         if self.resume:
             must_agree(settings, run)
         with run.claimed():
@@ -70,7 +68,7 @@ class Train:
             return self._train(run, trainer, signals)
 
     def _train(self, run: RunFolder, trainer: Trainer, signals: Signals) -> int:
-        goal = self.options.goal(trainer.total_steps)
+        goal = self.training.goal(trainer.total_steps)
         if goal.reached(trainer):
             print(f"nothing to do: {_summary(trainer)}; --steps and --seconds count from the beginning of the run")
             return 0
@@ -160,12 +158,12 @@ class Render:
             raise UserError(f"--elevation and --radius belong to --path orbit, not to {self.path}: leave them out")
         trainer = _restored(RunFolder(self.run_folder), self.data, self.device)
         cameras = PATHS[self.path](trainer.scene, self.frames, self.width, self.height, **chosen)
-        job = ExportJob(trainer.method, trainer.scene, ExportPath(cameras, self.fps, self.out, self.png_frames))
+        job = FilmJob(trainer.method, trainer.scene, ExportPath(cameras, self.fps, self.out, self.png_frames))
         try:
             with Display("rendering") as display:
                 while job.advance():
                     p = job.progress
-                    display.show(p.done / p.total, f"{p.done} of {p.total} frames", p.seconds_left)
+                    display.show(p.done / p.total, f"{len(cameras)} frames", p.seconds_left)
         finally:
             job.abort()  # of a finished video: does nothing
         print(f"wrote {self.out}: {len(cameras)} frames")

@@ -22,7 +22,7 @@ PERFECT_PSNR = 100.0  # dB of an identical picture: JSON has no infinity
 
 @dataclass(frozen=True)
 class Selection:
-    """Photos to compare with: indices into `Scene.views`. subset: how they were chosen, if they are not the whole split."""
+    """Photos to compare with, as indices into `Scene.views`. subset: how they were chosen, if not the whole split."""
 
     split: str
     views: tuple[int, ...]

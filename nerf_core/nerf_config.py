@@ -77,7 +77,7 @@ class NerfConfig:
             )
         if device.type == "cuda":
             config = replace(config, chunk_rays=4096)
-        return replace(config, **PRESETS[preset_name(preset, device)], **_parse(changes))
+        return replace(config, **(PRESETS[preset_name(preset, device)] | _parse(changes)))
 
     @staticmethod
     def restore(config: Mapping[str, Any]) -> NerfConfig:

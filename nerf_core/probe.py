@@ -200,9 +200,7 @@ def inspection(ray: RayProbe, radiance: RadianceProbe) -> dict[str, object]:
             "near": ray.near,
             "far": ray.far,
             "background": ray.background,
-            "passes": [
-                {f.name: getattr(one, f.name) for f in fields(one)} for one in ray.passes
-            ],
+            "passes": [{f.name: getattr(one, f.name) for f in fields(one)} for one in ray.passes],
             "color": ray.color,
             "opacity": ray.opacity,
             "depth_expected": ray.depth_expected,

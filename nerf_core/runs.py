@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
+import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -37,8 +38,10 @@ class RunFolder:
     def claimed(self) -> Iterator[None]:
         """Make the folder if need be and keep other processes from training in it.
 
-        Raises UserError: another process has it, or it cannot be written.
+        A folder that was made for this and comes to nothing is removed. Raises UserError: another process has it, or
+        it cannot be written.
         """
+        existed = self.path.exists()
         try:
             (self.path / "checkpoints").mkdir(parents=True, exist_ok=True)
             file = (self.path / ".lock").open("ab+")
@@ -51,7 +54,12 @@ class RunFolder:
                 )
             for part in (self.path / "checkpoints").glob(".*.part"):  # of a process that was killed while saving
                 part.unlink(missing_ok=True)
-            yield
+            try:
+                yield
+            finally:
+                if not existed and not self.config_file.exists():
+                    file.close()
+                    shutil.rmtree(self.path)
 
     # ---- writing --------------------------------------------------------------------------------------------------
 
@@ -84,7 +92,7 @@ class RunFolder:
             raise self._unwritable(error) from None
 
     def save(self, description: Mapping[str, Any], state: Mapping[str, Tensor]) -> Path:
-        """Write the checkpoint of `Trainer.describe()` and `.state()`, unless that step is there; keep the newest two."""
+        """Write a checkpoint of `Trainer.describe()` and `.state()` unless that step has one; keep the newest two."""
         path = checkpoint.step_path(self.path, description["step"])
         if not path.exists():
             checkpoint.save(path, description, state)
@@ -126,9 +134,10 @@ class RunFolder:
         path, description, state, rejected = checkpoint.newest(self.path)
         scene = load_scene(data or stored, settings.load, progress)
         if description["scene"] != scene.identity():
+            given = data or stored or "the demo scene"
             raise UserError(
-                f"{path}: was trained on {shorten(description['scene_name'])}, and {data or stored or 'the demo scene'} "
-                "differs from that in photos, poses or splits: give the data it was trained on"
+                f"{path}: was trained on {shorten(description['scene_name'])}, and {given} differs from that in "
+                "photos, poses or splits: give the data it was trained on"
             )
         return Trainer.resume(scene, description, state, on), (*rejected, *scene.notes)
 

@@ -47,7 +47,7 @@ class Trainer:
 
     def __init__(self, scene: Scene, settings: RunSettings) -> None:
         self.device = pick_device(settings.device)
-        name = "nerf" if settings.method == "auto" else settings.method
+        name = method_name(settings.method)
         config = METHODS.get(name).configure(scene, settings.preset, settings.changes, self.device)
         self._build(scene, name, config, settings.steps, settings.seed, settings.threads or usable_cores())
 
@@ -139,6 +139,11 @@ class Trainer:
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         for part, owner in (("method.", self.method), ("batches.", self.batches)):
             owner.load_state({key.removeprefix(part): v for key, v in state.items() if key.startswith(part)})
+
+
+def method_name(asked: str) -> str:
+    """The name in METHODS of what an option asks for; "auto" is the default."""
+    return "nerf" if asked == "auto" else asked
 
 
 def psnr_of(mse: float) -> float:

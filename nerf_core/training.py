@@ -35,7 +35,7 @@ class Goal:
 
 @dataclass(frozen=True)
 class Progress:
-    """Training so far. psnr: of the last batches' mean loss, in dB; seconds: training time alone; fraction: of the goal."""
+    """Training so far: psnr in dB of the last batches' mean loss, seconds of training alone, fraction of the goal."""
 
     step: int
     psnr: float
@@ -45,7 +45,7 @@ class Progress:
     fraction: float
 
 
-class _Stopped(Exception):
+class _StoppedError(Exception):
     """Somebody asked to stop between two gradient chunks."""
 
 
@@ -70,94 +70,92 @@ def train_run(
     return _Session(run, trainer, goal, save_every, stop, show, warn).run()
 
 
+@dataclass
 class _Session:
-    def __init__(
-        self,
-        run: RunFolder,
-        trainer: Trainer,
-        goal: Goal,
-        save_every: float,
-        stop: Callable[[], bool],
-        show: Callable[[Progress], None],
-        warn: Callable[[str], None],
-    ) -> None:
-        self._folder, self._trainer, self._goal, self._save_every = run, trainer, goal, save_every
-        self._stop, self._show, self._warn = stop, show, warn
+    folder: RunFolder
+    trainer: Trainer
+    goal: Goal
+    save_every: float
+    stop: Callable[[], bool]
+    show: Callable[[Progress], None]
+    warn: Callable[[str], None]
+
+    def __post_init__(self) -> None:
         self._meter = _Meter()
         self._logged = self._shown = self._remembered = time.monotonic()
-        self._saved_seconds = trainer.seconds
+        self._saved_seconds = self.trainer.seconds
         self._good: tuple[dict[str, Any], dict[str, Tensor]] = ({}, {})
         self._remember()
 
     def run(self) -> bool:
         finished = True
         try:
-            while not self._goal.reached(self._trainer):
+            while not self.goal.reached(self.trainer):
                 self._pump()
-                self._after(self._trainer.step(self._pump))
+                self._after(self.trainer.step(self._pump))
             self._remember()
-        except _Stopped:
+        except _StoppedError:
             finished = False
             self._remember()
         except Exception as error:
-            self._folder.save(*self._good)
+            self.folder.save(*self._good)
             step = self._good[0]["step"]
             if isinstance(error, Diverged):
                 raise Diverged(f"{error}; went back to step {step:,} and saved it") from None
             if isinstance(error, torch.OutOfMemoryError):
                 raise UserError(
-                    f"out of memory on {device.describe(self._trainer.device)}; step {step:,} is saved: "
+                    f"out of memory on {device.describe(self.trainer.device)}; step {step:,} is saved: "
                     "use a smaller --set chunk_rays, or fewer --set rays"
                 ) from error
             raise
         self._log()
-        self._folder.save(*self._good)
+        self.folder.save(*self._good)
         return finished
 
     def _pump(self) -> None:
-        if self._stop():
-            raise _Stopped
+        if self.stop():
+            raise _StoppedError
 
     def _after(self, report: Report) -> None:
         self._meter.add(report)
         now = time.monotonic()
         if now - self._shown >= SHOW_SECONDS:
             self._shown = now
-            self._show(self._progress())
+            self.show(self._progress())
         if now - self._logged >= LOG_SECONDS:
             self._logged = now
             self._log()
-        if self._trainer.seconds - self._saved_seconds >= self._save_every:
-            self._saved_seconds = self._trainer.seconds
+        if self.trainer.seconds - self._saved_seconds >= self.save_every:
+            self._saved_seconds = self.trainer.seconds
             self._remember()
-            self._tolerate(lambda: self._folder.save(*self._good))
+            self._tolerate(lambda: self.folder.save(*self._good))
         elif now - self._remembered >= GOOD_SECONDS:
             self._remember()
 
     def _remember(self) -> None:
-        """Copy the state to the host, where a lost device cannot take it. Raises Diverged for one that is not finite."""
-        state = {name: value.detach().to("cpu", copy=True) for name, value in self._trainer.state().items()}
+        """Copy the state to the host, where a lost device cannot take it. Raises Diverged where it is not finite."""
+        state = {name: value.detach().to("cpu", copy=True) for name, value in self.trainer.state().items()}
         broken = [n for n, v in state.items() if v.is_floating_point() and not bool(v.isfinite().all())]
         if broken:
             raise Diverged(
-                f"step {self._trainer.step_count}: {broken[0]} is not finite; lower the learning rate "
+                f"step {self.trainer.step_count}: {broken[0]} is not finite; lower the learning rate "
                 "(--set learning_rate=…)"
             )
-        self._good, self._remembered = (self._trainer.describe(), state), time.monotonic()
+        self._good, self._remembered = (self.trainer.describe(), state), time.monotonic()
 
     def _log(self) -> None:
-        line = self._meter.line(self._trainer)
+        line = self._meter.line(self.trainer)
         if line is not None:
-            self._tolerate(lambda: self._folder.log(line))
+            self._tolerate(lambda: self.folder.log(line))
 
     def _tolerate(self, write: Callable[[], object]) -> None:
         try:
             write()
         except UserError as error:
-            self._warn(str(error))
+            self.warn(str(error))
 
     def _progress(self) -> Progress:
-        trainer, goal, meter = self._trainer, self._goal, self._meter
+        trainer, goal, meter = self.trainer, self.goal, self._meter
         left = (goal.steps - trainer.step_count) * meter.seconds_per_step
         return Progress(
             step=trainer.step_count,

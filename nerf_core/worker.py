@@ -155,7 +155,7 @@ class Worker:
             self._obey(command)
             self._publish(force=True)
 
-    def _obey(self, command: Command) -> None:
+    def _obey(self, command: Command) -> None:  # noqa: PLR0912  one branch a message
         match command:
             case messages.OpenScene(path, options):
                 self._open(path, options if isinstance(options, RunSettings) else self.settings)

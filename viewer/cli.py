@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
-from nerf_core.command import parse, report
 from nerf_core.errors import UserError
 from nerf_core.options import TrainOptions
+from nerf_core.signals import Interrupted, Signals
 
 DEBIAN_PACKAGES = "libegl1 libgl1 libgl1-mesa-dri libx11-6 libxext6 libxcb1"
 
@@ -23,8 +25,8 @@ class ViewerOptions:
     display, the same happens offscreen. Exit status 0 only if everything asked for was written.
     """
 
-    train: tyro.conf.OmitArgPrefixes[TrainOptions]
-    data: tyro.conf.Positional[Path | None] = None
+    train: TrainOptions
+    data: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="DATA")] = None
     """Folder with posed photos, or a transforms.json; without it the demo scene."""
     headless: bool = False
     """Draw offscreen (EGL): the same loop, panels and messages without a window."""
@@ -32,7 +34,7 @@ class ViewerOptions:
     """Size of the window in pixels."""
     scale: float = 1.0
     """Size of text and panels offscreen; a window takes its screen's."""
-    click: tyro.conf.UseAppendAction[list[tuple[str, str]]] = field(default_factory=list)
+    click: list[tuple[str, str]] = field(default_factory=list)
     """Click into the viewport at X Y after training: in pixels, or with a decimal point in fractions. Repeatable."""
     screenshot: Path | None = None
     """Write the whole interface as a PNG."""
@@ -50,12 +52,26 @@ class ViewerOptions:
     """Print what was found (Python, torch, device, GL, display, video) and what to do about what is missing."""
 
 
-def main() -> None:
-    """Exit status 0; 1 for what the doctor found missing, 2 for a mistake, 130 and 143 after Ctrl-C and SIGTERM."""
-    sys.exit(report("nerf-viewer", lambda: run(parse("nerf-viewer", ViewerOptions))))
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The exit status: 0; 1 for what the doctor found missing; 2 for what the user can mend; 130, 143 after signals."""
+    config = (
+        tyro.conf.OmitArgPrefixes,
+        tyro.conf.UseAppendAction,
+        tyro.conf.FlagCreatePairsOff,
+        tyro.conf.DisallowNone,
+    )
+    with Signals() as signals:
+        try:
+            return run(tyro.cli(ViewerOptions, prog="nerf-viewer", args=arguments, config=config), signals)
+        except UserError as error:
+            status, text = 2, str(error)
+        except Interrupted as error:
+            status, text = error.status, f"interrupted ({error})"
+    print(f"nerf-viewer: {text}", file=sys.stderr)
+    return status
 
 
-def run(options: ViewerOptions) -> int:
+def run(options: ViewerOptions, signals: Signals) -> int:
     """What the command does; returns its exit status. Raises UserError."""
     if options.doctor:
         from viewer.doctor import examine
@@ -68,7 +84,6 @@ def run(options: ViewerOptions) -> int:
     size, settings = sessions.parse_size(options.size), options.train.settings()
     if not 0.5 <= options.scale <= 4:
         raise UserError(f"--scale {options.scale:g}: give a number from 0.5 to 4")
-    signals = sessions.Signals()
     window, reason = sessions.open_window("nerf-viewer", size, options.headless, options.scale)
     wishes = sessions.Wishes(
         load=options.load, steps=options.train.steps, seconds=options.train.seconds, save=options.save,
@@ -84,3 +99,7 @@ def run(options: ViewerOptions) -> int:
         return session.run(options.data, wishes)
     finally:
         session.close()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -8,11 +8,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from nerf_core.checkpoint import write_atomically
+from nerf_core.console import Display
 from nerf_core.errors import UserError
 from nerf_core.messages import (
     CancelExport,
@@ -57,7 +55,7 @@ class Wishes:
         return tuple(p for p in (self.save, self.inspect, self.render, self.orbit, self.screenshot) if p is not None)
 
 
-class Interrupted(Exception):
+class Closed(Exception):
     """Ctrl-C, SIGTERM, or the window was closed in the middle of a script."""
 
 
@@ -74,7 +72,7 @@ class Script:
 
     def open(self, path: Path | None, settings: RunSettings) -> None:
         """Load the capture, and the checkpoint if one was asked for."""
-        with _Bar("loading", 1) as bar:
+        with Display("loading") as bar:
             self._do(OpenScene(path, settings), lambda s: s.scene is not None and not s.loading, bar)
         scene = self._snapshot().scene
         assert scene is not None
@@ -119,7 +117,7 @@ class Script:
             return
         self.worker.send(Train(left, seconds))
         rate = 0.0
-        with _Bar("training", 1) as bar:
+        with Display("training") as bar:
 
             def done(s: Snapshot) -> bool:
                 nonlocal rate
@@ -130,12 +128,12 @@ class Script:
                 if seconds:
                     parts.append((s.seconds - start.seconds) / seconds)
                 psnr = f"{s.history.psnr[-20:].mean():.1f} dB" if len(s.history.psnr) else ""
-                bar.show(max(parts), f"step {s.step:,}  {s.rays_per_second:,.0f} rays/s  {psnr}")
+                bar.show(min(max(parts), 1.0), f"step {s.step:,}  {s.rays_per_second:,.0f} rays/s  {psnr}")
                 return s.step > start.step and s.status in ("paused", "finished")
 
             try:
                 self._wait(done)
-            except Interrupted:
+            except Closed:
                 self.worker.send(Pause())
                 raise
         s = self._snapshot()
@@ -160,18 +158,18 @@ class Script:
     def _export(self, action: Command | StartOrbitExport, label: str) -> None:
         before = self._snapshot().export
         self.app.perform(action)
-        with _Bar(label, 1) as bar:
+        with Display(label) as bar:
 
             def done(s: Snapshot) -> bool:
                 export = s.export
                 if export is None or export is before:
                     return False
-                bar.show(export.done / max(export.total, 1), "")
+                bar.show(export.done / max(export.total, 1), f"{export.file.name}", export.seconds_left)
                 return export.state != "running"
 
             try:
                 self._wait(done)
-            except Interrupted:
+            except Closed:
                 self.worker.send(CancelExport())
                 raise
 
@@ -195,7 +193,7 @@ class Script:
     def _told(self, word: str) -> bool:
         return any(n.text.startswith(word) for n in self._seen)
 
-    def _do(self, command: Command, done: Callable[[Snapshot], bool], bar: _Bar | None = None) -> None:
+    def _do(self, command: Command, done: Callable[[Snapshot], bool], bar: Display | None = None) -> None:
         self._seen.clear()
         self.app.perform(command)
 
@@ -207,7 +205,7 @@ class Script:
         self._wait(and_show)
 
     def _wait(self, done: Callable[[Snapshot], bool]) -> None:
-        """Keep the app alive until `done`. Raises UserError with the worker's complaint, Interrupted on request."""
+        """Keep the app alive until `done`. Raises UserError with the worker's complaint, Closed on request."""
         known = len(self.app.state.notices)
         while True:
             self.app.window.poll(0.02)
@@ -221,7 +219,7 @@ class Script:
             if done(self._snapshot()):
                 return
             if self.interrupted() or self.app.window.should_close():
-                raise Interrupted
+                raise Closed
             if not self.worker.alive:
                 raise UserError("the worker ended unexpectedly")
 
@@ -235,23 +233,3 @@ def _position(text: str, size: float) -> int:
     if not (math.isfinite(value) and 0 <= value <= size):
         raise UserError(f"--click {text}: outside the viewport, which is {size:.0f} pixels wide here")
     return min(int(value), int(size) - 1)
-
-
-class _Bar:
-    """A progress bar where there is a terminal; silent where there is none."""
-
-    def __init__(self, label: str, total: float) -> None:
-        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"), TimeRemainingColumn())
-        self._progress = Progress(*columns, transient=True)
-        self._progress.disable = not self._progress.console.is_terminal
-        self._task = self._progress.add_task(label, total=total, note="")
-
-    def show(self, done: float, note: str) -> None:
-        self._progress.update(self._task, completed=done, note=note)
-
-    def __enter__(self) -> _Bar:
-        self._progress.start()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self._progress.stop()

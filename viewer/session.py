@@ -8,35 +8,21 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import FrameType
 
 import platformdirs
 
 from nerf_core.errors import UserError
 from nerf_core.messages import LoadCheckpoint, OpenScene, SaveCheckpoint, Train
 from nerf_core.settings import RunSettings
+from nerf_core.signals import Signals
 from nerf_core.worker import Worker
 from viewer.app import App
-from viewer.script import Interrupted, Script, Wishes
+from viewer.script import Closed, Script, Wishes
 from viewer.window import DisplayError, Window
 
 APP = "nerf-viewer"
 UNATTENDED_SECONDS = 60.0  # how long an offscreen run trains when nobody said how long
-INTERRUPTED, TERMINATED = 130, 143  # exit statuses as shells have them: 128 + signal
 SAVE_SECONDS = 4.0  # what a closing session may spend on saving; whoever sent SIGTERM soon sends SIGKILL
-
-
-class Signals:
-    """Ctrl-C and SIGTERM ask politely the first time; a second Ctrl-C ends the process at once."""
-
-    def __init__(self) -> None:
-        self.status = 0
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._came)
-
-    def _came(self, number: int, _: FrameType | None) -> None:
-        self.status = INTERRUPTED if number == signal.SIGINT else TERMINATED
-        signal.signal(number, signal.SIG_DFL)
 
 
 def open_window(title: str, size: tuple[int, int], headless: bool, scale: float) -> tuple[Window, str]:
@@ -69,21 +55,23 @@ class Session:
         layout = Path(platformdirs.user_config_dir(APP)) / "layout.ini" if self.window.has_display else None
         self.app = App(self.window, self.worker, layout_file=layout)
         self.worker.start()
+        self.signals.be_polite()
 
     def run(self, data: Path | None, wishes: Wishes) -> int:
         """The wishes, then (in a window that was asked for no files) the user; returns the exit status."""
-        script = Script(self.app, self.worker, wishes, lambda: self.signals.status != 0, self.say)
+        script = Script(self.app, self.worker, wishes, lambda: self.signals.received is not None, self.say)
         try:
             if self.window.has_display and not wishes.any_file():
                 self._attend(data, wishes)
             else:
                 script.open(data, self.settings)
                 script.run()
-        except Interrupted:
-            self.signals.status = self.signals.status or INTERRUPTED
-        if self.signals.status or not wishes.any_file():
+        except Closed:
             self._save_unsaved(wishes.save)
-        return self.signals.status
+            return 128 + (self.signals.received or signal.SIGINT)
+        if not wishes.any_file():
+            self._save_unsaved(wishes.save)
+        return 128 + self.signals.received if self.signals.received else 0
 
     def _attend(self, data: Path | None, wishes: Wishes) -> None:
         """Open, start training, and follow the user's hand until the window closes."""
@@ -91,7 +79,7 @@ class Session:
         if wishes.load is not None:
             self.worker.send(LoadCheckpoint(wishes.load))
         self.worker.send(Train(wishes.steps, wishes.seconds))
-        self.app.run(lambda: self.signals.status != 0)
+        self.app.run(lambda: self.signals.received is not None)
 
     def _save_unsaved(self, asked: Path | None) -> None:
         """Weights are hours of work: a closing session leaves them where it was told to, else in the user's data folder."""
@@ -131,7 +119,7 @@ def unattended(wishes: Wishes) -> Wishes:
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """"1440x900" → (1440, 900). Raises UserError."""
+    """ "1440x900" → (1440, 900). Raises UserError."""
     width, x, height = text.lower().partition("x")
     if not (x and width.isdigit() and height.isdigit()) or not all(16 <= int(v) <= 16384 for v in (width, height)):
         raise UserError(f"--size {text}: write WIDTHxHEIGHT in pixels, 16 to 16384 each, as in --size 1280x800")

@@ -131,7 +131,6 @@ def read_json(file: Path) -> Fields:
         text = data.decode(json.detect_encoding(data)).strip()
     except UnicodeDecodeError as error:
         raise UserError(f"{file} is no text ({error.reason} at byte {error.start}): is it the right file?") from error
-    text = text.removeprefix("\ufeff").strip()
     if not text:
         raise UserError(f"{file} is empty: download or export it again")
     if text.startswith("<"):

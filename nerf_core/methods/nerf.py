@@ -141,24 +141,36 @@ class Nerf:
         for group in self.optimizer.param_groups:
             group["lr"] = rate
         self.optimizer.zero_grad(set_to_none=False)
-        error = torch.zeros((), device=self.device)
-        alive = {name: 0 for name in self.networks}
         scale = 1 / truth.numel()
+        drawn = self.generator.get_state()
+        try:
+            error, alive = self._gradients(rays, truth, scale, pump)
+        except BaseException:  # gradients are no state, but the random numbers drawn for them must be drawn again
+            self.generator.set_state(drawn)
+            raise
+        self.optimizer.step()
+        for name, living in alive.items():
+            self._alive[name] = living / (len(rays) * self._samples(name))
+        return float(error * scale)
+
+    def _gradients(
+        self, rays: Rays, truth: Tensor, scale: float, pump: Callable[[], None]
+    ) -> tuple[Tensor, dict[str, int]]:
+        """Add up the gradient over all chunks; returns the summed squared error and how many samples were alive."""
+        error = torch.zeros((), device=self.device)
+        alive = dict.fromkeys(self.networks, 0)
         for start in range(0, len(rays), self.config.chunk_rays):
             chunk = slice(start, start + self.config.chunk_rays)
             p = self._parametrise(rays[chunk])
-            u, weights = self._coarse_u(p, random=True), torch.empty(0)
+            u, weights, squared = self._coarse_u(p, random=True), torch.empty(0), error
             for name in self.networks:
                 if name == "fine":
                     u = self._fine_u(u, weights, random=True)
                 weights, squared, living = self._supervise(name, p, u, truth[chunk], scale)
                 alive[name] += living
                 pump()
-            error += squared  # of the last network: the one that makes the picture
-        self.optimizer.step()
-        for name in alive:
-            self._alive[name] = alive[name] / (len(rays) * self._samples(name))
-        return float(error * scale)
+            error = error + squared  # of the last network: the one that makes the picture
+        return error, alive
 
     def _supervise(
         self, name: str, p: _Parametrised, u: Tensor, truth: Tensor, scale: float

@@ -1,0 +1,146 @@
+"""What every method keeps, whatever it is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+import torch
+
+from nerf_core.cameras import camera_rays
+from nerf_core.device import fast_precision
+from nerf_core.methods import METHODS, Method
+from nerf_core.scene import Scene
+from nerf_core.types import Rays
+
+CPU = torch.device("cpu")
+# The constants that make a method small enough for a test; a method that needs none is not listed.
+SMALL: dict[str, dict[str, str]] = {
+    "nerf": {"rays": "32", "coarse_samples": "16", "fine_samples": "16", "depth": "6", "width": "32"}
+}
+MakeMethod = Callable[..., Method]
+
+
+@pytest.fixture(params=METHODS.names())
+def make(request: pytest.FixtureRequest, scene: Scene) -> MakeMethod:
+    def build(seed: int = 0, **changes: str) -> Method:
+        kind = METHODS.get(request.param)
+        config = kind.configure(scene, "auto", SMALL.get(request.param, {}) | changes, CPU)
+        return kind(scene, config, CPU, seed)
+
+    return build
+
+
+def some_rays(scene: Scene, count: int = 77) -> tuple[Rays, torch.Tensor]:
+    rays = camera_rays(scene.views[0].camera, scene.near, scene.far)
+    truth = torch.from_numpy(scene.images[0].reshape(-1, 3).astype("float32") / 65535)
+    index = torch.randperm(len(rays), generator=torch.Generator().manual_seed(0))[:count]
+    return rays[index], truth[index]
+
+
+def trained(method: Method, scene: Scene, steps: int = 3) -> Method:
+    for step in range(steps):
+        method.train(*some_rays(scene), step, None, lambda: None)
+    return method
+
+
+def test_a_rendering_has_its_shapes_and_ranges(make: MakeMethod, scene: Scene) -> None:
+    method = trained(make(), scene)
+    drawn = method.render(some_rays(scene)[0])
+    assert drawn.color.shape == (77, 3)
+    assert drawn.opacity.shape == drawn.depth.shape == (77,)
+    assert drawn.color.dtype == drawn.depth.dtype == torch.float32
+    assert ((drawn.color >= -1e-5) & (drawn.color <= 1 + 1e-5)).all()
+    assert ((drawn.opacity >= 0) & (drawn.opacity <= 1 + 1e-5)).all()
+    hit = ~drawn.depth.isnan()
+    assert ((drawn.depth >= 0) | ~hit).all()
+    assert not drawn.color.requires_grad
+
+
+def test_training_gives_finite_losses_and_gradients_and_pumps(make: MakeMethod, scene: Scene) -> None:
+    method, calls = make(), []
+    for step in range(3):
+        loss = method.train(*some_rays(scene), step, None, lambda: calls.append(1))
+        assert 0 <= loss < 4
+    assert len(calls) >= 3
+    for parameter in method.parameters():
+        assert parameter.isfinite().all()
+        assert parameter.grad is None or parameter.grad.isfinite().all()
+    assert all(value.isfinite().all() for value in method.state().values())
+
+
+def test_a_restored_state_goes_on_bit_for_bit(make: MakeMethod, scene: Scene) -> None:
+    first, second = trained(make(seed=0), scene), make(seed=9)
+    saved = {name: value.clone() for name, value in first.state().items()}
+    second.load_state(saved)
+    for step in (3, 4):
+        losses = [m.train(*some_rays(scene), step, None, lambda: None) for m in (first, second)]
+        assert losses[0] == losses[1]
+    a, b = first.state(), second.state()
+    assert a.keys() == b.keys()
+    assert [name for name in a if not torch.equal(a[name], b[name])] == []
+
+
+def test_a_state_that_was_loaded_is_not_written_into(make: MakeMethod, scene: Scene) -> None:
+    method = trained(make(), scene)
+    saved = {name: value.clone() for name, value in method.state().items()}
+    kept = {name: value.clone() for name, value in saved.items()}
+    method.load_state(saved)
+    trained(method, scene)
+    assert [name for name in saved if not torch.equal(saved[name], kept[name])] == []
+
+
+def test_a_trace_is_the_rendering_opened_up(make: MakeMethod, scene: Scene) -> None:
+    method = trained(make(), scene)
+    rays = some_rays(scene, min(method.tile, 77))[0]
+    trace, drawn = method.trace(rays), method.render(rays)
+    assert torch.equal(trace.rendering.color, drawn.color)
+    torch.testing.assert_close(trace.rendering.depth, drawn.depth, equal_nan=True, rtol=0, atol=0)
+    background = torch.tensor(scene.background)
+    last = trace.passes[-1]
+    color = (last.weights[..., None] * last.rgb).sum(1) + (1 - last.weights.sum(-1))[:, None] * background
+    torch.testing.assert_close(color, drawn.color, atol=1e-5, rtol=0)
+    for samples in trace.passes:
+        assert (samples.t.diff(dim=-1) >= 0).all()
+        torch.testing.assert_close(samples.alpha, 1 - torch.exp(-samples.sigma * samples.delta), atol=1e-5, rtol=0)
+        torch.testing.assert_close(samples.weights, samples.alpha * samples.transmittance)
+        behind = torch.cumprod(1 - samples.alpha.double(), -1)[:, :-1].float()
+        torch.testing.assert_close(samples.transmittance[:, 1:], behind, atol=1e-5, rtol=0)
+
+
+def test_a_pixel_does_not_depend_on_its_neighbours(make: MakeMethod, scene: Scene) -> None:
+    method = trained(make(), scene)
+    rays = some_rays(scene)[0]
+    together = method.render(rays)
+    for i in (0, 5, 31, 32, 76):
+        alone = method.render(rays[i : i + 1])
+        torch.testing.assert_close(alone.color[0], together.color[i], atol=1e-5, rtol=0)
+        torch.testing.assert_close(alone.depth[0], together.depth[i], atol=1e-4, rtol=0, equal_nan=True)
+
+
+def test_rendering_leaves_the_model_as_it_is(make: MakeMethod, scene: Scene) -> None:
+    method = trained(make(), scene)
+    before = {name: value.clone() for name, value in method.state().items()}
+    rays = some_rays(scene, 8)[0]
+    for quality in ("coarse", "fine"):
+        method.render(rays, quality)
+    method.trace(rays)
+    method.radiance(torch.zeros(3), torch.eye(3))
+    after = method.state()
+    assert [name for name in before if not torch.equal(before[name], after[name])] == []
+
+
+def test_radiance_is_a_colour_a_direction(make: MakeMethod, scene: Scene) -> None:
+    directions = torch.nn.functional.normalize(torch.randn(50, 3, dtype=torch.float64), dim=-1)
+    rgb = trained(make(), scene).radiance(torch.tensor([0.1, 0.2, 0.3], dtype=torch.float64), directions)
+    assert rgb.shape == (50, 3)
+    assert ((rgb >= 0) & (rgb <= 1)).all()
+
+
+def test_both_precisions_are_tested_where_the_hardware_has_both(
+    make: MakeMethod, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The tests above ran in the fast precision of this machine; here the pixel's independence in the other."""
+    other = torch.bfloat16 if fast_precision(CPU) == torch.float32 else torch.float32
+    monkeypatch.setattr("nerf_core.methods.nerf.fast_precision", lambda device: other)
+    test_a_pixel_does_not_depend_on_its_neighbours(make, scene)
