@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -53,6 +54,7 @@ class Train:
         run = RunFolder(self.out or Path("runs") / run_name(self.data, method_name(settings.method)))
         if self.resume:
             must_agree(settings, run)
+        began = time.monotonic()
         with run.claimed():
             if self.resume:
                 trainer = _restored(run, self.data, settings.device)
@@ -65,16 +67,19 @@ class Train:
                 _tell(scene.notes)
                 trainer = Trainer(scene, settings)
                 run.begin(self.data, settings, trainer)
-            return self._train(run, trainer, signals)
+            return self._train(run, trainer, signals, time.monotonic() - began)
 
-    def _train(self, run: RunFolder, trainer: Trainer, signals: Signals) -> int:
+    def _train(self, run: RunFolder, trainer: Trainer, signals: Signals, loading: float) -> int:
         goal = self.training.goal(trainer.total_steps)
         if goal.reached(trainer):
             print(f"nothing to do: {_summary(trainer)}; --steps and --seconds count from the beginning of the run")
             return 0
-        views = len(trainer.scene.split("train"))
-        print(f"training {trainer.method_name} on {trainer.scene.name} ({views} photos), {describe(trainer.device)}")
         signals.be_polite()
+        views = len(trainer.scene.split("train"))
+        print(
+            f"training {trainer.method_name} on {trainer.scene.name} ({views} photos), {describe(trainer.device)}",
+            flush=True,
+        )
         with Display("training") as display:
 
             def show(p: Progress) -> None:
@@ -85,7 +90,8 @@ class Train:
                 run, trainer, goal, save_every=self.save_every, show=show, warn=_warn,
                 stop=lambda: signals.received is not None,
             )  # fmt: skip
-        print(f"{'finished' if finished else 'stopped'}: {_summary(trainer)}; saved {run.steps()[-1]}")
+        ending = "finished" if finished else "stopped"
+        print(f"{ending}: {_summary(trainer)}; loading took {duration(loading)}; saved {run.checkpoints()[-1]}")
         return 0 if finished else 128 + (signals.received or 0)
 
 
@@ -110,11 +116,14 @@ class Eval:
         selection = select(trainer.scene, self.split, self.views)
         lpips = None if self.lpips_weights is None else Lpips(self.lpips_weights, trainer.device)
         count = len(selection.views)
+        signals.be_polite()
         with Display("evaluating") as display:
-            metrics = evaluate(
-                trainer, selection, lpips=lpips, pictures=run.path / "eval",
-                progress=lambda done, fraction: display.show(fraction, f"{done} of {count} images"),
-            )  # fmt: skip
+
+            def progress(done: int, fraction: float) -> None:
+                signals.check()
+                display.show(fraction, f"{done} of {count} images")
+
+            metrics = evaluate(trainer, selection, lpips=lpips, pictures=run.path / "eval", progress=progress)
         file = run.path / "metrics.json"
         write_atomically(file, json.dumps(metrics, indent=2, allow_nan=False) + "\n")
         _print_metrics(metrics, count)
@@ -158,10 +167,12 @@ class Render:
             raise UserError(f"--elevation and --radius belong to --path orbit, not to {self.path}: leave them out")
         trainer = _restored(RunFolder(self.run_folder), self.data, self.device)
         cameras = PATHS[self.path](trainer.scene, self.frames, self.width, self.height, **chosen)
+        signals.be_polite()
         job = FilmJob(trainer.method, trainer.scene, ExportPath(cameras, self.fps, self.out, self.png_frames))
         try:
             with Display("rendering") as display:
                 while job.advance():
+                    signals.check()
                     p = job.progress
                     display.show(p.done / p.total, f"{len(cameras)} frames", p.seconds_left)
         finally:

@@ -14,13 +14,13 @@ class Display:
     """The progress of one piece of work, as a context manager. On a terminal the bar vanishes when it ends."""
 
     def __init__(self, title: str) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
-
         self._title = title
         self._bar = None
         self._every, self._shown = LINE_SECONDS, time.monotonic()
         if sys.stdout.isatty():
+            from rich.console import Console
+            from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
             columns = (
                 TextColumn("{task.description}"),
                 BarColumn(),

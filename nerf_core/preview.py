@@ -54,8 +54,8 @@ class Refinement:
             self._queue = self._ordered(np.ones_like(self._known))
         elif self.stride > 1:
             self._refine()
-            while self.stride > 1 and not len(self._queue):  # a picture of one texel gains none by halving
-                self._refine()
+            self._next = 0
+            return self.advance(step)  # a picture of one texel gains none by halving
         elif self._step.min() < step:
             self._queue = self._ordered(self._step < step)
         else:

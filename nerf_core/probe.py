@@ -64,8 +64,8 @@ class RadianceProbe:
 
     directions, rgb: (K, 3); the first SPHERE_ROWS × SPHERE_COLUMNS cover the sphere row by row, from +up to −up,
     azimuth growing along a row; the rest are the disc's pixels inside the unit circle, row by row.
-    axes: (3, 3) rows right, up, towards the viewer: what the disc is drawn in. up: the sphere map's pole; its azimuth 0 is
-    `azimuth0`, growing towards cross(up, azimuth0).
+    axes: (3, 3) rows right, up, towards the viewer: what the disc is drawn in. up: the sphere map's pole; its
+    azimuth 0 is `azimuth0`, growing towards cross(up, azimuth0).
     """
 
     step: int

@@ -65,7 +65,7 @@ class RunFolder:
 
     def must_be_new(self) -> None:
         """Raises UserError where a run is to begin but the folder holds one, or somebody else's config.json."""
-        if self.steps():
+        if self.checkpoints():
             raise UserError(f"{self.path}: holds a run already: continue it with --resume or choose another --out")
         if self.config_file.exists() and "settings" not in read_json(self.config_file):
             raise UserError(f"{self.config_file}: not written by a training: choose another --out")
@@ -101,7 +101,7 @@ class RunFolder:
 
     # ---- reading --------------------------------------------------------------------------------------------------
 
-    def steps(self) -> list[Path]:
+    def checkpoints(self) -> list[Path]:
         """The checkpoints, oldest first."""
         return sorted(self.path.glob(f"checkpoints/*{checkpoint.SUFFIX}"))
 
@@ -144,7 +144,7 @@ class RunFolder:
     def rewind(self, step: int) -> None:
         """Before a run continues from `step`: set aside what was written after it. Raises UserError."""
         try:
-            for path in self.steps():
+            for path in self.checkpoints():
                 if path > checkpoint.step_path(self.path, step):  # damaged, or it would have been taken
                     path.replace(path.with_name(f"{path.name}.damaged"))
             lines = self.log_file.read_text(encoding="utf-8").splitlines(True) if self.log_file.exists() else []

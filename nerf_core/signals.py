@@ -41,6 +41,11 @@ class Signals:
         self._install()  # again: pycolmap, imported by then, puts a handler of its own on SIGTERM
         self._polite = True
 
+    def check(self) -> None:
+        """Raises `Interrupted` if a signal has been noted: for places where stopping leaves nothing half done."""
+        if self.received is not None:
+            raise Interrupted(self.received)
+
     def _install(self) -> None:
         for number in self.NUMBERS:
             signal.signal(number, self._handle)

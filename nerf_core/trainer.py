@@ -13,7 +13,7 @@ from torch import Tensor
 
 from nerf_core.batches import PixelSampler
 from nerf_core.device import pick_device, usable_cores
-from nerf_core.errors import UserError
+from nerf_core.errors import UserError, shorten
 from nerf_core.methods import METHODS, Method
 from nerf_core.scene import Scene
 from nerf_core.settings import RunSettings
@@ -65,7 +65,10 @@ class Trainer:
         try:
             trainer.load_state(state)
         except (KeyError, RuntimeError, ValueError) as error:
-            raise UserError(f"the checkpoint does not fit method {description['method']}: {error}") from None
+            reason = shorten(" ".join(str(error).split()), 120)
+            raise UserError(
+                f"the checkpoint does not fit method {description['method']} ({reason}): made by another version"
+            ) from None
         trainer.step_count, trainer.seconds = description["step"], description["seconds"]
         return trainer
 

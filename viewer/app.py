@@ -55,10 +55,12 @@ class App:
         self._time = time
         self.state = AppState(has_display=window.has_display, time=time())
         self._context = imgui.create_context()
+        imgui.set_current_context(self._context)  # creating one leaves an older one current
         implot.create_context()
         self._connect_clipboard()
         io = imgui.get_io()
         io.config_flags |= imgui.ConfigFlags_.docking_enable
+        io.config_error_recovery_enable_tooltip = False  # a panel's fault is a notice, and a line in the log
         io.config_windows_move_from_title_bar_only = True  # dragging in a plot must not move its panel
         self.theme = DarkTheme()
         self.theme.load_fonts()
@@ -70,12 +72,13 @@ class App:
         self._host = PanelHost(panels)
         self._bars = Bars()
         self._layout = Layout(layout_file)
-        self._pacer = Pacer()
+        self._pacer = Pacer(watched=window.has_display)
         self._actions = Actions(self.state, link)
         self._requested: tuple[Camera, bool, int] | None = None  # camera, moving, scene
         self._stamp = 0
         self._drawn_at = self.state.time
         self._frame_times: deque[float] = deque(maxlen=120)
+        self._closed = False
         self._warn(self._layout.load())
         self.hand = Hand(lambda: self.frame(force=True))
 
@@ -100,6 +103,8 @@ class App:
             self._draw(now)
             self._show(now)
             drew = True
+            moved = self.state.camera.update(now)  # by what the hands did in this frame
+            self._pacer.note(now, hand=moved)
         self._request_view(now)
         return drew
 
@@ -258,7 +263,10 @@ class App:
             self._actions.tell(Notice("warning", text))
 
     def close(self) -> None:
-        """Remember the layout and free everything but the window."""
+        """Remember the layout and free everything but the window; calling it again does nothing."""
+        if self._closed:
+            return
+        self._closed = True
         self._layout.save()
         self._viewport.release()
         self._textures.release()

@@ -16,7 +16,6 @@ from viewer.theme import CLEAR
 from viewer.widgets import duration, rate
 
 SCREENSHOT = "screenshot.png"
-NOTICE_SECONDS = 8.0  # how long the status bar shows what happened; the Notices panel keeps it
 
 
 class Bars:
@@ -26,7 +25,10 @@ class Bars:
     # ---- above ------------------------------------------------------------------------------------------------
 
     def draw_menu(self, ui: PanelUi, state: AppState) -> Iterator[Action]:
-        if not imgui.begin_main_menu_bar():
+        imgui.push_style_var(imgui.StyleVar_.window_border_size, 0.0)  # it would reach into the viewport's first row
+        begun = imgui.begin_main_menu_bar()
+        imgui.pop_style_var()
+        if not begun:
             return
         opened = state.snapshot.scene is not None
         if imgui.begin_menu("File"):
@@ -110,11 +112,12 @@ class Bars:
         flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_saved_settings
         flags |= imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.no_docking
         imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(0.75 * ui.em, 0.25 * ui.em))
-        height = 1.6 * ui.em
+        imgui.push_style_var(imgui.StyleVar_.window_border_size, 0.0)
+        height = float(round(1.6 * ui.em))
         begun = imgui.internal.begin_viewport_side_bar(
             "status", imgui.get_main_viewport(), imgui.Dir.down, height, flags
         )
-        imgui.pop_style_var()
+        imgui.pop_style_var(2)
         if begun:
             imgui.push_font(ui.mono, ui.em)
             for k, (words, color) in enumerate(_figures(ui, state)):
@@ -124,7 +127,6 @@ class Bars:
                     imgui.same_line(0, 0.5 * ui.em)
                 imgui.text_colored(color, words)
             imgui.pop_font()
-            _newest_notice(ui, state)
         imgui.end()
 
 
@@ -156,22 +158,3 @@ def _figures(ui: PanelUi, state: AppState) -> list[tuple[str, ImVec4]]:
         found.append((snapshot.device, theme.muted))
     found.append((f"{state.frames_per_second:.0f} fps", theme.muted))
     return found
-
-
-def _newest_notice(ui: PanelUi, state: AppState) -> None:
-    """At the right end, as far as it fits."""
-    fresh = [n for n in state.notices if not n.dismissed and state.time - n.born < NOTICE_SECONDS]
-    if not fresh:
-        return
-    notice = fresh[-1].notice
-    theme = ui.theme
-    color = {"info": theme.good, "warning": theme.warning, "error": theme.error}[notice.level]
-    imgui.same_line(0, 2 * ui.em)
-    room = imgui.get_content_region_avail().x
-    words = notice.text
-    if imgui.calc_text_size(words).x > room:
-        characters = max(int(room / (0.5 * ui.em)), 0)  # half an em: the mean width of Roboto's letters
-        words = f"{words[:characters]}…"
-    width = imgui.calc_text_size(words).x
-    imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + max(room - width, 0.0))
-    imgui.text_colored(color, words)

@@ -47,7 +47,7 @@ def _training() -> list[str]:
     device = pick_device("auto")
     return [
         f"torch {torch.__version__}, {describe(device)}, {str(fast_precision(device)).removeprefix('torch.')}",
-        f"{usable_cores()} usable cores, {torch.get_num_threads()} threads, CUDA {torch.version.cuda or 'not in this build'}",
+        f"{usable_cores()} usable cores, CUDA {torch.version.cuda or 'not in this build'}",
     ]
 
 

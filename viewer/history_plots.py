@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from imgui_bundle import ImVec2, ImVec4, imgui, implot
+from imgui_bundle import ImVec2, imgui, implot
 
-from nerf_core.messages import History, Snapshot
+from nerf_core.messages import Snapshot
+from viewer.widgets import axis_name
 
 if TYPE_CHECKING:
     from viewer.panels import Ui
@@ -15,8 +17,22 @@ if TYPE_CHECKING:
 X1, Y1 = implot.ImAxis_.x1, implot.ImAxis_.y1
 PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
 FIRST_STEPS = 500  # the steps axis starts with this many and doubles when they are full
-LOSS_LIMITS, PSNR_LIMITS = (1e-4, 1.0), (5.0, 40.0)  # what trainings from first noise to a fine model pass through
-HEIGHT_EM = 5.5
+HEIGHT_EM = 4.8
+
+
+@dataclass(frozen=True)
+class Curve:
+    """limits: what trainings from first noise to a fine model pass through."""
+
+    label: str
+    mark: str
+    limits: tuple[float, float]
+    log: bool
+    figure: str
+
+
+LOSS = Curve("loss", "training.loss", (1e-4, 1.0), log=True, figure=".3g")
+PSNR = Curve("PSNR (dB)", "training.psnr", (5.0, 40.0), log=False, figure=".2f")
 
 
 class HistoryPlots:
@@ -33,12 +49,12 @@ class HistoryPlots:
         self._loaded = snapshot.loaded
         self._follow(int(history.step[-1]) if len(history.step) else 0, fresh)
         implot.push_style_var(implot.StyleVar_.plot_min_size, ImVec2(ui.em, ui.em))
+        implot.push_style_var(implot.StyleVar_.plot_padding, ImVec2(0.9 * ui.em, 0.3 * ui.em))  # half a tick label
         if implot.begin_aligned_plots("history"):
-            size = ImVec2(-1, HEIGHT_EM * ui.em)
-            self._plot(ui, history, "loss", history.loss, size, LOSS_LIMITS, fresh)
-            self._plot(ui, history, "PSNR (dB)", history.psnr, size, PSNR_LIMITS, fresh)
+            self._plot(ui, LOSS, history.step, history.loss, fresh)
+            self._plot(ui, PSNR, history.step, history.psnr, fresh)
             implot.end_aligned_plots()
-        implot.pop_style_var()
+        implot.pop_style_var(2)
 
     def _follow(self, last: int, fresh: bool) -> None:
         untouched = (self._low.value, self._high.value) == self._set
@@ -50,31 +66,30 @@ class HistoryPlots:
         self._set = (0.0, top)
         self._low.value, self._high.value = self._set
 
-    def _plot(
-        self, ui: Ui, history: History, label: str, values: np.ndarray, size: ImVec2, limits: tuple[float, float], fresh: bool
-    ) -> None:
-        loss = label == "loss"
-        if not implot.begin_plot(f"##{label}", size, PLOT):
+    def _plot(self, ui: Ui, curve: Curve, steps: np.ndarray, values: np.ndarray, fresh: bool) -> None:
+        if not implot.begin_plot(f"##{curve.mark}", ImVec2(-1, HEIGHT_EM * ui.em), PLOT):
             return
-        implot.setup_axis(X1, None if loss else "steps", implot.AxisFlags_.no_tick_labels if loss else 0)
+        implot.setup_axis(X1, None, implot.AxisFlags_.no_tick_labels if curve.log else 0)
         implot.setup_axis_links(X1, self._low, self._high)
-        implot.setup_axis(Y1, label)
-        implot.setup_axis_scale(Y1, implot.Scale_.log10 if loss else implot.Scale_.linear)
-        implot.setup_axis_limits(Y1, *limits, implot.Cond_.always if fresh else implot.Cond_.once)
-        color = ui.theme.accent if loss else ui.theme.good
-        good = np.isfinite(values) & ((values > 0) if loss else True)  # a log axis has no place for 0
-        steps, shown = history.step[good].astype(np.float64), values[good].astype(np.float64)
+        implot.setup_axis(Y1, None)
+        implot.setup_axis_scale(Y1, implot.Scale_.log10 if curve.log else implot.Scale_.linear)
+        implot.setup_axis_limits(Y1, *curve.limits, implot.Cond_.always if fresh else implot.Cond_.once)
+        color = ui.theme.accent if curve.log else ui.theme.good
+        good = np.isfinite(values) & ((values > 0) if curve.log else True)  # a log axis has no place for 0
+        steps, values = steps[good].astype(np.float64), values[good].astype(np.float64)
         if len(steps):
-            implot.plot_line(label, steps, shown, implot.Spec(line_color=color, line_weight=0.1 * ui.em))
+            implot.plot_line(curve.label, steps, values, implot.Spec(line_color=color, line_weight=0.1 * ui.em))
             if implot.is_plot_hovered():
-                _read(ui, label, steps, shown, color)
+                _read(ui, curve, steps, values)
+        axis_name(ui, curve.label)
+        if not curve.log:
+            axis_name(ui, "steps", right=True, bottom=True)
         implot.end_plot()
-        ui.mark("training.loss" if loss else "training.psnr")
+        ui.mark(curve.mark)
 
 
-def _read(ui: Ui, label: str, steps: np.ndarray, values: np.ndarray, color: ImVec4) -> None:
+def _read(ui: Ui, curve: Curve, steps: np.ndarray, values: np.ndarray) -> None:
     nearest = int(np.abs(steps - implot.get_plot_mouse_pos().x).argmin())
-    dot = implot.Spec(marker=implot.Marker_.circle, marker_size=0.22 * ui.em, marker_fill_color=color)
+    dot = implot.Spec(marker=implot.Marker_.circle, marker_size=0.22 * ui.em, marker_fill_color=ui.theme.text)
     implot.plot_scatter("##nearest", steps[nearest : nearest + 1], values[nearest : nearest + 1], dot)
-    figure = f"{values[nearest]:.3g}" if label == "loss" else f"{values[nearest]:.2f}"
-    imgui.set_tooltip(f"step {int(steps[nearest]):,}: {label} {figure}")
+    imgui.set_tooltip(f"step {int(steps[nearest]):,}: {curve.label} {values[nearest]:{curve.figure}}")

@@ -14,7 +14,7 @@ from viewer.panels import Panel
 VIEWPORT = "Viewport"
 HEADER = "; nerf-viewer layout 1 "
 RIGHT_EM, BOTTOM_EM, BOTTOM_RIGHT_EM = 23.0, 17.5, 23.0
-RIGHT_ROOM = (0.3, 0.34)  # of the column's height, from the top; what is left goes to the last panels, as tabs
+RIGHT_ROOM = (0.31, 0.4)  # of the column's height, from the top; what is left goes to the last panels, as tabs
 
 
 class Layout:
@@ -23,10 +23,11 @@ class Layout:
     def __init__(self, file: Path | None) -> None:
         self._file = file
         self._build_next = True
+        self._raise_next = ""  # the window whose tab comes to the front
 
     def load(self) -> str | None:
         """Hand the remembered layout to imgui, before its first frame; a warning when the file is no good."""
-        imgui.get_io().set_ini_filename("")  # imgui writes nothing by itself
+        imgui.get_io().set_ini_filename(None)  # imgui writes nothing by itself
         if self._file is None or not self._file.exists():
             return None
         try:
@@ -77,7 +78,10 @@ class Layout:
         space = imgui.get_id("docks")
         if self._build_next and area.work_size.x > 0 and area.work_size.y > 0:
             self._build_next = False
-            _build(space, panels, area.work_size, em)
+            self._raise_next = _build(space, panels, area.work_size, em)
+        elif self._raise_next:
+            imgui.set_window_focus(self._raise_next)
+            self._raise_next = ""
         imgui.dock_space_over_viewport(space, area)
 
 
@@ -85,7 +89,8 @@ def _checksum(body: str) -> str:
     return f"{zlib.crc32(body.encode()):08x}"
 
 
-def _build(space: int, panels: Sequence[Panel], size: ImVec2, em: float) -> None:
+def _build(space: int, panels: Sequence[Panel], size: ImVec2, em: float) -> str:
+    """The default; gives the title of the first of the tabs that share a place: imgui shows the last."""
     docks = imgui.internal
     docks.dock_builder_remove_node(space)
     docks.dock_builder_add_node(space, imgui.internal.DockNodeFlagsPrivate_.dock_space)
@@ -100,12 +105,13 @@ def _build(space: int, panels: Sequence[Panel], size: ImVec2, em: float) -> None
     for panel in panels:
         if panel.dock in places:
             docks.dock_builder_dock_window(panel.title, places[panel.dock])
-    _stack(right.id_at_dir, [panel.title for panel in panels if panel.dock == "right"])
+    first_tab = _stack(right.id_at_dir, [panel.title for panel in panels if panel.dock == "right"])
     docks.dock_builder_finish(space)
+    return first_tab
 
 
-def _stack(node: int, titles: list[str]) -> None:
-    """One below the other, as many as there is room for; the others share the last place as tabs."""
+def _stack(node: int, titles: list[str]) -> str:
+    """One below the other, as many as there is room for; the others share the last place as tabs: the first's title."""
     left = 1.0
     for room in RIGHT_ROOM:
         if len(titles) < 2:
@@ -115,6 +121,7 @@ def _stack(node: int, titles: list[str]) -> None:
         node, left = split.id_at_opposite_dir, left - room
     for title in titles:
         imgui.internal.dock_builder_dock_window(title, node)
+    return titles[0] if titles else ""
 
 
 def _share(wanted: float, whole: float) -> float:

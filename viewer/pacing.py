@@ -5,15 +5,17 @@ from __future__ import annotations
 FASTEST = 1 / 60  # seconds between frames while a hand moves something
 PICTURE = 1 / 20  # while the picture sharpens by itself
 FIGURES = 1 / 5  # live plots and counts
+UNWATCHED = 1.0  # both, where nobody looks: offscreen, all time belongs to training
 SETTLE_FRAMES = 3  # imgui takes input over several frames: hover, then press, then what that opened
 SETTLE_SECONDS = 0.7  # tooltips wait for the pointer to rest
 SETTLE_GAP = 1 / 10
 
 
 class Pacer:
-    """Pure logic; the caller hands in the time in seconds."""
+    """Pure logic; the caller hands in the time in seconds. watched: whether there is a screen."""
 
-    def __init__(self) -> None:
+    def __init__(self, watched: bool = True) -> None:
+        self._picture_gap, self._figures_gap = (PICTURE, FIGURES) if watched else (UNWATCHED, UNWATCHED)
         self._drawn_at = -float("inf")
         self._input_at = -float("inf")
         self._settling = 0
@@ -46,7 +48,7 @@ class Pacer:
         if self._hand or self._settling:
             return FASTEST
         if self._picture:
-            return PICTURE
+            return self._picture_gap
         if now - self._input_at < SETTLE_SECONDS:
             return SETTLE_GAP
-        return FIGURES if self._figures else None
+        return self._figures_gap if self._figures else None

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
 
-from nerf_core.probe import PassProbe, RayProbe
-from viewer.widgets import color_of, faded, packed
+from nerf_core.probe import RayProbe
+from viewer.ray_steps import Steps, wants_log
+from viewer.widgets import axis_name, faded, packed
 
 if TYPE_CHECKING:
     from viewer.panels import Ui
@@ -19,6 +21,7 @@ X1, Y1, Y2 = implot.ImAxis_.x1, implot.ImAxis_.y1, implot.ImAxis_.y2
 PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
 LOG_DECADES = 4  # how far below its peak density is still told from empty space on a log axis
 DRAG_ID = 0
+TICKS_EM, COLORS_EM = 0.5, 0.75  # heights of the strip's rows
 
 Glyph = Callable[[imgui.ImDrawList, ImVec2, float, int], None]
 
@@ -43,36 +46,13 @@ DEPTHS: tuple[tuple[str, str, Glyph], ...] = (
 
 
 @dataclass(frozen=True)
-class Steps:
-    """One pass as stairs: value i holds from edge i to edge i + 1, (S + 1,) each, the last value repeated."""
+class Opened:
+    """What the plots show of one ray. units: of length in density's 1/length; point_t: the radiance point's."""
 
-    probe: PassProbe
-    edges: np.ndarray
-    weights: np.ndarray
-    sigma: np.ndarray
-    transmittance: np.ndarray  # at the edges; the last is what passes the whole ray
-
-
-def steps_of(ray: RayProbe) -> tuple[Steps, ...]:
-    """The passes that hold samples. The last sample of a ray reaches to its far end."""
-    return tuple(_steps(p, ray.far) for p in ray.passes if len(p.t))
-
-
-def _steps(p: PassProbe, far: float) -> Steps:
-    edges = np.append(p.t, max(far, float(p.t[-1]))).astype(np.float64)
-    left = np.append(p.transmittance, p.transmittance[-1] * (1 - p.alpha[-1]))
-    clean = [np.nan_to_num(v).astype(np.float64) for v in (_hold(p.weights), _hold(p.sigma), left)]
-    return Steps(p, np.nan_to_num(edges), *clean)
-
-
-def _hold(values: np.ndarray) -> np.ndarray:
-    return np.append(values, values[-1])
-
-
-def wants_log(sigma: np.ndarray) -> bool:
-    """Whether a linear axis would flatten most of the density: its peak stands 50 times over its median."""
-    positive = sigma[sigma > 0]
-    return len(positive) > 0 and bool(positive.max() > 50 * np.median(positive))
+    ray: RayProbe
+    passes: tuple[Steps, ...]
+    units: Literal["unit", "NDC unit"]
+    point_t: float
 
 
 class RayPlots:
@@ -86,6 +66,10 @@ class RayPlots:
         self._sigma_limits = (0.0, 1.0)
         self._fresh_weights = self._fresh_density = True
         self._dragged: float | None = None
+
+    @property
+    def t_limits(self) -> tuple[float, float]:
+        return self._t_min.value, self._t_max.value
 
     def open(self, ray: RayProbe, passes: tuple[Steps, ...]) -> None:
         """Choose limits and scale for a ray that was just opened."""
@@ -102,28 +86,29 @@ class RayPlots:
         self._sigma_limits = (top * 10.0**-LOG_DECADES, 3 * top) if self.log_density else (0.0, 1.2 * top)
         self._fresh_density = True
 
-    def draw(self, ui: Ui, ray: RayProbe, passes: tuple[Steps, ...], point_t: float | None, units: str, size: ImVec2) -> float | None:
-        """Draw everything into `size`. Returns the t to which the user drags the radiance point, else None.
-
-        units: of length in density's 1/length: "unit" or "NDC unit".
-        """
+    def draw(self, ui: Ui, opened: Opened, size: ImVec2) -> float | None:
+        """Draw everything into `size`. Returns the t to which the user drags the radiance point, else None."""
+        ray, passes = opened.ray, opened.passes
         pad = 0.25 * ui.em
         implot.push_style_var(implot.StyleVar_.plot_min_size, ImVec2(ui.em, ui.em))
         implot.push_style_var(implot.StyleVar_.plot_padding, ImVec2(pad, pad))
         implot.push_style_var(implot.StyleVar_.label_padding, ImVec2(pad, pad))
         reading, dragged = None, None
-        strip = (len(passes) + 2) * 0.75 * ui.em + 2 * pad
-        spacing = 2 * imgui.get_style().item_spacing.y
-        axis = 2 * imgui.get_text_line_height() + 2 * pad  # the density plot also carries the t axis
-        height = max((size.y - strip - axis - spacing) / 2, 3 * ui.em)
+        strip = (TICKS_EM * len(passes) + 2 * COLORS_EM) * ui.em + 2 * pad
+        gap = ImVec2(0, 0.1 * ui.em)
+        imgui.push_style_var(imgui.StyleVar_.item_spacing, gap)
+        axis = imgui.get_text_line_height() + pad  # the density plot also carries the t axis
+        height = max((size.y - strip - axis - 2 * gap.y) / 2, 3 * ui.em)
         if implot.begin_aligned_plots("ray"):
-            point = self._dragged if self._dragged is not None else point_t
+            if self._dragged is not None:  # the line stays under the hand until the worker has followed
+                opened = replace(opened, point_t=self._dragged)
             for plot, plot_height in ((self._weights, height), (self._density, height + axis)):
-                moved, read = plot(ui, ray, passes, point, units, ImVec2(size.x, plot_height))
+                moved, read = plot(ui, opened, ImVec2(size.x, plot_height))
                 dragged, reading = moved if moved is not None else dragged, read or reading
             reading = self._strip(ui, passes, ImVec2(size.x, strip)) or reading
             implot.end_aligned_plots()
         implot.pop_style_var(3)
+        imgui.pop_style_var()
         self.hovered = reading
         if dragged is None:
             if not imgui.is_mouse_down(imgui.MouseButton_.left):
@@ -132,16 +117,15 @@ class RayPlots:
         self._dragged = float(np.clip(dragged, ray.near, ray.far))
         return self._dragged
 
-    def _weights(
-        self, ui: Ui, ray: RayProbe, passes: tuple[Steps, ...], point: float | None, units: str, size: ImVec2
-    ) -> tuple[float | None, tuple[Steps, int] | None]:
+    def _weights(self, ui: Ui, opened: Opened, size: ImVec2) -> tuple[float | None, tuple[Steps, int] | None]:
         if not implot.begin_plot("##weights", size, PLOT):
             return None, None
-        self._share_t(None, implot.AxisFlags_.no_tick_labels)
-        implot.setup_axis(Y1, "w")
+        passes = opened.passes
+        self._share_t(implot.AxisFlags_.no_tick_labels)
+        implot.setup_axis(Y1, None)
         implot.setup_axis_limits(Y1, 0, self._weight_top, _when(self._fresh_weights))
         implot.setup_axis_limits_constraints(Y1, 0, 1.2)
-        implot.setup_axis(Y2, "T", implot.AxisFlags_.aux_default | implot.AxisFlags_.lock)
+        implot.setup_axis(Y2, None, implot.AxisFlags_.aux_default | implot.AxisFlags_.lock)
         implot.setup_axis_limits(Y2, 0, 1.05, implot.Cond_.always)
         implot.setup_axis_ticks(Y2, [0.0, 0.5, 1.0], ["0", "0.5", "1"])
         self._fresh_weights = False
@@ -157,20 +141,20 @@ class RayPlots:
             line = implot.Spec(line_color=ui.theme.transmittance, line_weight=0.12 * ui.em)
             implot.plot_line("transmittance", steps.edges, steps.transmittance, line)
             implot.set_axes(X1, Y1)
-        self._clipped_note(ui, passes)
-        self._depth_marks(ui, ray, glyphs=True)
-        result = self._drag_point(ui, point), self._read(ui, passes)
+        self._name_weights(ui, passes)
+        axis_name(ui, "T", right=True)
+        self._depth_marks(ui, opened.ray, glyphs=True)
+        result = self._drag_point(ui, opened.point_t), self._read(ui, passes)
         implot.end_plot()
         ui.mark("ray.weights")
         return result
 
-    def _density(
-        self, ui: Ui, ray: RayProbe, passes: tuple[Steps, ...], point: float | None, units: str, size: ImVec2
-    ) -> tuple[float | None, tuple[Steps, int] | None]:
+    def _density(self, ui: Ui, opened: Opened, size: ImVec2) -> tuple[float | None, tuple[Steps, int] | None]:
         if not implot.begin_plot("##density", size, PLOT):
             return None, None
-        self._share_t("t (world units)", implot.AxisFlags_.none)
-        implot.setup_axis(Y1, f"σ (1/{units})")
+        passes = opened.passes
+        self._share_t(implot.AxisFlags_.none)
+        implot.setup_axis(Y1, None)
         low, high = self._sigma_limits
         implot.setup_axis_scale(Y1, implot.Scale_.log10 if self.log_density else implot.Scale_.linear)
         implot.setup_axis_limits(Y1, low, high, _when(self._fresh_density))
@@ -182,8 +166,10 @@ class RayPlots:
             color = ui.theme.density if last else ui.theme.coarse
             line = implot.Spec(line_color=color, line_weight=(0.12 if last else 0.08) * ui.em)
             implot.plot_stairs(f"{steps.probe.name} density", steps.edges, sigma, line)
-        self._depth_marks(ui, ray, glyphs=False)
-        result = self._drag_point(ui, point), self._read(ui, passes)
+        axis_name(ui, f"σ (1/{opened.units})")
+        axis_name(ui, "t (world units)", right=True, bottom=True)
+        self._depth_marks(ui, opened.ray, glyphs=False)
+        result = self._drag_point(ui, opened.point_t), self._read(ui, passes)
         implot.end_plot()
         ui.mark("ray.density")
         return result
@@ -192,36 +178,40 @@ class RayPlots:
         """Where each pass placed its samples, what colour those of the last have, and what each of them paints."""
         if not implot.begin_plot("##strip", size, PLOT):
             return None
-        rows = [*(s.probe.name for s in passes), "colour", "× weight"]
-        self._share_t(None, implot.AxisFlags_.no_decorations)
+        bounds = np.cumsum([0.0, *(TICKS_EM for _ in passes), COLORS_EM, COLORS_EM]).tolist()
+        self._share_t(implot.AxisFlags_.no_decorations)
         implot.setup_axis(Y1, None, implot.AxisFlags_.lock | implot.AxisFlags_.invert | implot.AxisFlags_.no_grid_lines)
-        implot.setup_axis_limits(Y1, 0, len(rows), implot.Cond_.always)
-        implot.setup_axis_ticks(Y1, [i + 0.5 for i in range(len(rows))], rows)
+        implot.setup_axis_limits(Y1, 0, bounds[-1], implot.Cond_.always)
+        named = [0.0, *bounds[len(passes) :]] if passes else bounds  # the passes' ticks share a name
+        places = [(low + high) / 2 for low, high in pairwise(named)]
+        implot.setup_axis_ticks(Y1, places, ["samples", "colour", "× weight"][-len(places) :])
         implot.setup_finish()
         implot.push_plot_clip_rect()
         for row, steps in enumerate(passes):
             last = steps is passes[-1]
-            _ticks(ui, steps.edges[:-1], row, ui.theme.fine if last else ui.theme.coarse)
+            _ticks(ui, steps.edges[:-1], _row(bounds, row), ui.theme.fine if last else ui.theme.coarse)
         for steps in passes[-1:]:
-            _colors(steps, len(passes), np.ones(len(steps.probe.t)))
-            _colors(steps, len(passes) + 1, steps.weights[:-1] / max(float(steps.weights.max()), 1e-12))  # all zero: all clear
+            _colors(steps, _row(bounds, len(passes)), np.ones(len(steps.probe.t)))
+            peak = max(float(steps.weights.max()), 1e-12)  # where all are zero nothing is painted
+            _colors(steps, _row(bounds, len(passes) + 1), steps.weights[:-1] / peak)
         implot.pop_plot_clip_rect()
         reading = None
         if implot.is_plot_hovered():
-            row = int(np.clip(implot.get_plot_mouse_pos().y, 0, len(rows) - 1))
-            reading = self._read(ui, passes[row : row + 1] or passes[-1:])
+            row = int(np.searchsorted(bounds, implot.get_plot_mouse_pos().y, side="right")) - 1
+            reading = self._read(ui, passes[max(row, 0) : row + 1] or passes[-1:])
         implot.end_plot()
         ui.mark("ray.strip")
         return reading
 
-    def _share_t(self, label: str | None, flags: implot.AxisFlags_) -> None:
-        implot.setup_axis(X1, label, flags)
+    def _share_t(self, flags: implot.AxisFlags_) -> None:
+        implot.setup_axis(X1, None, flags)
         implot.setup_axis_links(X1, self._t_min, self._t_max)
 
-    def _drag_point(self, ui: Ui, point: float | None) -> float | None:
-        if point is None:
-            return None
+    def _drag_point(self, ui: Ui, point: float) -> float | None:
         changed, t, *_ = implot.drag_line_x(DRAG_ID, point, ui.theme.accent, 0.15 * ui.em, implot.DragToolFlags_.no_fit)
+        x, top = _x(point), implot.get_plot_pos().y
+        _be_item(x - 0.3 * ui.em, top, x + 0.3 * ui.em, top + implot.get_plot_size().y)
+        ui.mark("ray.point")
         return t if changed else None
 
     def _depth_marks(self, ui: Ui, ray: RayProbe, *, glyphs: bool) -> None:
@@ -237,15 +227,14 @@ class RayPlots:
                 glyph(draw, ImVec2(x, top + 0.5 * ui.em), 0.3 * ui.em, packed(ui.theme.text))
         implot.pop_plot_clip_rect()
 
-    def _clipped_note(self, ui: Ui, passes: tuple[Steps, ...]) -> None:
+    def _name_weights(self, ui: Ui, passes: tuple[Steps, ...]) -> None:
         """Training may lift a peak out of limits that stay where they are: say so, and how to see it."""
         peak = max((float(p.weights.max()) for p in passes), default=0.0)
         limits = implot.get_plot_limits(X1, Y1).y
-        if peak > limits.max:
-            at = implot.get_plot_pos()
-            text = f"peak w = {peak:.3f}: double click to fit"
-            color = packed(ui.theme.warning)
-            implot.get_plot_draw_list().add_text(ImVec2(at.x + 0.5 * ui.em, at.y + 0.2 * ui.em), color, text)
+        if peak <= limits.max:
+            axis_name(ui, "w")
+        else:
+            axis_name(ui, f"w, up to {peak:.3f}: double click to fit", color=ui.theme.warning)
 
     def _read(self, ui: Ui, passes: tuple[Steps, ...]) -> tuple[Steps, int] | None:
         """The sample nearest to the mouse, of whichever pass; it is also marked in this plot while it is read."""
@@ -270,24 +259,33 @@ def _pixels(t: np.ndarray) -> np.ndarray:
     return at.x + (t - limits.min) / max(limits.size(), 1e-12) * size.x  # two equal limits: any place will do
 
 
+def _be_item(left: float, top: float, right: float, bottom: float) -> None:
+    """Make a rectangle imgui's last item, as a mark takes it: plots submit none for what they hold."""
+    visible = imgui.internal.ItemStatusFlags_.visible
+    imgui.internal.set_last_item_data(0, 0, visible, imgui.internal.ImRect(left, top, right, bottom))
+
+
 def _x(t: float) -> float:
     return float(_pixels(np.array([t]))[0])
 
 
-def _row(row: int) -> tuple[float, float]:
+def _row(bounds: list[float], row: int) -> tuple[float, float]:
     """Top and bottom of a strip's row in pixels, with a little air between rows."""
-    low, high = implot.plot_to_pixels(0.0, row + 0.08).y, implot.plot_to_pixels(0.0, row + 0.92).y
-    return min(low, high), max(low, high)
+    low, high = (implot.plot_to_pixels(0.0, edge).y for edge in bounds[row : row + 2])
+    air = 0.08 * abs(high - low)
+    return min(low, high) + air, max(low, high) - air
 
 
-def _ticks(ui: Ui, t: np.ndarray, row: int, color: ImVec4) -> None:
-    draw, (top, bottom), tint = implot.get_plot_draw_list(), _row(row), packed(color)
+def _ticks(ui: Ui, t: np.ndarray, row: tuple[float, float], color: ImVec4) -> None:
+    draw, (top, bottom), tint = implot.get_plot_draw_list(), row, packed(color)
     for x in _pixels(t).tolist():
         draw.add_line(ImVec2(x, top), ImVec2(x, bottom), tint, 0.06 * ui.em)
 
 
-def _colors(steps: Steps, row: int, opacity: np.ndarray) -> None:
-    draw, (top, bottom), x = implot.get_plot_draw_list(), _row(row), _pixels(steps.edges).tolist()
-    for i, (rgb, alpha) in enumerate(zip(steps.probe.rgb, np.nan_to_num(opacity).tolist(), strict=True)):
-        if alpha > 0.002:  # below half an 8-bit level nothing would be seen
-            draw.add_rect_filled(ImVec2(x[i], top), ImVec2(x[i + 1], bottom), packed(color_of(rgb, alpha)))
+def _colors(steps: Steps, row: tuple[float, float], opacity: np.ndarray) -> None:
+    draw, (top, bottom), x = implot.get_plot_draw_list(), row, _pixels(steps.edges).tolist()
+    rgba = np.column_stack([steps.probe.rgb, opacity])
+    levels = np.round(255 * np.clip(np.nan_to_num(rgba), 0, 1)).astype(np.uint32)
+    tints = (levels << np.array([0, 8, 16, 24], np.uint32)).sum(-1).tolist()  # as imgui packs them
+    for i in np.flatnonzero(levels[:, 3]).tolist():
+        draw.add_rect_filled(ImVec2(x[i], top), ImVec2(x[i + 1], bottom), tints[i])

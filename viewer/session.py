@@ -82,9 +82,9 @@ class Session:
         self.app.run(lambda: self.signals.received is not None)
 
     def _save_unsaved(self, asked: Path | None) -> None:
-        """Weights are hours of work: a closing session leaves them where it was told to, else in the user's data folder."""
+        """Weights are hours of work: a closing session leaves them where it was told to, else with the user's data."""
         snapshot = self.worker.snapshot()
-        if snapshot.scene is None or snapshot.step == 0 or snapshot.step == snapshot.saved_step:
+        if snapshot.scene is None or snapshot.step in (0, snapshot.saved_step):
             return
         name = f"{snapshot.scene.name}-{snapshot.scene.identity()[:8]}.safetensors"
         path = asked or Path(platformdirs.user_data_dir(APP)) / "autosave" / name

@@ -87,25 +87,25 @@ class DarkTheme:
 
     @staticmethod
     def _lengths(style: imgui.Style, em: float) -> None:
-        hair = max(1.0, round(em / 16))  # one pixel at scale 1
-        style.window_padding = ImVec2(0.75 * em, 0.6 * em)
-        style.frame_padding = ImVec2(0.55 * em, 0.25 * em)
-        style.item_spacing = ImVec2(0.5 * em, 0.4 * em)
-        style.item_inner_spacing = ImVec2(0.4 * em, 0.3 * em)
-        style.cell_padding = ImVec2(0.3 * em, 0.12 * em)
-        style.indent_spacing = 1.1 * em
-        style.scrollbar_size = 0.7 * em
-        style.grab_min_size = 0.7 * em
-        style.window_min_size = ImVec2(4 * em, 3 * em)
+        def px(*share: float) -> tuple[float, ...]:
+            """Whole pixels: bars of a fraction more would smear over their neighbours' first row."""
+            return tuple(float(max(1, round(v * em))) for v in share)
+
+        (hair,) = px(1 / 16)
+        style.window_padding = ImVec2(*px(0.75, 0.6))
+        style.frame_padding = ImVec2(*px(0.55, 0.25))
+        style.item_spacing = ImVec2(*px(0.5, 0.4))
+        style.item_inner_spacing = ImVec2(*px(0.4, 0.3))
+        style.cell_padding = ImVec2(*px(0.3, 0.12))
+        style.window_min_size = ImVec2(*px(4, 3))
+        style.separator_text_padding = ImVec2(0, *px(0.3))
+        style.indent_spacing, style.scrollbar_size, style.grab_min_size = px(1.1, 0.7, 0.7)
         style.window_rounding = style.child_rounding = style.tab_rounding = 0
         style.popup_rounding = style.frame_rounding = style.grab_rounding = style.scrollbar_rounding = 0.2 * em
         style.window_border_size = style.popup_border_size = hair
         style.child_border_size = style.frame_border_size = style.tab_border_size = 0
-        style.tab_bar_border_size = style.separator_size = hair
-        style.tab_bar_overline_size = 2 * hair
-        style.docking_separator_size = 2 * hair
-        style.separator_text_border_size = hair
-        style.separator_text_padding = ImVec2(0, 0.3 * em)
+        style.tab_bar_border_size = style.separator_size = style.separator_text_border_size = hair
+        style.tab_bar_overline_size = style.docking_separator_size = 2 * hair
         style.window_menu_button_position = imgui.Dir.none
         style.disabled_alpha = 0.45
 

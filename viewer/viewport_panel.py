@@ -32,6 +32,7 @@ class ViewportPanel:
     def draw(self, ui: PanelUi, state: AppState, alone: bool) -> None:
         """`alone`: it fills what the bars leave of the window."""
         imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(0, 0))
+        imgui.push_style_var(imgui.StyleVar_.window_border_size, 0.0)  # it would cover the picture's outermost pixels
         imgui.push_style_color(imgui.Col_.window_bg, ui.theme.ground)
         flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
         if alone:
@@ -46,7 +47,7 @@ class ViewportPanel:
             imgui.set_next_window_class(kind)
         imgui.begin(f"{VIEWPORT}##alone" if alone else VIEWPORT, None, flags)
         imgui.pop_style_color()
-        imgui.pop_style_var()
+        imgui.pop_style_var(2)
         self._draw_content(ui, state)
         imgui.end()
 

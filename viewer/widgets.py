@@ -6,13 +6,14 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from imgui_bundle import ImVec2, ImVec4, imgui
+from imgui_bundle import ImVec2, ImVec4, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
 
 if TYPE_CHECKING:
+    from nerf_core.messages import Snapshot
     from viewer.panels import Ui
 
 NOTHING = "–"  # shown where there is no number
@@ -30,6 +31,11 @@ def number(value: float | None, digits: int = 4) -> str:
 def vector(values: Sequence[float] | np.ndarray, decimals: int = 3) -> str:
     """Fixed decimals and a place for the sign, so that columns of figures do not jump."""
     return " ".join(f"{float(v): .{decimals}f}".replace("-", "−") if math.isfinite(v) else NOTHING for v in values)
+
+
+def triple(rgb: np.ndarray) -> str:
+    """A colour's three numbers."""
+    return vector(rgb).replace("  ", " ").strip()
 
 
 def duration(seconds: float | None) -> str:
@@ -71,6 +77,11 @@ def packed(color: ImVec4) -> int:
     return imgui.color_convert_float4_to_u32(color)
 
 
+def unsaved_steps(snapshot: Snapshot) -> int:
+    """How many training steps would be lost; 0 where the newest checkpoint holds them all."""
+    return 0 if snapshot.saved_step == snapshot.step else snapshot.step
+
+
 # ---- widgets -------------------------------------------------------------------------------------------------
 
 
@@ -97,6 +108,11 @@ def button(ui: Ui, label: str, mark: str, *, enabled: bool = True, tip: str = ""
     if tip and imgui.is_item_hovered(imgui.HoveredFlags_.allow_when_disabled | imgui.HoveredFlags_.for_tooltip):
         imgui.set_tooltip(tip)
     return pressed
+
+
+def keep_in_front() -> None:
+    """Hold the window that was just begun over the docked ones, which come forward when they are clicked."""
+    imgui.internal.bring_window_to_display_front(imgui.internal.get_current_window())
 
 
 def same_line_if_fits(label: str) -> None:
@@ -157,12 +173,51 @@ def field_width(ui: Ui, label: str) -> None:
     imgui.set_next_item_width(max(avail - label_width - spacing, min(avail, 4 * ui.em)))
 
 
+LEVELS = {
+    "info": icons.ICON_FA_CIRCLE_INFO,
+    "warning": icons.ICON_FA_TRIANGLE_EXCLAMATION,
+    "error": icons.ICON_FA_CIRCLE_XMARK,
+}
+
+
+def notice_text(ui: Ui, level: Literal["info", "warning", "error"], text: str) -> None:
+    """The level's sign in its colour, then the text, which wraps."""
+    color = {"info": ui.theme.good, "warning": ui.theme.warning, "error": ui.theme.error}[level]
+    imgui.text_colored(color, LEVELS[level])
+    imgui.same_line()
+    imgui.push_text_wrap_pos(0.0)
+    imgui.text_unformatted(text)
+    imgui.pop_text_wrap_pos()
+
+
+def field_beside(ui: Ui, *labels: str) -> None:
+    """Size the next field so that buttons of these labels fit beside it, but never under 5 em."""
+    style, room = imgui.get_style(), imgui.get_content_region_avail().x
+    frame = 2 * style.frame_padding.x + style.item_spacing.x
+    beside = sum(imgui.calc_text_size(label).x + frame for label in labels)
+    imgui.set_next_item_width(max(room - beside - 1, min(room, 5 * ui.em)))  # a pixel against rounding
+
+
 def path_line(ui: Ui, path: Path, mark: str) -> None:
     """A path that wraps, and a button that copies it whole."""
     if button(ui, icons.ICON_FA_COPY, mark, tip=f"copy the path: {path}"):
         imgui.set_clipboard_text(str(path))
     imgui.same_line()
     imgui.text_wrapped(str(path))
+
+
+def axis_name(ui: Ui, text: str, *, right: bool = False, bottom: bool = False, color: ImVec4 | None = None) -> None:
+    """Name an axis within the plot's corner, where it costs no room and reads level; call between plot and end."""
+    at, size, extent = implot.get_plot_pos(), implot.get_plot_size(), imgui.calc_text_size(text)
+    gap = 0.25 * ui.em
+    x = at.x + size.x - extent.x - gap if right else at.x + gap
+    y = at.y + size.y - extent.y if bottom else at.y
+    draw = implot.get_plot_draw_list()
+    implot.push_plot_clip_rect()
+    plate = faded(implot.get_style().color_(implot.Col_.plot_bg), 0.75)
+    draw.add_rect_filled(ImVec2(x - gap, y), ImVec2(x + extent.x + gap, y + extent.y), packed(plate))
+    draw.add_text(ImVec2(x, y), packed(color or ui.theme.muted), text)
+    implot.pop_plot_clip_rect()
 
 
 class Confirmation:

@@ -63,7 +63,8 @@ class Capture:
     synthetic: an object rendered on nothing, with known bounds (Blender): poses keep their frame and scale.
     up: (3,) unit vector in the input's frame where the format defines one; None: derived from the cameras.
     ndc_capable: the format stores forward-facing captures (LLFF), so that `ndc="auto"` may take NDC if the
-    cameras allow it. notes: what the reader warns about, one line each.
+    cameras allow it. reduced: how many times smaller than full size the photos' folder (images_N) holds them;
+    `--downscale` counts from full size. notes: what the reader warns about, one line each.
     """
 
     format: str
@@ -76,6 +77,7 @@ class Capture:
     synthetic: bool = False
     up: np.ndarray | None = None
     ndc_capable: bool = False
+    reduced: int = 1
     notes: tuple[str, ...] = ()
 
     def keeping(self, kept: Sequence[int]) -> Capture:

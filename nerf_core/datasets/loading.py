@@ -101,10 +101,11 @@ def _sized(capture: Capture, headers: Sequence[Header], options: LoadOptions) ->
             "taken as stored, as their calibration says"
         )
     shapes = [(h.height, h.width) if turn else (h.width, h.height) for h, turn in zip(headers, upright, strict=True)]
-    further, sizes = 1, [_target(shape, options, 1) for shape in shapes]
+    downscale = max(1.0, options.downscale / capture.reduced)  # no folder may hold photos as large as asked for
+    further, sizes = 1, [_target(shape, options, downscale) for shape in shapes]
     while BYTES_PER_PIXEL * sum(w * h for w, h in sizes) > options.memory_gb * 1e9:
         further += 1
-        sizes = [_target(shape, options, further) for shape in shapes]
+        sizes = [_target(shape, options, downscale, further) for shape in shapes]
     if further > 1:
         notes.append(
             f"photos are downscaled by a further {further}, to {sizes[0][0]}×{sizes[0][1]}, to fit into "
@@ -114,11 +115,11 @@ def _sized(capture: Capture, headers: Sequence[Header], options: LoadOptions) ->
     return replace(capture, photos=photos), upright, notes
 
 
-def _target(size: tuple[int, int], options: LoadOptions, further: int) -> tuple[int, int]:
+def _target(size: tuple[int, int], options: LoadOptions, downscale: float, further: int = 1) -> tuple[int, int]:
     """(width, height) after the options, then divided by `further`. Raises UserError where no pixel is left."""
-    longest = max(size) / options.downscale
+    longest = max(size) / downscale
     limit = options.max_size or longest
-    scale = min(1.0, limit / longest) / options.downscale / further
+    scale = min(1.0, limit / longest) / downscale / further
     width, height = round(size[0] * scale), round(size[1] * scale)
     if min(width, height) < 1:
         raise UserError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import hypothesis
 import numpy as np
 import pytest
 import torch
+from desk import PATIENCE, Desk
 from PIL import Image
 
 from nerf_core.cameras import Camera, camera_rays
@@ -114,3 +115,18 @@ def make_trainer(scene: Scene, tiny: RunSettings) -> Callable[..., Trainer]:
         return Trainer(on, replace(tiny, seed=seed, changes=tiny.changes | words))
 
     return make
+
+
+@pytest.fixture
+def open_desk(tiny: RunSettings, capture: Path) -> Iterator[Callable[..., Desk]]:
+    """Starts workers on the capture (opened=False: without a scene) and ends them after the test."""
+    desks: list[Desk] = []
+
+    def start(opened: bool = True, steps: int = 100, **changes: str) -> Desk:
+        settings = replace(tiny, steps=steps, changes=tiny.changes | changes)
+        desks.append(Desk(settings, capture if opened else None))
+        return desks[-1]
+
+    yield start
+    for desk in desks:
+        assert desk.worker.stop(PATIENCE)

@@ -12,8 +12,12 @@ from nerf_core.cameras import Camera, Cameras, Ndc, camera_rays, distort, undist
 
 seeds = st.integers(0, 10_000)
 mild = st.tuples(  # lenses that fold nowhere within the picture below
-    st.floats(-0.15, 0.15), st.floats(-0.05, 0.05), st.floats(-0.02, 0.02), st.floats(-0.01, 0.01), st.floats(-0.01, 0.01)
-)  # fmt: skip
+    st.floats(-0.15, 0.15),
+    st.floats(-0.05, 0.05),
+    st.floats(-0.02, 0.02),
+    st.floats(-0.01, 0.01),
+    st.floats(-0.01, 0.01),
+)
 
 
 def rotation(seed: int) -> np.ndarray:

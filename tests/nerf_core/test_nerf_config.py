@@ -88,7 +88,7 @@ def test_a_wrong_word_is_told_what_is_right(scene: Scene, words: dict[str, str],
 
 
 def test_a_wrong_preset_is_told_the_choices(scene: Scene) -> None:
-    with pytest.raises(UserError, match="--preset 'fast': choose one of auto, complete, .*no-hierarchy"):
+    with pytest.raises(UserError, match=r"--preset 'fast': choose one of auto, complete, .*no-hierarchy"):
         NerfConfig.configure(scene, "fast", {}, CPU)
 
 

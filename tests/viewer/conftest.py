@@ -20,7 +20,7 @@ def display() -> Iterator[str]:
     if shutil.which("Xvfb") is None:
         pytest.skip("needs Xvfb (Debian package xvfb)")
     read, write = os.pipe()
-    command = ["Xvfb", "-displayfd", str(write), "-screen", "0", "1600x1200x24", "-nolisten", "tcp"]
+    command = ["Xvfb", "-displayfd", str(write), "-screen", "0", "1600x1200x24", "-nolisten", "tcp", "-noreset"]
     with subprocess.Popen(command, pass_fds=[write], stderr=subprocess.DEVNULL) as server:
         os.close(write)
         with os.fdopen(read) as pipe:
@@ -63,7 +63,7 @@ class _imgui_context:  # noqa: N801  a context manager, used like a function
         from imgui_bundle import imgui
 
         self._context = imgui.create_context()
-        imgui.get_io().set_ini_filename("")
+        imgui.get_io().set_ini_filename(None)
 
     def __exit__(self, *_: object) -> None:
         from imgui_bundle import imgui

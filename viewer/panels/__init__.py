@@ -61,9 +61,14 @@ class Panel(Protocol):
     An "overlay" gets no window from the app: it is drawn last, in every frame, and opens what it needs itself.
     """
 
-    title: str
-    dock: Literal["right", "bottom", "bottom_right", "overlay"]
-    order: int
+    @property
+    def title(self) -> str: ...
+
+    @property
+    def dock(self) -> Literal["right", "bottom", "bottom_right", "overlay"]: ...
+
+    @property
+    def order(self) -> int: ...
 
     def draw(self, ui: Ui, state: AppState) -> Iterable[Action]: ...
 

@@ -1,4 +1,4 @@
-"""The colour that one point emits in every direction: a disc of what faces the viewer, and a map of the whole sphere."""
+"""The colour that one point emits in every direction: a disc of what faces the viewer, and a map of the sphere."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from nerf_core.probe import DISC_SIZE, SPHERE_COLUMNS, SPHERE_ROWS, RadianceProb
 from nerf_core.scene import Scene
 from viewer.panels import PANELS, Ui
 from viewer.state import Action, AppState, SetPointDepth
-from viewer.widgets import Row, button, figures, hint, number, packed, swatch, vector
+from viewer.widgets import Row, button, figures, hint, mono, number, packed, swatch, triple, vector
 
-CAPTIONS = ("towards the viewer", "all directions, up at the top")
+CAPTIONS = ("facing the viewer", "all directions, up at the top")
 
 
 @dataclass(frozen=True)
@@ -61,6 +61,7 @@ class RadiancePanel:
     order = 0
 
     def __init__(self) -> None:
+        self.hovered: tuple[np.ndarray, np.ndarray] | None = None  # direction and colour under the mouse
         self._pictures: Pictures | None = None
         self._views: TrainingViews | None = None
 
@@ -73,40 +74,46 @@ class RadiancePanel:
             self._pictures = Pictures.of(probe)
             self._views = TrainingViews.of(probe, state.snapshot.scene)
         assert self._views is not None  # made with the pictures
-        viewer = _unit(state.camera.c2w()[:, 3] - probe.point)
-        hovered = self._maps(ui, self._pictures, self._views, viewer)
-        yield from self._point(ui, state, probe)
-        _sight(ui, self._views)
-        if hovered is not None:
-            _tooltip(ui, *hovered)
+        yield from self._draw(ui, state, self._pictures, self._views)
+        if self.hovered is not None:
+            _tooltip(ui, *self.hovered)
 
-    def _maps(
-        self, ui: Ui, pictures: Pictures, views: TrainingViews, viewer: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Both pictures with their marks, side by side where there is room. Returns the hovered direction and colour."""
-        avail, gap = imgui.get_content_region_avail(), ui.em
-        text = 4.5 * imgui.get_text_line_height_with_spacing()  # the captions and the lines below
-        side = max(min(avail.y - text, (avail.x - gap) * 0.4), 5 * ui.em)
+    def _draw(self, ui: Ui, state: AppState, pictures: Pictures, views: TrainingViews) -> Iterator[Action]:
+        """The disc, and the map with the figures beside it where there is room, else below."""
+        viewer = _unit(state.camera.c2w()[:, 3] - pictures.probe.point)
+        avail, gap, line = imgui.get_content_region_avail(), ui.em, imgui.get_text_line_height_with_spacing()
+        side = max(min(avail.y - line, (avail.x - gap) * 0.36), 5 * ui.em)
         beside = side + gap + 9 * ui.em <= avail.x
-        width = min(avail.x - side - gap if beside else avail.x, 2.4 * side)
         imgui.begin_group()
-        on_disc = _disc(ui, pictures, views, viewer, min(side, avail.x))
-        hint(ui, CAPTIONS[0]) if not beside else imgui.text_colored(ui.theme.muted, CAPTIONS[0])
+        self.hovered = _disc(ui, pictures, views, viewer, min(side, avail.x))
+        imgui.push_text_wrap_pos(imgui.get_cursor_pos_x() + side)
+        imgui.text_colored(ui.theme.muted, CAPTIONS[0])
+        imgui.pop_text_wrap_pos()
         imgui.end_group()
         if beside:
             imgui.same_line(0, gap)
         imgui.begin_group()
-        on_sphere = _sphere(ui, pictures, views, viewer, width)
+        width = min(imgui.get_content_region_avail().x, 2 * max(avail.y - 5 * line, 4 * ui.em))
+        self.hovered = _sphere(ui, pictures, views, viewer, width) or self.hovered
         hint(ui, CAPTIONS[1])
+        yield from _point(ui, state, pictures.probe)
+        _sight(ui, views)
         imgui.end_group()
-        return on_disc or on_sphere
 
-    def _point(self, ui: Ui, state: AppState, probe: RadianceProbe) -> Iterator[Action]:
-        figures(ui, "point", [("point", vector(probe.point)), ("t", number(probe.t, 5))])
-        moved = state.inspect is not None and state.inspect.point_t is not None
-        tip = "Back to the median depth. Drag the line in the ray panel to choose another depth."
-        if button(ui, "Median depth", "radiance.median", enabled=moved, tip=tip):
-            yield SetPointDepth(None)
+
+def _point(ui: Ui, state: AppState, probe: RadianceProbe) -> Iterator[Action]:
+    """Where the point lies, and the way back to the median depth once it was moved."""
+    imgui.align_text_to_frame_padding()
+    imgui.text_colored(ui.theme.muted, "t")
+    imgui.same_line()
+    with mono(ui):
+        imgui.text_unformatted(number(probe.t, 5))
+    moved = state.inspect is not None and state.inspect.point_t is not None
+    imgui.same_line()
+    tip = "Back to the median depth. Drag the line in the ray panel to choose another depth."
+    if button(ui, "median depth", "radiance.median", enabled=moved, tip=tip):
+        yield SetPointDepth(None)
+    figures(ui, "point", [("x", vector(probe.point))])
 
 
 def _disc(
@@ -162,10 +169,8 @@ def _sphere(
     return np.cos(polar) * probe.up + np.sin(polar) * around, rgb
 
 
-def _marks(
-    ui: Ui, place: Callable[[np.ndarray], ImVec2 | None], views: TrainingViews, viewer: np.ndarray
-) -> None:
-    """Dots for training cameras, hollow where the point is out of their frame; a cross in a ring for the current view."""
+def _marks(ui: Ui, place: Callable[[np.ndarray], ImVec2 | None], views: TrainingViews, viewer: np.ndarray) -> None:
+    """Training cameras as dots, hollow where the point is out of their frame; the current view as crosshairs."""
     draw, r = imgui.get_window_draw_list(), 0.14 * ui.em
     light, dark = packed(ImVec4(1, 1, 1, 0.9)), packed(ImVec4(0, 0, 0, 0.9))  # one of them shows on any colour
     for direction, framed in zip(views.directions, views.framed, strict=True):
@@ -188,14 +193,18 @@ def _marks(
 def _sight(ui: Ui, views: TrainingViews) -> None:
     count, framed = len(views.framed), int(views.framed.sum())
     if count and not framed:
-        hint(ui, f"None of the {count:,} training cameras has this point in its frame: its colour is a guess.", ui.theme.warning)
+        hint(
+            ui,
+            f"None of the {count:,} training cameras has this point in its frame: its colour is a guess.",
+            ui.theme.warning,
+        )
     elif count:
         hint(ui, f"in the frame of {framed:,} of {count:,} training cameras (dots)")
 
 
 def _tooltip(ui: Ui, direction: np.ndarray, rgb: np.ndarray) -> None:
     if imgui.begin_tooltip():
-        rows: list[Row] = [("v", vector(direction)), ("rgb", vector(rgb), partial(swatch, ui, rgb))]
+        rows: list[Row] = [("v", vector(direction)), ("rgb", f" {triple(rgb)}", partial(swatch, ui, rgb))]
         figures(ui, "direction", rows, 16 * ui.em)
         imgui.end_tooltip()
 
@@ -217,7 +226,7 @@ def _bytes(image: np.ndarray) -> np.ndarray:
 
 @cache
 def _nearest_inside() -> tuple[np.ndarray, np.ndarray]:
-    """For every texel of the disc the row and column of one inside: no black seeps in at the edge when it is smoothed."""
+    """For every texel of the disc the row and column of one inside, so that smoothing draws no black in at the edge."""
     x, y, _ = disc_grid()
     shrink = np.minimum(1, (1 - 2 / DISC_SIZE) / np.maximum(np.hypot(x, y), 1e-12))  # the centre stays where it is
     rows, columns = (((v * shrink + 1) / 2 * DISC_SIZE).astype(int) for v in (-y, x))

@@ -11,9 +11,10 @@ from imgui_bundle import ImVec2, imgui
 
 from nerf_core.probe import RayProbe
 from viewer.panels import PANELS, Ui
-from viewer.ray_plots import DEPTHS, Glyph, RayPlots, Steps, steps_of
+from viewer.ray_plots import DEPTHS, Glyph, Opened, RayPlots
+from viewer.ray_steps import Steps, steps_of
 from viewer.state import Action, AppState, SetPointDepth
-from viewer.widgets import Row, faded, figures, hint, number, packed, same_line_if_fits, swatch, vector
+from viewer.widgets import Row, faded, figures, hint, number, packed, same_line_if_fits, swatch, triple
 
 BACKGROUND_OPACITY = 0.01  # under it the ray met nothing that one could see
 SIDE_EM, SIDE_NEEDS_EM = 17.0, 36.0  # the figures' column, and the width from which it stands beside the plots
@@ -27,7 +28,7 @@ class RayPanel:
     order = 0
 
     def __init__(self) -> None:
-        self._plots = RayPlots()
+        self.plots = RayPlots()
         self._probe: RayProbe | None = None
         self._passes: tuple[Steps, ...] = ()
         self._opened: tuple[object, ...] = ()
@@ -50,8 +51,8 @@ class RayPanel:
         self._draw_figures(ui, state, ray)
         if beside:
             imgui.end_child()
-        if self._plots.hovered is not None:
-            _tooltip(ui, *self._plots.hovered)
+        if self.plots.hovered is not None:
+            _tooltip(ui, *self.plots.hovered)
         if t is not None:
             yield SetPointDepth(t)
 
@@ -62,32 +63,30 @@ class RayPanel:
         opened = (loaded, ray.pixel, ray.origin.tobytes(), ray.direction.tobytes())
         if opened != self._opened:  # the same ray of a later step keeps its axes
             self._opened = opened
-            self._plots.open(ray, self._passes)
+            self.plots.open(ray, self._passes)
 
     def _draw_plots(self, ui: Ui, state: AppState, ray: RayProbe) -> float | None:
         self._legend(ui)
         scene = state.snapshot.scene
-        units = "NDC unit" if scene is not None and scene.ndc is not None else "unit"
-        return self._plots.draw(ui, ray, self._passes, _point_t(state, ray), units, imgui.get_content_region_avail())
+        opened = Opened(
+            ray,
+            self._passes,
+            units="NDC unit" if scene is not None and scene.ndc is not None else "unit",
+            point_t=_point_t(state, ray),
+        )
+        return self.plots.draw(ui, opened, imgui.get_content_region_avail())
 
     def _legend(self, ui: Ui) -> None:
         entries = [(f"{s.probe.name} w", "box", ui.theme.coarse) for s in self._passes[:-1]]
         entries += [(f"{s.probe.name} w", "filled", ui.theme.fine) for s in self._passes[-1:]]
         entries += [("T", "line", ui.theme.transmittance), ("σ", "line", ui.theme.density)]
-        entries.append(("radiance point", "bar", ui.theme.accent))
+        entries.append(("point", "bar", ui.theme.accent))
         for i, (label, shape, color) in enumerate(entries):
             if i:
                 same_line_if_fits(f"   {label}")
             _key(ui, shape, packed(color), packed(faded(color, 0.55)))
             imgui.same_line(0, 0.3 * ui.em)
             imgui.text_colored(ui.theme.muted, label)
-        same_line_if_fits("   log σ")
-        imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(0, 0))
-        changed, self._plots.log_density = imgui.checkbox("log σ", self._plots.log_density)
-        imgui.pop_style_var()
-        ui.mark("ray.log")
-        if changed:
-            self._plots.scale_density(self._passes)
 
     def _draw_figures(self, ui: Ui, state: AppState, ray: RayProbe) -> None:
         asked = state.inspect
@@ -98,8 +97,8 @@ class RayPanel:
         difference = float(np.abs(ray.color - ray.rendered_color).max())
         rows: list[Row] = [
             ("pixel", f"{ray.pixel[0]:,}, {ray.pixel[1]:,}"),
-            ("composited", vector(ray.color), partial(swatch, ui, ray.color)),
-            ("rendered", vector(ray.rendered_color), partial(swatch, ui, ray.rendered_color)),
+            ("composited", triple(ray.color), partial(swatch, ui, ray.color)),
+            ("rendered", triple(ray.rendered_color), partial(swatch, ui, ray.rendered_color)),
             ("difference", number(difference, 2)),
             ("opacity", f"{ray.opacity:.4f}"),
         ]
@@ -108,6 +107,10 @@ class RayPanel:
         rows.append(("samples", " + ".join(f"{len(p.t):,}" for p in ray.passes)))
         rows.append(("at step", f"{ray.step:,}"))
         figures(ui, "ray figures", rows)
+        changed, self.plots.log_density = imgui.checkbox("log σ", self.plots.log_density)
+        ui.mark("ray.log")
+        if changed:
+            self.plots.scale_density(self._passes)
 
 
 def _nothing_yet(state: AppState) -> str:
@@ -160,7 +163,7 @@ def _tooltip(ui: Ui, steps: Steps, index: int) -> None:
         ("α", f"{p.alpha[index]:.5f}"),
         ("T", f"{p.transmittance[index]:.5f}"),
         ("w", f"{p.weights[index]:.5f}"),
-        ("rgb", vector(p.rgb[index]), partial(swatch, ui, p.rgb[index])),
+        ("rgb", triple(p.rgb[index]), partial(swatch, ui, p.rgb[index])),
     ]
     if imgui.begin_tooltip():
         imgui.text_colored(ui.theme.muted, f"{p.name} sample {index + 1:,} of {len(p.t):,}")

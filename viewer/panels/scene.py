@@ -11,11 +11,22 @@ from imgui_bundle import imgui
 
 from nerf_core.messages import OpenScene
 from nerf_core.scene import SPLITS, Scene
+from viewer.interaction import next_view
 from viewer.panels import PANELS, Ui
 from viewer.state import Action, AppState, GoToView
-from viewer.widgets import Confirmation, Row, button, field_width, figures, hint, number, same_line_if_fits
+from viewer.widgets import (
+    Confirmation,
+    Row,
+    button,
+    field_beside,
+    figures,
+    hint,
+    number,
+    same_line_if_fits,
+    unsaved_steps,
+)
 
-OPEN, DEMO = f"{icons.ICON_FA_FOLDER_OPEN}  Open", "Demo scene"
+OPEN, DEMO = f"{icons.ICON_FA_FOLDER_OPEN}  Open", "Demo"
 
 
 @PANELS.register("scene")
@@ -30,40 +41,39 @@ class ScenePanel:
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
         snapshot, scene = state.snapshot, state.snapshot.scene
+        yield from self._open(ui, state)
         if snapshot.status == "loading":
             hint(ui, f"Loading: {snapshot.loading}" if snapshot.loading else "Loading …", ui.theme.accent)
+        elif scene is None:
+            hint(ui, "No scene is open. Type the folder of a capture, or open the demo scene.")
         if scene is not None:
             figures(ui, "scene", _rows(scene))
             for note in scene.notes:
                 hint(ui, f"{icons.ICON_FA_TRIANGLE_EXCLAMATION}  {note}", ui.theme.warning)
             yield from _photos(ui, state, scene)
-        elif snapshot.status != "loading":
-            hint(ui, "No scene is open. Type the folder of a capture, or open the demo scene.")
-        yield from self._open(ui, state)
 
     def _open(self, ui: Ui, state: AppState) -> Iterator[Action]:
         if state.focus_open:
             imgui.set_keyboard_focus_here()
             state.focus_open = False
-        field_width(ui, "##path")
+        field_beside(ui, OPEN, DEMO)
         flags = imgui.InputTextFlags_.enter_returns_true
-        entered, state.open_path = imgui.input_text_with_hint(
-            "##path", "folder of a capture", state.open_path, flags
-        )
+        entered, state.open_path = imgui.input_text_with_hint("##path", "folder of a capture", state.open_path, flags)
         ui.mark("scene.path")
+        same_line_if_fits(OPEN)
         path = state.open_path.strip()
         if (button(ui, OPEN, "scene.open", enabled=bool(path)) or entered) and path:
             yield from self._ask(state, Path(path).expanduser())
         same_line_if_fits(DEMO)
-        if button(ui, DEMO, "scene.demo"):
+        if button(ui, DEMO, "scene.demo", tip="open the demo scene"):
             yield from self._ask(state, None)
-        question = f"Opening another scene forgets {state.snapshot.step:,} trained steps."
+        question = f"Opening another scene forgets {unsaved_steps(state.snapshot):,} unsaved training steps."
         if self._confirmation.draw(ui, question, "Open", "scene.open"):
             yield OpenScene(self._wanted, None)
 
     def _ask(self, state: AppState, path: Path | None) -> Iterator[Action]:
         self._wanted = path
-        self._confirmation.asking = state.snapshot.step > 0
+        self._confirmation.asking = unsaved_steps(state.snapshot) > 0
         if not self._confirmation.asking:
             yield OpenScene(path, None)
 
@@ -74,31 +84,32 @@ def _rows(scene: Scene) -> list[Row]:
     size = f"{sizes[0][0]:,} × {sizes[0][1]:,}" if len(sizes) == 1 else f"{len(sizes):,} sizes"
     if len(sizes) > 1:
         size += f", up to {max(w for w, _ in sizes):,} × {max(h for _, h in sizes):,}"
-    spacing = "NDC (forward-facing)" if scene.ndc is not None else "linear in 1/z" if scene.disparity else "linear in z"
+    spacing = "NDC" if scene.ndc is not None else "samples linear in 1/z" if scene.disparity else "samples linear in z"
     return [
         ("name", scene.name),
-        ("format", scene.format),
+        ("format", f"{scene.format}, {spacing}"),
         ("photos", " · ".join(counts) or "none"),
         ("size", f"{size} px" if sizes else "–"),
         ("near … far", f"{number(scene.near)} … {number(scene.far)} units"),
-        ("samples", spacing),
     ]
 
 
 def _photos(ui: Ui, state: AppState, scene: Scene) -> Iterator[Action]:
-    """Steps through all photos in the scene's order, from the one whose camera is shown."""
-    count, current = len(scene.views), state.current_view
+    """Steps through the training photos, as the arrow keys do."""
+    train, current = scene.split("train"), state.current_view
+    for step, icon, mark, tip in (
+        (-1, icons.ICON_FA_CHEVRON_LEFT, "scene.previous", "previous training photo (←)"),
+        (1, icons.ICON_FA_CHEVRON_RIGHT, "scene.next", "next training photo (→)"),
+    ):
+        if button(ui, icon, mark, enabled=bool(train), tip=tip):
+            yield GoToView(next_view(train, current, step))
+        imgui.same_line()
     imgui.align_text_to_frame_padding()
-    if button(ui, icons.ICON_FA_CHEVRON_LEFT, "scene.previous", enabled=count > 0, tip="previous photo (←)"):
-        yield GoToView((current - 1) % count if current is not None else count - 1)
-    imgui.same_line()
-    if button(ui, icons.ICON_FA_CHEVRON_RIGHT, "scene.next", enabled=count > 0, tip="next photo (→)"):
-        yield GoToView((current + 1) % count if current is not None else 0)
-    imgui.same_line()
-    if current is not None and 0 <= current < count:
-        imgui.text_unformatted(f"photo {current + 1:,} of {count:,}")
-        hint(ui, scene.views[current].name)
+    if current in train and current is not None:
+        imgui.text_unformatted(f"photo {train.index(current) + 1:,} of {len(train):,}")
+        imgui.set_item_tooltip(scene.views[current].name)
     else:
-        imgui.text_colored(ui.theme.muted, f"{count:,} photos")
+        imgui.text_colored(ui.theme.muted, f"{len(train):,} training photos")
+    same_line_if_fits("      Show cameras")
     _, state.show_cameras = imgui.checkbox("Show cameras", state.show_cameras)
     ui.mark("scene.cameras")

@@ -6,15 +6,25 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
+from imgui_bundle import ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
-from imgui_bundle import imgui
 
 from nerf_core.messages import LoadCheckpoint, Pause, Reset, SaveCheckpoint, SetShare, Snapshot, Train
 from viewer.history_plots import HistoryPlots
 from viewer.panels import PANELS, Ui
 from viewer.state import Action, AppState
 from viewer.widgets import (
-    Confirmation, Row, button, duration, field_width, figures, hint, rate, same_line_if_fits,
+    Confirmation,
+    Row,
+    button,
+    duration,
+    field_beside,
+    field_width,
+    figures,
+    hint,
+    rate,
+    same_line_if_fits,
+    unsaved_steps,
 )  # fmt: skip
 
 START, PAUSE = f"{icons.ICON_FA_PLAY}  Train", f"{icons.ICON_FA_PAUSE}  Pause"
@@ -46,7 +56,7 @@ class TrainingPanel:
         yield from self._checkpoint(ui, state)
 
     def _buttons(self, ui: Ui, snapshot: Snapshot) -> Iterator[Action]:
-        can_train = snapshot.status in ("ready", "paused")
+        can_train = snapshot.status in ("ready", "paused", "failed")
         if snapshot.status == "training":
             if button(ui, PAUSE, "training.pause", tip="pause (Space)"):
                 yield Pause()
@@ -65,58 +75,48 @@ class TrainingPanel:
         if self._share is not None and abs(self._share - snapshot.wanted_share) < 1e-6:
             self._share = None
         percent = 100 * (self._share if self._share is not None else snapshot.wanted_share)
-        hint(ui, "time for training while a preview is drawn")
         field_width(ui, "##share")
-        changed, percent = imgui.slider_float("##share", percent, 5, 95, "%.0f %%", imgui.SliderFlags_.always_clamp)
+        now = f" (now {100 * snapshot.train_share:.0f} %%)" if snapshot.status == "training" else ""
+        clamp = imgui.SliderFlags_.always_clamp
+        changed, percent = imgui.slider_float("##share", percent, 5, 95, f"training gets %.0f %%{now}", clamp)
         ui.mark("training.share")
+        imgui.set_item_tooltip("share of the time that training keeps while a preview is being drawn")
         if changed:
             self._share = percent / 100
         if imgui.is_item_deactivated_after_edit() and self._share is not None:
             yield SetShare(self._share)
 
     def _checkpoint(self, ui: Ui, state: AppState) -> Iterator[Action]:
-        hint(ui, "checkpoint")
-        field_width(ui, "##checkpoint")
+        field_beside(ui, SAVE, LOAD)
         _, state.checkpoint_file = imgui.input_text_with_hint(
-            "##checkpoint", "file.safetensors", state.checkpoint_file
+            "##checkpoint", "checkpoint.safetensors", state.checkpoint_file
         )
         ui.mark("training.checkpoint")
-        path = state.checkpoint_file.strip()
-        if button(ui, SAVE, "training.save", enabled=bool(path), tip="save the weights and all that training needs (Ctrl+S)"):
+        path, unsaved = state.checkpoint_file.strip(), unsaved_steps(state.snapshot)
+        same_line_if_fits(SAVE)
+        if button(ui, SAVE, "training.save", enabled=bool(path), tip="all that training needs to go on (Ctrl+S)"):
             yield SaveCheckpoint(Path(path).expanduser())
         same_line_if_fits(LOAD)
         pressed = button(ui, LOAD, "training.load", enabled=bool(path), tip="go on from this checkpoint")
-        self._load.asking = self._load.asking or (pressed and state.snapshot.step > 0)
-        question = f"Loading replaces {state.snapshot.step:,} trained steps."
-        if self._load.draw(ui, question, "Load", "training.load") or (pressed and state.snapshot.step == 0):
+        self._load.asking = self._load.asking or (pressed and unsaved > 0)
+        question = f"Loading forgets {unsaved:,} unsaved training steps."
+        if self._load.draw(ui, question, "Load", "training.load") or (pressed and unsaved == 0):
             yield LoadCheckpoint(Path(path).expanduser())
 
 
-def _progress(ui: Ui, s: Snapshot) -> tuple[str, object]:
+def _progress(ui: Ui, s: Snapshot) -> tuple[str, ImVec4]:
     steps = f"{s.step:,} of {s.total_steps:,} steps"
-    match s.status:
-        case "empty":
-            return "Nothing to train yet: open a scene.", ui.theme.muted
-        case "loading":
-            return "Training starts once the scene is loaded.", ui.theme.muted
-        case "ready":
-            return f"Ready: {steps}", ui.theme.text
-        case "training":
-            left = f", {duration(s.seconds_left)} left" if s.seconds_left is not None else ""
-            return f"Training: {steps}{left}", ui.theme.text
-        case "paused":
-            return f"Paused: {steps}", ui.theme.text
-        case "finished":
-            return f"Finished: {s.step:,} steps in {duration(s.seconds)}", ui.theme.good
-        case "failed":
-            return f"Stopped by an error after {steps}: see Notices.", ui.theme.error
+    left = f", {duration(s.seconds_left)} left" if s.seconds_left is not None else ""
+    return {
+        "empty": ("Nothing to train yet: open a scene.", ui.theme.muted),
+        "loading": ("Training can start once the scene is loaded.", ui.theme.muted),
+        "ready": (f"Ready: {steps}", ui.theme.text),
+        "training": (f"Training: {steps}{left}", ui.theme.text),
+        "paused": (f"Paused: {steps}", ui.theme.text),
+        "finished": (f"Finished: {s.step:,} steps in {duration(s.seconds)}", ui.theme.good),
+        "failed": (f"Stopped by an error after {steps}: see Notices.", ui.theme.error),
+    }[s.status]
 
 
 def _rows(s: Snapshot) -> list[Row]:
-    share = f"{100 * s.train_share:.0f} % training" if s.status == "training" else "–"
-    return [
-        ("speed", f"{rate(s.rays_per_second)} rays/s"),
-        ("trained", duration(s.seconds)),
-        ("left", duration(s.seconds_left)),
-        ("time share", share),
-    ]
+    return [("speed", f"{rate(s.rays_per_second)} rays/s"), ("trained", duration(s.seconds))]

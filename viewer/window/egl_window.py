@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import threading
 from typing import Any
 
@@ -10,6 +11,8 @@ import numpy as np
 
 from nerf_core.errors import UserError
 from viewer.window import DEBIAN_PACKAGES
+
+EGL_LIBRARY = "libEGL.so.1"  # the one that moderngl has loaded
 
 
 class EglWindow:
@@ -103,3 +106,5 @@ class EglWindow:
         self._closed = True
         self._free_framebuffer()
         self.context.release()
+        # moderngl leaves the dead context current on this thread, where a GLX window could then not take its place.
+        ctypes.CDLL(EGL_LIBRARY).eglReleaseThread()

@@ -1,4 +1,5 @@
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -186,7 +187,10 @@ def test_what_is_no_dataset_is_told(tmp_path: Path, transforms_folder: Folder) -
         folder / "images",
         r"images holds 10 photos without poses; formats that carry poses: blender \(tran.*colmap.*llff",
     )
-    refused(folder.parent, rf"is no dataset itself, but .*{folder.name} is one")
+    (folder / "outer").mkdir()
+    shutil.copytree(folder / "images", folder / "outer/inner/images")
+    shutil.copy(folder / "transforms.json", folder / "outer/inner")
+    refused(folder / "outer", r"outer is no dataset itself, but .*inner is one: open that")
     (folder / "empty").mkdir()
     refused(folder / "empty", "empty holds no dataset; known are: blender")
 

@@ -1,0 +1,44 @@
+"""A program: a COLMAP model → one .npz file. `python -P colmap_reader.py MODEL OUT`.
+
+pycolmap runs in a process of its own: it can crash or hang on damaged files, and it installs a handler of SIGTERM.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+PARAMETERS = 16  # of the camera model that has most
+
+
+def main(model: str, out: str) -> None:
+    """Of each registered image: id, name, camera model, size, parameters, camera from world (3, 4).
+
+    Besides: the sparse points (P, 3) with the lengths of their tracks (P,).
+    """
+    import pycolmap
+
+    reconstruction = pycolmap.Reconstruction(model)
+    images = [image for image in reconstruction.images.values() if image.has_pose]
+    cameras = [reconstruction.cameras[image.camera_id] for image in images]
+    parameters = np.zeros((len(images), PARAMETERS))
+    for row, camera in zip(parameters, cameras, strict=True):
+        row[: len(camera.params)] = camera.params
+    points = list(reconstruction.points3D.values())
+    np.savez(
+        Path(out),
+        ids=np.array([image.image_id for image in images], dtype=np.int64),
+        names=np.array([image.name for image in images], dtype=str),
+        models=np.array([camera.model.name for camera in cameras], dtype=str),
+        sizes=np.array([(camera.width, camera.height) for camera in cameras], dtype=np.float64).reshape(-1, 2),
+        parameters=parameters,
+        poses=np.array([image.cam_from_world().matrix() for image in images]).reshape(-1, 3, 4),
+        points=np.array([point.xyz for point in points]).reshape(-1, 3),
+        tracks=np.array([point.track.length() for point in points], dtype=np.int64),
+    )
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

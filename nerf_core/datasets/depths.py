@@ -1,0 +1,60 @@
+"""How near and how far the content of a capture lies, from what its format knows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nerf_core.cameras import Camera
+from nerf_core.datasets.capture import Capture
+
+MARGIN = 0.9  # official LLFF: samples begin at 0.9 of the nearest bound; the farthest percentile gets as much
+PERCENTILES = (0.5, 50.0, 99.5)  # a sparse model has outliers on both sides
+NEAREST = 1e-3  # of the median depth: points nearer than that touch a lens and are outliers, however many
+MAX_PAIRS = 20_000_000  # of points and cameras to look at: more change no percentile, but take seconds
+
+
+@dataclass(frozen=True)
+class Depths:
+    """z-depths: content lies between near and far, its nearest known part at closest, half of it before middle."""
+
+    closest: float
+    near: float
+    middle: float
+    far: float
+
+
+def known_depths(capture: Capture) -> Depths | None:
+    """In the input's units; None where the capture carries neither bounds nor points that its cameras see."""
+    if capture.near is not None and capture.far is not None:
+        return Depths(capture.near, capture.near, _middle(capture.near, capture.far), capture.far)
+    if capture.bounds_per_photo is not None:
+        closest, far = float(capture.bounds_per_photo.min()), float(capture.bounds_per_photo.max())
+        return Depths(closest, MARGIN * closest, _middle(closest, far), far)
+    if capture.points is None:
+        return None
+    z = seen_depths([photo.camera for photo in capture.photos], capture.points)
+    if not len(z):
+        return None
+    closest, middle, far = (float(v) for v in np.percentile(z, PERCENTILES))
+    closest = max(closest, NEAREST * middle)
+    return Depths(closest, MARGIN * closest, middle, far / MARGIN)
+
+
+def seen_depths(cameras: Sequence[Camera], points: np.ndarray) -> np.ndarray:
+    """z-depths of world points (P, 3) in every camera whose picture they fall into, all in one array."""
+    chosen = points[:: 1 + len(points) * len(cameras) // MAX_PAIRS]
+    found = []
+    for camera in cameras:
+        with np.errstate(over="ignore", invalid="ignore"):  # beside the lens its polynomial may overflow: not seen
+            (column, row), z = (v.T for v in camera.project(chosen))
+            inside = (z > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+        found.append(z[inside])
+    return np.concatenate(found)
+
+
+def _middle(near: float, far: float) -> float:
+    """Half way in disparity, as samples of real captures are spaced."""
+    return 2 / (1 / near + 1 / far)

@@ -1,0 +1,242 @@
+"""From the input's frame to the trainer's: where the content lies, how large it is, which way is up, or NDC."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from nerf_core.cameras import Camera, Cameras, Ndc
+from nerf_core.datasets.capture import Capture, LoadOptions
+from nerf_core.datasets.depths import Depths, known_depths
+from nerf_core.datasets.rig import common_focus, mean_camera, spread, up_direction, upright
+from nerf_core.errors import UserError
+
+SYNTHETIC_DEPTHS = (2.0, 6.0)  # of the official Blender configurations
+NDC_NEAR_BOUND = 0.75  # official LLFF: the nearest content lies at 1/0.75, before the near plane at 1
+LONGEST = np.pi  # the official γ has no π: its first sine tells coordinates apart within ±π
+SHRINK = 2.0  # at most, to fit a far background into ±π: more would take detail from what the cameras circle
+NO_DEPTHS_NEAR = 0.25  # of the focus' depth, where nothing else is known: content may reach 3/4 of the way out
+NO_DEPTHS_REACH = 5.0  # of the cameras' spread, where they do not even look at one point
+FORWARD = 0.5  # least length of the mean direction of view for the cameras to have one (60° about it)
+BORDER = 33  # pixels looked at along each side: a lens bends it, and its extreme need not be a corner
+
+
+@dataclass(frozen=True)
+class Normalised:
+    """A capture's cameras in the trainer's frame; the other fields are those of `nerf_core.scene.Scene`."""
+
+    cameras: tuple[Camera, ...]
+    near: float
+    far: float
+    ndc: Ndc | None
+    disparity: bool
+    center: np.ndarray
+    radius: float
+    up: np.ndarray
+    to_input: np.ndarray
+    notes: tuple[str, ...] = ()
+
+
+def normalise(capture: Capture, options: LoadOptions) -> Normalised:
+    """Move and scale a capture so that it can be trained; always by one similarity.
+
+    Synthetic captures keep their frame. Under NDC the official LLFF frame is taken: the mean camera at the origin
+    looking along −z, y up, the nearest bound at 1/0.75. All others get the point that their cameras look at as the
+    origin, z up, and the cameras at an RMS distance of 1 (official spherify; shrunk for a far background).
+    Raises UserError for `ndc="on"` where it is impossible, and for lengths beyond what floats can hold.
+    """
+    poses = np.stack([photo.camera.c2w for photo in capture.photos])
+    depths = known_depths(capture)
+    notes: tuple[str, ...] = ()
+    if options.ndc == "on" or (options.ndc == "auto" and capture.ndc_capable and depths is not None):
+        obstacle = _ndc_obstacle(capture, poses, depths)
+        if obstacle and options.ndc == "on":
+            raise UserError(f"--ndc on is impossible: {obstacle}; take --ndc auto or off")
+        if obstacle:
+            notes = (f"NDC is not taken: {obstacle}",)
+        elif depths is not None:
+            return _checked(_in_ndc(capture, poses, depths))
+    done = _synthetic(capture, poses) if capture.synthetic else _real(capture, poses, depths)
+    return _checked(replace(done, notes=notes + done.notes))
+
+
+def _checked(done: Normalised) -> Normalised:
+    """Raises UserError unless all lengths are finite and 0 < near < far, in the trainer's 32 bits."""
+    with np.errstate(over="ignore", under="ignore"):
+        near, far, radius = (np.float32(v) for v in (done.near, done.far, done.radius))
+        positions = np.stack([c.c2w[:, 3] for c in done.cameras]).astype(np.float32)
+    finite = np.isfinite(positions).all() and np.isfinite(done.to_input).all()
+    if not (finite and 0 < near < far < np.inf and 0 < radius < np.inf):
+        raise UserError(
+            f"the capture's lengths span too many magnitudes (content from {done.near:.3g} to {done.far:.3g}, cameras "
+            f"{done.radius:.3g} from it): check its camera positions and bounds"
+        )
+    return done
+
+
+def _placed(
+    cameras: Sequence[Camera], rotation: np.ndarray, center: np.ndarray, scale: float
+) -> tuple[tuple[Camera, ...], np.ndarray]:
+    """Cameras under x → scale · rotation (x − center), and the (4, 4) way back."""
+    to_input = np.eye(4)
+    to_input[:3, :3], to_input[:3, 3] = rotation.T / scale, center
+    moved = [
+        c.moved(np.column_stack([rotation @ c.c2w[:, :3], scale * (rotation @ (c.c2w[:, 3] - center))]))
+        for c in cameras
+    ]
+    return tuple(moved), to_input
+
+
+# ---- normalised device coordinates -----------------------------------------------------------------------------
+
+
+def _ndc_obstacle(capture: Capture, poses: np.ndarray, depths: Depths | None) -> str:
+    """Why NDC cannot be taken; empty where it can."""
+    if depths is None:
+        return "the nearest content is unknown, as the capture has neither depth bounds nor sparse points"
+    mean = mean_camera(poses)
+    if mean is None:
+        return "the cameras have no mean direction of view"
+    turned = _turned([photo.camera for photo in capture.photos], mean[:, 2])
+    if turned:
+        return f"{turned} of {len(poses)} cameras have rays that do not point along the mean view"
+    return ""
+
+
+def _turned(cameras: Sequence[Camera], back: np.ndarray) -> int:
+    """How many cameras have a ray that does not point against `back` (3,), unit.
+
+    A picture's ideal image plane is mapped to directions convexly: the border has the extreme ones.
+    """
+    u = np.linspace(0, 1, BORDER)
+    sides = [np.stack(np.broadcast_arrays(x, y), -1) for x, y in ((u, 0), (u, 1), (0, u), (1, u))]
+    border = np.concatenate(sides)
+    sizes = np.array([(c.width - 1, c.height - 1) for c in cameras], dtype=np.float64)
+    pixels = (border * sizes[:, None] + 0.5).reshape(-1, 2)
+    index = torch.arange(len(cameras)).repeat_interleave(len(border))
+    directions = Cameras(cameras, 1.0, 2.0).rays(index, torch.from_numpy(pixels)).directions.double().numpy()
+    along = (directions @ back).reshape(len(cameras), -1)
+    return int((~(along < -1e-6)).any(1).sum())  # as `Ndc.rays` has it; not a number counts as turned away
+
+
+def _in_ndc(capture: Capture, poses: np.ndarray, depths: Depths) -> Normalised:
+    """Poses rescaled by 1/(0.75 · nearest bound) and recentred to the mean camera (official LLFF loader)."""
+    mean = mean_camera(poses)
+    assert mean is not None  # an obstacle otherwise
+    scale = 1 / (NDC_NEAR_BOUND * depths.closest)
+    cameras, to_input = _placed([photo.camera for photo in capture.photos], mean[:, :3].T, mean[:, 3], scale)
+    widest = max(cameras, key=lambda c: c.width / c.fx * (c.height / c.fy))  # no photo leaves [−1, 1]² by much
+    focal = float(np.sqrt(widest.fx * widest.fy))
+    return Normalised(
+        cameras=cameras,
+        near=depths.near * scale,
+        far=depths.far * scale,
+        ndc=Ndc(widest.width, widest.height, focal, near=1.0, far=depths.far * scale),
+        disparity=False,
+        center=np.array([0.0, 0.0, -depths.middle * scale]),
+        radius=depths.middle * scale,
+        up=np.array([0.0, 1.0, 0.0]),
+        to_input=to_input,
+    )
+
+
+# ---- captures in world space -----------------------------------------------------------------------------------
+
+
+def _synthetic(capture: Capture, poses: np.ndarray) -> Normalised:
+    near, far = capture.near, capture.far
+    if near is None or far is None:
+        near, far = SYNTHETIC_DEPTHS
+    focus = common_focus(poses)
+    center = np.zeros(3) if focus is None else focus
+    return Normalised(
+        cameras=tuple(photo.camera for photo in capture.photos),
+        near=near,
+        far=far,
+        ndc=None,
+        disparity=False,
+        center=center,
+        radius=_orbit_radius(poses[:, :, 3], center, (near + far) / 2),
+        up=np.array([0.0, 0.0, 1.0]) if capture.up is None else capture.up,
+        to_input=np.eye(4),
+    )
+
+
+def _orbit_radius(positions: np.ndarray, center: np.ndarray, otherwise: float) -> float:
+    """Median distance of the cameras from the centre; `otherwise` where they stand in it."""
+    median = float(np.median(np.linalg.norm(positions - center, axis=1)))
+    return median if median > 1e-6 * otherwise else otherwise
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """center: (3,) of the content. unit: the length that becomes 1. before: the z-depth of the centre in the cameras.
+
+    near, far: z-depths of the content. All in the input's units.
+    """
+
+    center: np.ndarray
+    unit: float
+    before: float
+    near: float
+    far: float
+    notes: tuple[str, ...] = ()
+
+
+def _real(capture: Capture, poses: np.ndarray, depths: Depths | None) -> Normalised:
+    focus = common_focus(poses)
+    layout = _unfocused(poses, depths) if focus is None else _focused(poses, focus, depths)
+    notes = layout.notes
+    if len(poses) > 1 and spread(poses) == 0:
+        notes += ("all photos were taken from one place: they tell directions, but no depth",)
+    reach = max(layout.far - layout.before, layout.unit)
+    scale = min(1.0, max(LONGEST * layout.unit / reach, 1 / SHRINK)) / layout.unit
+    limit = max(layout.before + LONGEST / scale, 2 * layout.near)
+    if layout.far > limit * (1 + 1e-9):  # the rounding of a far that just fits
+        notes += (f"content farther than {limit:.4g} of the input's units (up to {layout.far:.4g}) is drawn there",)
+    up = up_direction(poses) if capture.up is None else capture.up / np.linalg.norm(capture.up)
+    cameras, to_input = _placed([p.camera for p in capture.photos], upright(up), layout.center, scale)
+    return Normalised(
+        cameras=cameras,
+        near=layout.near * scale,
+        far=min(layout.far, limit) * scale,
+        ndc=None,
+        disparity=True,
+        center=np.zeros(3),
+        radius=_orbit_radius(poses[:, :, 3], layout.center, layout.unit) * scale,
+        up=np.array([0.0, 0.0, 1.0]),
+        to_input=to_input,
+        notes=notes,
+    )
+
+
+def _focused(poses: np.ndarray, focus: np.ndarray, depths: Depths | None) -> _Layout:
+    """Cameras that look at one point, from around it or from one side."""
+    offsets = poses[:, :, 3] - focus
+    unit = float(np.sqrt((offsets**2).sum(1).mean()))
+    z = (offsets * poses[:, :, 2]).sum(1)
+    if depths is None:
+        near = NO_DEPTHS_NEAR * float(np.percentile(z[z > 0], 5))
+        return _Layout(focus, unit, unit, near, (1 + LONGEST) * unit)
+    return _Layout(focus, unit, unit, depths.near, depths.far)
+
+
+def _unfocused(poses: np.ndarray, depths: Depths | None) -> _Layout:
+    """Cameras side by side, or looking all around: the content is where its depths say, else some way off."""
+    size = spread(poses)
+    forward = -poses[:, :, 2].mean(0)
+    length = float(np.linalg.norm(forward))
+    reach = depths.middle if depths else NO_DEPTHS_REACH * size or 1.0
+    before = reach if length > FORWARD else 0.0
+    center = poses[:, :, 3].mean(0) + (before / length * forward if before else 0.0)
+    unit = max(reach, size)
+    if depths is not None:
+        return _Layout(center, unit, before, depths.near, depths.far)
+    note = (
+        "the cameras do not look at one point and no depths are known: content is assumed around "
+        f"{reach:.4g} of the input's units from them; sparse points (COLMAP) or near and far would tell"
+    )
+    return _Layout(center, unit, before, NO_DEPTHS_NEAR * reach, before + LONGEST * unit, (note,))

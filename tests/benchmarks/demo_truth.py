@@ -1,0 +1,105 @@
+"""How near a model trained on the demo scene comes to the truth, which is known in closed form.
+
+    python tests/benchmarks/demo_truth.py [--seconds 300] [--downscale 2]
+
+Depth: at pixels of the test views that truly see a surface, the rendered expected depth against the analytic
+distance. Radiance: at true surface points that the test views see, the colour that the model emits towards the camera
+and towards other training cameras that see the point, against the analytic radiance. Spread with direction: for the
+glossy ball and for the matt vase, how much the emitted colour changes between those cameras, model and truth.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from nerf_core.cameras import camera_rays
+from nerf_core.datasets import LoadOptions, load_scene
+from nerf_core.settings import RunSettings
+from nerf_core.trainer import Trainer
+from nerf_core.types import Rendering
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "assets"))
+
+import demo_scene  # noqa: E402  it lies beside the pictures that it made
+
+POINTS = 400  # surface points whose radiance is compared
+CAMERAS = 8  # training cameras that each point is looked at from
+
+
+def compare(trainer: Trainer, views: int = 3, seed: int = 0) -> dict[str, float]:
+    """Figures for the first `views` test views; lengths in scene units, colours on the [0, 1] scale of the photos."""
+    scene, rng = trainer.scene, np.random.default_rng(seed)
+    depth_errors, hits = [], []
+    for index in scene.split("test")[:views]:
+        rays = camera_rays(scene.views[index].camera, scene.near, scene.far)
+        rendered = Rendering.cat([trainer.method.render(rays)])
+        t, normal, objects = demo_scene.hit(rays.origins.double().numpy(), rays.directions.double().numpy())
+        solid = np.isfinite(t)
+        error = np.abs(rendered.depth.numpy()[solid] - t[solid])
+        depth_errors.append(np.where(np.isnan(error), scene.far - scene.near, error))  # a hole is as wrong as can be
+        points = rays.origins.numpy()[solid] + t[solid, None] * rays.directions.numpy()[solid]
+        hits.append((points, normal[solid], objects[solid]))
+    points, normals, objects = (np.concatenate(v) for v in zip(*hits, strict=True))
+    chosen = rng.choice(len(points), min(POINTS, len(points)), replace=False)
+    depth = np.concatenate(depth_errors)
+    figures = {"depth_median": float(np.median(depth)), "depth_90": float(np.percentile(depth, 90))}
+    return figures | _radiance(trainer, points[chosen], normals[chosen], objects[chosen], rng)
+
+
+def _radiance(
+    trainer: Trainer, points: np.ndarray, normals: np.ndarray, objects: np.ndarray, rng: np.random.Generator
+) -> dict[str, float]:
+    centres = np.stack([trainer.scene.views[i].camera.c2w[:, 3] for i in trainer.scene.split("train")])
+    errors: list[float] = []
+    spreads: dict[str, list[tuple[float, float]]] = {"ball": [], "vase": []}
+    names = {demo_scene.BALL: "ball", demo_scene.VASE: "vase"}
+    for point, normal, thing in zip(points, normals, objects, strict=True):
+        outgoing = _seen_from(point, normal, centres, rng)
+        if len(outgoing) < 2:
+            continue
+        count = len(outgoing)
+        truth = demo_scene.radiance(np.tile(point, (count, 1)), np.tile(normal, (count, 1)), np.full(count, thing), outgoing)
+        model = trainer.method.radiance(torch.from_numpy(point), torch.from_numpy(-outgoing)).numpy()
+        errors.append(float(np.abs(model - truth).mean()))
+        if thing in names:
+            spreads[names[thing]].append((float(model.std(0).mean()), float(truth.std(0).mean())))
+    figures = {"radiance_mean": float(np.mean(errors)), "radiance_median": float(np.median(errors))}
+    for name, pairs in spreads.items():
+        model, truth = np.mean(pairs, 0)
+        figures |= {f"{name}_spread": float(model), f"{name}_spread_truth": float(truth)}
+    return figures
+
+
+def _seen_from(point: np.ndarray, normal: np.ndarray, centres: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Unit directions (K, 3) from the point to at most CAMERAS training cameras that truly see it."""
+    towards = centres - point
+    distance = np.linalg.norm(towards, axis=-1)
+    towards = towards / distance[:, None]
+    facing = np.flatnonzero(towards @ normal > 0.2)  # a grazing view says little about a surface
+    facing = rng.permutation(facing)[: 2 * CAMERAS]
+    if len(facing) == 0:
+        return towards[:0]
+    t, _, _ = demo_scene.hit(centres[facing], -towards[facing])
+    return towards[facing[t > distance[facing] - 1e-3]][:CAMERAS]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=300.0, help="of training")
+    parser.add_argument("--downscale", type=int, default=2)
+    args = parser.parse_args()
+    trainer = Trainer(load_scene(None, LoadOptions(downscale=args.downscale)), RunSettings())
+    for goal in (0.0, args.seconds / 4, args.seconds):
+        while trainer.seconds < goal:
+            trainer.step()
+        figures = ", ".join(f"{name} {value:.4f}" for name, value in compare(trainer).items())
+        print(f"{trainer.seconds:.0f} s, step {trainer.step_count}: {figures}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

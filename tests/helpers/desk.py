@@ -1,0 +1,60 @@
+"""What a window does with a worker: sends, waits, and reads what comes back."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from nerf_core.cameras import Camera
+from nerf_core.messages import Command, Notice, OpenScene, Snapshot, Train, ViewRequest
+from nerf_core.scene import Scene
+from nerf_core.settings import RunSettings
+from nerf_core.worker import Worker
+
+PATIENCE = 60.0  # seconds; a busy machine is slow, a hanging thread is found all the same
+
+
+class Desk:
+    """A started worker; `heard` collects its notices. With a capture, its scene is open at once."""
+
+    def __init__(self, settings: RunSettings, capture: Path | None) -> None:
+        self.worker = Worker(settings)
+        self.settings, self.heard = settings, list[Notice]()
+        self.worker.start()
+        if capture is not None:
+            self.send(OpenScene(capture, settings))
+            self.until(lambda s: s.status == "ready")
+
+    def send(self, *commands: Command) -> None:
+        for command in commands:
+            self.worker.send(command)
+
+    def until(self, wanted: Callable[[Snapshot], bool]) -> Snapshot:
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end:
+            self.heard += self.worker.notices()
+            snapshot = self.worker.snapshot()
+            if wanted(snapshot):
+                return snapshot
+            time.sleep(0.005)
+        raise AssertionError(f"in vain; {self.worker.snapshot()}, {self.heard}")
+
+    def until_told(self, text: str) -> Notice:
+        self.until(lambda _: any(text in notice.text for notice in self.heard))
+        return next(notice for notice in self.heard if text in notice.text)
+
+    def trained(self, steps: int) -> Snapshot:
+        before = self.worker.snapshot().step
+        self.send(Train(steps))
+        return self.until(lambda s: s.step == before + steps and s.status != "training")
+
+
+def view_of(scene: Scene | None, stamp: int, moving: bool = False, size: int = 13) -> ViewRequest:
+    assert scene is not None
+    return ViewRequest(stamp, scene.views[0].camera.resized(size, size), moving)
+
+
+def orbit(scene: Scene | None, frames: int) -> tuple[Camera, ...]:
+    assert scene is not None
+    return tuple(scene.views[i % 6].camera for i in range(frames))

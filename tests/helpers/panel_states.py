@@ -1,0 +1,158 @@
+"""Made-up data for panels: a scene, a ray through fog to a wall, a point that glows by direction, every odd state."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+
+from nerf_core.cameras import Camera
+from nerf_core.messages import Export, History, Inspect, Notice, Preview, Snapshot, Status
+from nerf_core.probe import SPHERE_COLUMNS, SPHERE_ROWS, PassProbe, RadianceProbe, RayProbe, disc_grid
+from nerf_core.scene import Scene, View
+from viewer.state import AppState, ShownNotice
+
+
+def make_camera(eye: np.ndarray) -> Camera:
+    """Looks at the origin, z up."""
+    back = eye / np.linalg.norm(eye)
+    right = np.cross([0, 0, 1], back)
+    right /= np.linalg.norm(right)
+    return Camera(200, 150, 210, 210, 100, 75, np.column_stack([right, np.cross(back, right), back, eye]))
+
+
+def make_scene(count: int = 24) -> Scene:
+    angles = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    eyes = [4 * np.array([np.cos(a) * 0.8, np.sin(a) * 0.8, 0.6]) for a in angles]
+    views = tuple(View(f"train/r_{i}.png", make_camera(eye)) for i, eye in enumerate(eyes))
+    image = np.zeros((150, 200, 3), np.uint16)
+    splits = {"train": tuple(range(count - 4)), "test": tuple(range(count - 4, count))}
+    return Scene(
+        name="spheres", format="blender", views=views, images=(image,) * count, splits=splits, near=2.0, far=6.0,
+        background=(1, 1, 1), center=np.zeros(3), radius=1.5, up=np.array([0.0, 0, 1]), to_input=np.eye(4),
+        notes=("17 of 67 images are missing: skipped",),
+    )  # fmt: skip
+
+
+def make_pass(name: str, t: np.ndarray, surface: float, density: float) -> PassProbe:
+    """Fog before a wall at `surface`."""
+    sigma = density / (1 + np.exp(-(t - surface) * 60)) + 0.05 * np.maximum(np.sin(9 * t), 0)
+    delta = np.append(np.diff(t), 1e10)
+    alpha = 1 - np.exp(-sigma * delta)
+    transmittance = np.cumprod(np.append(1, 1 - alpha[:-1]))
+    rgb = np.stack([0.5 + 0.4 * np.sin(3 * t), 0.5 + 0.3 * np.cos(2 * t), np.full_like(t, 0.25)], -1)
+    arrays = (t, delta, sigma, alpha, transmittance, alpha * transmittance, rgb)
+    return PassProbe(name, *(a.astype(np.float32) for a in arrays))
+
+
+def make_ray(density: float = 40.0, step: int = 12_400) -> RayProbe:
+    rng = np.random.default_rng(1)
+    coarse = make_pass("coarse", np.linspace(2.02, 5.98, 64), 3.8, density)
+    fine_t = np.sort(np.concatenate([coarse.t, rng.normal(3.85, 0.06, 128)]))
+    fine = make_pass("fine", fine_t, 3.8, density)
+    if density == 0:
+        nothing = np.zeros_like(fine.sigma)
+        fine = replace(fine, sigma=nothing, alpha=nothing, weights=nothing, transmittance=nothing + 1)
+    color = fine.weights @ fine.rgb + (1 - fine.weights.sum())
+    total, accumulated = float(fine.weights.sum()), np.cumsum(fine.weights)
+    camera = make_camera(np.array([3.2, 0, 2.4]))
+    return RayProbe(
+        step=step, pixel=(412, 233), origin=camera.c2w[:, 3], direction=-camera.c2w[:, 2], near=2.0, far=6.0,
+        passes=(coarse, fine), color=color, opacity=total,
+        depth_expected=float(fine.weights @ fine.t) / total if total else None,
+        depth_median=float(fine.t[np.searchsorted(accumulated, 0.5)]) if total > 0.5 else None,
+        depth_strongest=float(fine.t[fine.weights.argmax()]),
+        rendered_color=color + 3e-8, background=np.ones(3),
+    )  # fmt: skip
+
+
+def make_radiance(ray: RayProbe) -> RadianceProbe:
+    """rgb = 0.5 + 0.5 d with d = −v."""
+    t = ray.depth_median if ray.depth_median is not None else ray.depth_strongest
+    up, azimuth0 = np.array([0.0, 0, 1]), np.array([1.0, 0, 0])
+    polar, azimuth = np.meshgrid(
+        (np.arange(SPHERE_ROWS) + 0.5) / SPHERE_ROWS * np.pi,
+        (np.arange(SPHERE_COLUMNS) + 0.5) / SPHERE_COLUMNS * 2 * np.pi,
+        indexing="ij",
+    )
+    sphere = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], -1)
+    towards = -ray.direction
+    right = np.cross(up, towards) / np.linalg.norm(np.cross(up, towards))
+    axes = np.stack([right, np.cross(towards, right), towards])
+    x, y, inside = disc_grid()
+    disc = np.stack([x[inside], y[inside], np.sqrt(1 - x[inside] ** 2 - y[inside] ** 2)], -1) @ axes
+    directions = np.concatenate([sphere.reshape(-1, 3), disc])
+    point = ray.origin + t * ray.direction
+    rgb = (0.5 - 0.5 * directions).astype(np.float32)
+    return RadianceProbe(ray.step, point, t, directions, rgb, axes, up, azimuth0)
+
+
+def make_history(last: int = 12_400) -> History:
+    step = np.arange(100, last, 100)
+    psnr = 30 - 20 * np.exp(-step / 3000) + np.random.default_rng(0).normal(0, 0.6, len(step))
+    return History(step, (10 ** (-psnr / 10)).astype(np.float32), psnr.astype(np.float32))
+
+
+def make_snapshot(status: Status = "training", density: float = 40.0) -> Snapshot:
+    ray = make_ray(density)
+    preview = Preview(
+        3, make_camera(np.array([3.2, 0, 2.4])), np.zeros((38, 50, 4), np.uint8), np.ones((38, 50), np.float32),
+        stride=4, complete=True, step=12_000, quality="coarse",
+    )  # fmt: skip
+    return Snapshot(
+        status=status, loaded=1, scene=make_scene(), method="nerf", device="CPU", step=12_400, saved_step=10_000,
+        total_steps=30_000, seconds=612.0, rays_per_second=640_123.0, seconds_left=70.2, train_share=0.62,
+        memory_bytes=512 << 20, history=make_history(), preview=preview, ray=ray, radiance=make_radiance(ray),
+        preview_rays_per_second=9_000.0,
+    )  # fmt: skip
+
+
+def make_state(snapshot: Snapshot) -> AppState:
+    state = AppState(
+        snapshot=snapshot, time=100.0, viewport_rect=(0, 0, 700, 500), checkpoint_file="run/last.safetensors"
+    )
+    if snapshot.scene is not None:
+        state.camera.set_scene(snapshot.scene)
+    if snapshot.ray is not None:
+        state.inspect = Inspect(state.camera.camera(*state.viewport), snapshot.ray.pixel)
+    return state
+
+
+def odd_ray() -> RayProbe:
+    """One pass, one sample, numbers that no plot likes."""
+    one = np.array([3.0], np.float32)
+    nan = np.array([np.nan], np.float32)
+    odd = PassProbe("packed", one, one * 1e10, nan, nan, one, nan, np.full((1, 3), np.nan, np.float32))
+    empty = replace(odd, **{name: np.zeros(0) for name in ("t", "delta", "sigma", "alpha", "transmittance", "weights")})
+    ray = make_ray(0.0)
+    return replace(ray, passes=(empty, odd), near=3.0, far=3.0, color=np.full(3, np.nan), depth_expected=None)
+
+
+def states() -> dict[str, AppState]:
+    """By name, all that a panel has to survive."""
+    full, alone = make_snapshot(), Snapshot()
+    noise = replace(full, step=3, saved_step=0, history=make_history(150), ray=None, radiance=None)
+    found = {
+        "empty": make_state(alone),
+        "loading": make_state(replace(alone, status="loading", loading="photos: 12 of 100")),
+        "first noise": make_state(noise),
+        "background": make_state(make_snapshot(density=0.0)),
+        "odd": make_state(replace(full, ray=odd_ray(), history=History(np.arange(3), np.zeros(3), np.full(3, np.nan)))),
+        "asked": make_state(replace(full, ray=None, radiance=None)),
+    }
+    for status in get_args(Status):
+        found.setdefault(status, make_state(replace(full, status=status)))
+    found["asked"].inspect = Inspect(make_camera(np.array([3.2, 0, 2.4])), (4, 5))
+    for kind in ("running", "done", "cancelled", "failed"):
+        export = Export(Path("orbit.mp4"), 12, 60, 70.0 if kind == "running" else None, kind)
+        found[f"export {kind}"] = make_state(replace(full, export=export))
+    failed = found["failed"]
+    failed.notices += [
+        ShownNotice(Notice("info", "saved run/last.safetensors", Path("run/last.safetensors")), 99),
+        ShownNotice(Notice("warning", "the loss is not a number: went back to step 12,000"), 40),
+        ShownNotice(Notice("error", "out of memory", detail="Traceback …\n  line 1"), 0),
+    ]
+    found["training"].show_help = True
+    return found

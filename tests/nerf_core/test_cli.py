@@ -1,0 +1,189 @@
+"""The `nerf-core` command: what it writes, what it says, and with which status it ends."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import imageio_ffmpeg
+import pytest
+
+from nerf_core import checkpoint
+from nerf_core.cli import main
+from nerf_core.runs import RunFolder
+
+TINY = [
+    "--method", "nerf", "--device", "cpu", "--threads", "1", "--set", "coarse_samples=8",
+    "--set", "fine_samples=8", "--set", "depth=2", "--set", "width=16",
+]  # fmt: skip
+
+
+def train(capture: Path, out: Path, *more: str, rays: int = 32) -> list[str]:
+    return ["train", str(capture), "--out", str(out), *TINY, "--set", f"rays={rays}", *more]
+
+
+def command(arguments: Sequence[str]) -> list[str]:
+    return [sys.executable, "-m", "nerf_core.cli", *arguments]
+
+
+def said(capsys: pytest.CaptureFixture[str]) -> str:
+    """The one line of an error."""
+    text = capsys.readouterr().err
+    assert text.startswith("nerf-core: ")
+    assert text.count("\n") == 1
+    return text
+
+
+def test_train_eval_render(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "run"
+    assert main(train(capture, out, "--steps", "3")) == 0
+    assert "finished: step 3 after" in capsys.readouterr().out
+    assert sorted(p.name for p in out.iterdir()) == [".lock", "checkpoints", "config.json", "log.jsonl"]
+
+    assert main(train(capture, out, "--steps", "3")) == 2
+    assert f"{out}: holds a run already" in said(capsys)
+
+    assert main(train(capture, out, "--steps", "5", "--resume")) == 0
+    told = capsys.readouterr().out
+    assert f"continuing {out} at step 3" in told
+    assert "finished: step 5" in told
+
+    assert main(["eval", str(out)]) == 0
+    assert "LPIPS not computed" in capsys.readouterr().out
+    metrics = json.loads((out / "metrics.json").read_text(encoding="utf-8"))
+    assert set(metrics) == {"mean", "images", "split", "method", "step", "seconds"}
+    assert set(metrics["mean"]) == {"psnr", "ssim", "lpips"}
+    assert [set(image) for image in metrics["images"]] == [{"name", "psnr", "ssim", "lpips"}]
+    assert (metrics["split"], metrics["step"]) == ("test", 5)
+    assert (out / "eval" / metrics["images"][0]["name"]).is_file()
+
+    film = tmp_path / "orbit.mp4"
+    assert main(["render", str(out), "--out", str(film), "--frames", "3", "--fps", "10", "--png-frames"]) == 0
+    assert imageio_ffmpeg.count_frames_and_secs(str(film))[0] == 3
+    assert len(list((tmp_path / "orbit_frames").iterdir())) == 3
+
+
+def test_resumed_by_the_command_is_bit_identical(capture: Path, tmp_path: Path) -> None:
+    straight, parts = tmp_path / "straight", tmp_path / "parts"
+    assert main(train(capture, straight, "--steps", "6")) == 0
+    # The clock ends the first part: how many steps it has done does not matter, the schedule spans 6.
+    assert main(train(capture, parts, "--steps", "6", "--seconds", "0.0001")) == 0
+    assert RunFolder(parts).checkpoints()[-1].stem < "step_00000006"
+    assert main(["train", "--out", str(parts), "--resume"]) == 0
+    one, other = (checkpoint.newest(path) for path in (straight, parts))
+    assert one[1]["step"] == other[1]["step"] == 6
+    assert [name for name, value in one[2].items() if not value.equal(other[2][name])] == []
+
+
+def test_the_demo_scene_needs_no_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["train", *TINY, "--set", "rays=32", "--max-size", "20", "--steps", "1"]) == 0
+    assert "training nerf on demo" in capsys.readouterr().out
+    assert (tmp_path / "runs" / "demo-nerf" / "config.json").is_file()
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (["--steps", "0"], "--steps 0"),
+        (["--set", "rays"], "--set 'rays': write NAME=VALUE"),
+        (["--set", "wings=2"], "--set 'wings': method nerf has no such constant"),
+        (["--method", "magic"], "unknown method 'magic': choose one of"),
+        (["--format", "doc"], "unknown dataset format 'doc': choose one of"),
+        (["--downscale", "0"], "--downscale is 0"),
+        (["--device", "abacus"], "--device abacus: choose auto, cpu, cuda or cuda:N"),
+        (["--save-every", "0"], "--save-every 0.0: give a number above 0"),
+        (["--resume"], "not a run: it has no config.json"),
+    ],
+)
+def test_wrong_options_are_one_line(
+    options: list[str], text: str, capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["train", str(capture), "--out", str(tmp_path / "run"), *options]) == 2
+    assert text in said(capsys)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["eval", "none"], "none: not a run: it has no config.json"),
+        (["render", "none", "--out", "a.gif"], "--out a.gif: only MP4 is written"),
+        (["render", "none", "--out", "a.mp4", "--path", "test", "--radius", "2"], "belong to --path orbit"),
+        (["train", "none", "--out", "out"], "none does not exist: name the folder of a dataset"),
+    ],
+)
+def test_wrong_arguments_are_one_line(
+    arguments: list[str],
+    text: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    assert text in said(capsys)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("arguments", [["train", "--steps", "many"], ["train", "--wings"], ["eval"], ["fly"], []])
+def test_what_cannot_be_parsed_exits_2(arguments: list[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(arguments)
+    assert caught.value.code == 2
+
+
+def test_diverged_exits_1(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(train(capture, tmp_path / "run", "--steps", "50", "--set", "learning_rate=1e30")) == 1
+    assert "went back to step 0 and saved it" in said(capsys)
+    assert checkpoint.newest(tmp_path / "run")[1]["step"] == 0
+
+
+def test_two_instances(capture: Path, tmp_path: Path) -> None:
+    with RunFolder(tmp_path).claimed():
+        done = subprocess.run(command(train(capture, tmp_path)), capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == (
+        f"nerf-core: {tmp_path}: another process trains in this folder: wait for it or choose another --out\n"
+    )
+
+
+def started(arguments: Sequence[str]) -> subprocess.Popen[str]:
+    """The command, running for real, as soon as it has said its first line."""
+    process = subprocess.Popen(command(arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stdout.readline().startswith("training nerf"), process.communicate()
+    return process
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_signals_save_and_exit(number: signal.Signals, status: int, capture: Path, tmp_path: Path) -> None:
+    # a step of milliseconds, and one of minutes, so that it is certainly given up in the middle
+    for rays in (32, 200_000):
+        out = RunFolder(tmp_path / str(rays))
+        process = started(train(capture, out.path, rays=rays))
+        process.send_signal(number)
+        output, errors = process.communicate(timeout=60)
+        assert (process.returncode, errors) == (status, "")
+        assert "stopped: step" in output
+        assert out.restore()[0].step_count == checkpoint.newest(out.path)[1]["step"]
+
+
+def test_a_cancelled_render_leaves_no_file(capture: Path, tmp_path: Path) -> None:
+    out, films = tmp_path / "run", tmp_path / "films"
+    assert main(train(capture, out, "--steps", "1")) == 0
+    arguments = ["render", str(out), "--out", str(films / "a.mp4"), "--frames", "100000"]
+    process = subprocess.Popen(command(arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    while process.poll() is None and not (films.exists() and list(films.iterdir())):
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert (process.returncode, errors) == (130, "nerf-core: interrupted (SIGINT)\n")
+    assert list(films.iterdir()) == []

@@ -1,0 +1,183 @@
+"""One ray and one point, opened up, against fields that are known in closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+
+from nerf_core.errors import UserError
+from nerf_core.methods.nerf import Nerf
+from nerf_core.nerf_config import NerfConfig
+from nerf_core.probe import SPHERE_COLUMNS, SPHERE_ROWS, RadianceProbe, RayProbe, disc_grid, open_radiance, open_ray
+from nerf_core.render import render_camera
+from nerf_core.scene import Scene
+from nerf_core.trainer import Trainer
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+class Ball(nn.Module):
+    """A ball of constant density whose colour says which way it is looked at: rgb = 0.5 + 0.5·d."""
+
+    def __init__(self, density: float = 200.0, radius: float = 1.0) -> None:
+        super().__init__()
+        self.value, self.radius = density, radius
+
+    def encode_directions(self, directions: Tensor) -> Tensor:
+        return directions
+
+    def geometry(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        return torch.where(x.norm(dim=-1) < self.radius, self.value, -1.0), x
+
+    def color(self, trunk: Tensor, encoded: Tensor) -> Tensor:
+        return (0.5 + 0.5 * encoded).expand(len(trunk), 3)
+
+    def forward(self, x: Tensor, encoded: Tensor) -> tuple[Tensor, Tensor]:
+        raw, trunk = self.geometry(x)
+        return raw, self.color(trunk, encoded)
+
+
+def ball_method(scene: Scene, **field: float) -> Nerf:
+    """The real method with the closed form in the place of its networks."""
+    method = Nerf(scene, NerfConfig(depth=1, width=4, tile=32), torch.device("cpu"), 0)
+    method.networks = {name: Ball(**field) for name in method.networks}  # type: ignore[assignment]  # no MLP, by intent
+    return method
+
+
+def test_an_opaque_ball_is_seen_where_it_is(scene: Scene) -> None:
+    camera = scene.views[0].camera
+    ray = open_ray(ball_method(scene), scene, camera, (8, 8), step=3)
+    o, d = ray.origin.astype(float), ray.direction.astype(float)
+    surface = -(o @ d) - np.sqrt((o @ d) ** 2 - o @ o + 1)
+    spacing = 4 / 63
+    assert ray.opacity == pytest.approx(1, abs=1e-4)
+    for depth in (ray.depth_median, ray.depth_expected, ray.depth_strongest):
+        assert depth == pytest.approx(surface, abs=spacing)
+    np.testing.assert_allclose(ray.color, 0.5 + 0.5 * d, atol=1e-4)
+    assert (ray.step, ray.pixel) == (3, (8, 8))
+    assert [p.name for p in ray.passes] == ["coarse", "fine"]
+
+
+def test_a_ray_past_the_ball_hits_nothing(scene: Scene) -> None:
+    ray = open_ray(ball_method(scene), scene, scene.views[0].camera, (0, 0), step=0)
+    assert ray.opacity == 0
+    assert ray.depth_expected is None
+    assert ray.depth_median is None
+    np.testing.assert_array_equal(ray.color, scene.background)
+    assert np.isfinite(ray.depth_strongest)
+
+
+def test_a_thin_medium_has_a_mean_but_no_median(scene: Scene) -> None:
+    ray = open_ray(ball_method(scene, density=0.1), scene, scene.views[0].camera, (8, 8), step=0)
+    assert 0.15 < ray.opacity < 0.2  # 1 − exp(−0.1 · 2)
+    assert ray.depth_median is None
+    assert ray.depth_expected is not None
+    last = ray.passes[-1]
+    assert ray.depth_strongest == last.t[np.argmax(last.weights)]
+
+
+def test_the_median_is_where_half_of_the_light_has_come_from(scene: Scene) -> None:
+    ray = open_ray(ball_method(scene, density=1.0), scene, scene.views[0].camera, (8, 8), step=0)
+    last = ray.passes[-1]
+    total = 0.0
+    for t, w in zip(last.t, last.weights, strict=True):
+        total += float(w)
+        if total >= 0.5:
+            assert ray.depth_median == t
+            break
+    else:
+        pytest.fail("the opacity never reached a half")
+
+
+def test_the_opened_pixel_is_the_pixel_of_the_full_picture(make_trainer: Callable[..., Trainer], scene: Scene) -> None:
+    trainer, camera = make_trainer(tile=37), scene.views[5].camera
+    for _ in range(3):
+        trainer.step()
+    color, depth = render_camera(trainer.method, camera, scene)
+    for column, row in [(0, 0), (8, 8), (15, 15), (5, 2)]:
+        ray = open_ray(trainer.method, scene, camera, (column, row), trainer.step_count)
+        np.testing.assert_array_equal(ray.rendered_color, color[row, column])
+        np.testing.assert_allclose(ray.color, ray.rendered_color, atol=1e-5)
+        assert ray.depth_expected == pytest.approx(float(depth[row, column]))
+        for samples in ray.passes:
+            for name, value in vars(samples).items():
+                assert name == "name" or np.isfinite(value).all(), name
+
+
+@pytest.mark.parametrize("pixel", [(16, 0), (0, -1), (3, 16)])
+def test_a_pixel_outside_is_told(scene: Scene, pixel: tuple[int, int]) -> None:
+    with pytest.raises(UserError, match=rf"pixel {pixel[0]}, {pixel[1]} lies outside the 16×16 picture"):
+        open_ray(ball_method(scene), scene, scene.views[0].camera, pixel, 0)
+
+
+# ---- radiance -----------------------------------------------------------------------------------------------------
+
+
+def opened(scene: Scene, pixel: tuple[int, int] = (9, 6), **field: float) -> tuple[RayProbe, RadianceProbe]:
+    method, camera = ball_method(scene, **field), scene.views[2].camera
+    ray = open_ray(method, scene, camera, pixel, 0)
+    return ray, open_radiance(method, scene, ray, camera.c2w[:, 1])
+
+
+def test_the_plot_is_over_the_way_to_the_viewer(scene: Scene) -> None:
+    """The network is given d, camera to point: a field of 0.5 + 0.5·d shows 0.5 − 0.5·v."""
+    _, radiance = opened(scene)
+    assert len(radiance.directions) >= 2048
+    np.testing.assert_allclose(np.linalg.norm(radiance.directions, axis=-1), 1, atol=1e-12)
+    np.testing.assert_allclose(radiance.rgb, 0.5 - 0.5 * radiance.directions, atol=1e-6)
+
+
+def test_towards_the_viewer_the_point_emits_what_the_pixel_shows(scene: Scene) -> None:
+    ray, radiance = opened(scene)
+    np.testing.assert_allclose(radiance.axes[2], -ray.direction, atol=1e-6)
+    centre = radiance.disc_image()[28, 28]
+    np.testing.assert_allclose(centre[:3], ray.color, atol=1e-3)
+    assert centre[3] == 1
+
+
+def test_the_point_is_the_median_else_the_strongest_sample_else_what_is_asked(scene: Scene) -> None:
+    for density in (200.0, 0.1):
+        ray, radiance = opened(scene, density=density)
+        assert radiance.t == (ray.depth_median if density > 1 else ray.depth_strongest)
+        np.testing.assert_allclose(radiance.point, ray.origin + radiance.t * ray.direction, atol=1e-6)
+    asked = open_radiance(ball_method(scene), scene, ray, UP, point_t=3.25)
+    assert asked.t == 3.25
+
+
+def test_maps_and_positions_agree(scene: Scene) -> None:
+    _, radiance = opened(scene)
+    sphere = radiance.sphere_image()
+    for k in range(0, SPHERE_ROWS * SPHERE_COLUMNS, 97):
+        x, y = radiance.sphere_position(radiance.directions[k])
+        row, column = divmod(k, SPHERE_COLUMNS)
+        assert (x * SPHERE_COLUMNS, y * SPHERE_ROWS) == pytest.approx((column + 0.5, row + 0.5))
+        np.testing.assert_array_equal(sphere[row, column], radiance.rgb[k])
+    x, y, inside = disc_grid()
+    image = radiance.disc_image()
+    for direction, at in zip(radiance.directions[SPHERE_ROWS * SPHERE_COLUMNS :], np.argwhere(inside), strict=True):
+        row, column = at
+        assert radiance.disc_position(direction) == pytest.approx((x[row, column], y[row, column]))
+        np.testing.assert_allclose(image[row, column, :3], 0.5 - 0.5 * direction, atol=1e-6)
+    assert (image[~inside] == 0).all()
+    assert y[0, 0] > 0  # row 0 is the top
+    assert radiance.disc_position(-radiance.axes[2]) is None
+
+
+def test_frames_are_right_handed_also_when_the_camera_looks_along_the_axis(scene: Scene) -> None:
+    camera = scene.views[0].camera
+    above = camera.moved(np.array([[1.0, 0, 0, 0.05], [0, 1, 0, 0.05], [0, 0, 1, 4]]))
+    scene = replace(scene, up=np.array([0.0, 0.0, 2.0]))
+    method = ball_method(scene)
+    ray = open_ray(method, scene, above, (8, 8), 0)
+    for up in (above.c2w[:, 1], ray.direction.astype(float)):
+        radiance = open_radiance(method, scene, ray, up)
+        np.testing.assert_allclose(radiance.axes @ radiance.axes.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(radiance.axes) == pytest.approx(1)
+        np.testing.assert_allclose(radiance.up, [0, 0, 1])
+        assert radiance.up @ radiance.azimuth0 == pytest.approx(0, abs=1e-12)
+        assert np.isfinite(radiance.directions).all()

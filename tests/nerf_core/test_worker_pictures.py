@@ -1,0 +1,139 @@
+"""What the worker draws beside training: previews, an opened ray, films; and weights that do not care who watches."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from desk import Desk, orbit, view_of
+
+from nerf_core import checkpoint
+from nerf_core.datasets import load_scene
+from nerf_core.messages import (
+    CancelExport,
+    ExportPath,
+    Inspect,
+    SaveCheckpoint,
+    SetShare,
+    StopInspecting,
+    Train,
+)
+from nerf_core.render import render_camera, to_bytes
+from nerf_core.scene import Scene
+from nerf_core.settings import RunSettings
+from nerf_core.trainer import Trainer
+
+OpenDesk = Callable[..., Desk]
+
+
+@pytest.fixture
+def on_disk(capture: Path, tiny: RunSettings) -> Scene:
+    return load_scene(capture, tiny.load)
+
+
+def plain(scene: Scene, settings: RunSettings, steps: int) -> Trainer:
+    """The same run without a worker."""
+    trainer = Trainer(scene, settings)
+    for _ in range(steps):
+        trainer.step()
+    return trainer
+
+
+def test_a_picture_sharpens_until_it_is_the_renderers(open_desk: OpenDesk, on_disk: Scene, tiny: RunSettings) -> None:
+    desk = open_desk()
+    desk.trained(2)
+    wanted = view_of(on_disk, stamp=7)
+    desk.worker.request_view(wanted)
+    shown = desk.until(lambda s: s.preview is not None and s.preview.stamp == 7 and s.preview.complete).preview
+    assert shown is not None
+    assert (shown.stride, shown.step, shown.quality, shown.camera) == (1, 2, "fine", wanted.camera)
+    color, depth = render_camera(plain(on_disk, tiny, 2).method, wanted.camera, on_disk)
+    difference = shown.rgba[..., :3].astype(int) - to_bytes(color)
+    assert np.abs(difference).max() <= 1  # a value between two levels may round either way
+    rows, columns = np.mgrid[:13, :13]
+    x, y = (columns + 0.5 - 6.5) / wanted.camera.fx, (rows + 0.5 - 6.5) / wanted.camera.fy
+    np.testing.assert_allclose(shown.depth, depth / np.sqrt(x * x + y * y + 1), rtol=1e-4)
+
+
+def test_the_newest_view_counts(open_desk: OpenDesk) -> None:
+    desk = open_desk()
+    scene = desk.worker.snapshot().scene
+    desk.send(SetShare(0.3), Train())
+    for stamp in range(1, 30):
+        desk.worker.request_view(view_of(scene, stamp, moving=stamp < 29))
+        time.sleep(0.003)
+    shown = desk.until(lambda s: s.preview is not None and s.preview.stamp == 29)
+    assert shown.wanted_share == 0.3
+    step = shown.step
+    desk.until(lambda s: s.step > step and s.preview is not None and s.preview.complete and s.preview.step > step)
+
+
+def test_an_opened_ray_stays_live(open_desk: OpenDesk) -> None:
+    desk = open_desk()
+    scene = desk.worker.snapshot().scene
+    assert scene is not None
+    camera = scene.views[0].camera
+    desk.send(Inspect(camera, (8, 8)))
+    desk.until(lambda s: s.ray is not None and s.ray.pixel == (8, 8) and s.ray.step == 0)
+    desk.send(Train())
+    shown = desk.until(lambda s: s.ray is not None and s.ray.step > 0)
+    assert shown.ray is not None
+    assert shown.radiance is not None
+    np.testing.assert_allclose(shown.ray.color, shown.ray.rendered_color, atol=1e-5)
+    desk.send(Inspect(camera, (3, 4), point_t=3.5))
+    moved = desk.until(lambda s: s.ray is not None and s.ray.pixel == (3, 4))
+    assert moved.radiance is not None
+    assert moved.radiance.t == 3.5
+    desk.send(Inspect(camera, (99, 0)))
+    assert desk.until_told("pixel 99, 0 lies outside the 16×16 picture").level == "error"
+    desk.send(StopInspecting())
+    desk.until(lambda s: s.ray is None and s.radiance is None and s.status == "training")
+
+
+def test_watched_or_not_the_weights_are_the_same(
+    open_desk: OpenDesk, on_disk: Scene, tiny: RunSettings, tmp_path: Path
+) -> None:
+    desk = open_desk()
+    desk.send(Inspect(on_disk.views[0].camera, (8, 8)), Train(12))
+    for stamp in range(1, 200):
+        desk.worker.request_view(view_of(on_disk, stamp, moving=stamp % 5 > 0))
+        time.sleep(0.005)
+        if desk.worker.snapshot().step == 12:
+            break
+    desk.until(lambda s: s.step == 12 and s.status == "paused")
+    desk.send(SaveCheckpoint(tmp_path / "watched.safetensors"))
+    desk.until_told("saved step 12")
+    state, alone = checkpoint.load(tmp_path / "watched.safetensors")[1], plain(on_disk, tiny, 12).state()
+    assert state.keys() == alone.keys()
+    assert [name for name in alone if not torch.equal(state[name], alone[name])] == []
+
+
+def test_a_film_is_made_while_training_goes_on(open_desk: OpenDesk, tmp_path: Path) -> None:
+    desk, film = open_desk(), tmp_path / "orbit.mp4"
+    desk.send(Train(), ExportPath(orbit(desk.worker.snapshot().scene, 3), 30.0, film, frames=True))
+    shown = desk.until(lambda s: s.export is not None and s.export.state == "done")
+    assert shown.export is not None
+    assert shown.export.done == shown.export.total > 0
+    assert shown.step > 0
+    assert desk.until_told("exported").path == film
+    assert film.stat().st_size > 500
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["orbit.mp4", "orbit_frames"]
+    assert sorted(p.name for p in (tmp_path / "orbit_frames").iterdir()) == ["00000.png", "00001.png", "00002.png"]
+
+
+def test_a_cancelled_film_leaves_nothing(open_desk: OpenDesk, tmp_path: Path) -> None:
+    desk = open_desk()
+    scene = desk.worker.snapshot().scene
+    desk.send(ExportPath(orbit(scene, 5000), 30.0, tmp_path / "long.mp4"))
+    desk.until(lambda s: s.export is not None and s.export.state == "running" and s.export.done > 3)
+    desk.send(ExportPath(orbit(scene, 1), 30.0, tmp_path / "second.mp4"))
+    desk.until_told("long.mp4 is running: cancel it or wait for it")
+    desk.send(CancelExport())
+    desk.until(lambda s: s.export is not None and s.export.state == "cancelled")
+    assert list(tmp_path.iterdir()) == []
+    desk.send(ExportPath(orbit(scene, 1), 30.0, tmp_path / "second.mp4"))
+    desk.until(lambda s: s.export is not None and s.export.state == "done")

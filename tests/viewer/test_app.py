@@ -1,0 +1,509 @@
+"""The whole window, driven by injected input, against a worker that answers in closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+import scripted
+from imgui_bundle import imgui, implot
+from PIL import Image
+
+from nerf_core.errors import UserError
+from nerf_core.messages import (
+    CancelExport,
+    ExportPath,
+    Inspect,
+    Notice,
+    OpenScene,
+    Pause,
+    Reset,
+    SaveCheckpoint,
+    Snapshot,
+    Train,
+)
+from viewer.actions import orbit_export
+from viewer.app import App
+from viewer.panels import PANELS, Ui
+from viewer.state import Action, AppState, GoToView, OrbitForm, SaveScreenshot, SetPointDepth
+from viewer.window import Window
+
+Start = Callable[..., tuple[App, scripted.ScriptedWorker]]
+Offscreen = Callable[..., Window]
+
+
+SIZE = (840, 620)
+
+
+class Clock:
+    """Every look at it is one frame of 60 Hz later."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+
+    def __call__(self) -> float:
+        self.now += 1 / 60
+        return self.now
+
+
+@pytest.fixture
+def start(offscreen: Offscreen) -> Iterator[Start]:
+    apps: list[App] = []
+
+    def open_app(
+        size: tuple[int, int] = SIZE, *, scene: bool = True, **options: object
+    ) -> tuple[App, scripted.ScriptedWorker]:
+        worker = scripted.ScriptedWorker(scripted.make_scene() if scene else None)
+        app = App(offscreen(size), worker, time=Clock(), **options)  # pyright: ignore[reportArgumentType]
+        apps.append(app)
+        app.settle(4)
+        return app, worker
+
+    yield open_app
+    for app in apps:
+        app.close()
+
+
+def middle(app: App) -> tuple[float, float]:
+    left, top, right, bottom = app.widgets["viewport"]
+    return float((left + right) // 2), float((top + bottom) // 2)
+
+
+def rest(app: App) -> None:
+    """Until the camera no longer counts as moving."""
+    app.settle(15)
+
+
+# ---- the picture ----------------------------------------------------------------------------------------------------
+
+
+def test_the_preview_is_shown_pixel_for_pixel(start: Start) -> None:
+    app, worker = start()
+    app.state.show_samples = False
+    rest(app)
+    preview = worker.current.preview
+    assert preview is not None
+    left, top, right, bottom = (int(v) for v in app.widgets["viewport"])
+    assert (preview.camera.width, preview.camera.height) == (right - left, bottom - top) == app.state.viewport
+    np.testing.assert_array_equal(app.pixels()[top:bottom, left:right], preview.rgba[..., :3])
+    assert not app.stale
+
+
+def test_a_drag_orbits_and_warps_until_the_worker_answers(start: Start) -> None:
+    app, worker = start()
+    rest(app)
+    worker.answering = False
+    before = app.state.camera.c2w()
+    x, y = middle(app)
+    app.hand.drag((x, y), (x + 80, y + 10))
+    assert not np.allclose(app.state.camera.c2w(), before)
+    assert app.stale
+    assert not worker.sent  # a drag is never a click
+    worker.answering = True
+    rest(app)
+    assert not app.stale
+
+
+def test_views_are_requested_while_moving_and_once_more_at_rest(start: Start) -> None:
+    app, worker = start()
+    rest(app)
+    count = len(worker.views)
+    rest(app)
+    assert len(worker.views) == count  # nothing changed: nothing is asked for
+    x, y = middle(app)
+    app.hand.drag((x, y), (x + 40, y))
+    rest(app)
+    asked = worker.views[count:]
+    assert [view.moving for view in asked][-2:] == [True, False]
+    assert all(view.moving for view in asked[:-1])
+    stamps = [view.stamp for view in worker.views]
+    assert stamps == sorted(set(stamps))
+    assert (asked[-1].camera.width, asked[-1].camera.height) == app.state.viewport
+
+
+@pytest.mark.parametrize(("button", "shift"), [(1, False), (0, True), (2, False)])
+def test_other_drags_pan(start: Start, button: int, shift: bool) -> None:
+    app, _ = start()
+    x, y = middle(app)
+    rotation = app.state.camera.c2w()[:, :3]
+    eye = app.state.camera.c2w()[:, 3]
+    app.hand.drag((x, y), (x + 50, y), button, shift=shift)
+    np.testing.assert_allclose(app.state.camera.c2w()[:, :3], rotation)
+    assert np.linalg.norm(app.state.camera.c2w()[:, 3] - eye) > 0.01
+
+
+def test_the_wheel_zooms_over_the_viewport_only(start: Start) -> None:
+    app, _ = start()
+    distance = app.state.camera.distance
+    x, y = middle(app)
+    app.hand.wheel(x, y, 2)
+    app.settle()
+    assert app.state.camera.distance < distance
+    distance = app.state.camera.distance
+    app.hand.wheel(SIZE[0] - 20, 400, 2)  # over a panel
+    app.settle()
+    assert app.state.camera.distance == distance
+
+
+# ---- clicks ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("slip", "clicks"), [(0, 1), (4, 1), (5, 0)])
+def test_a_click_is_a_press_and_release_within_4_pixels(start: Start, slip: int, clicks: int) -> None:
+    app, worker = start()
+    x, y = middle(app)
+    app.hand.drag((x, y), (x + slip, y), steps=1)
+    asked = [command for command in worker.sent if isinstance(command, Inspect)]
+    assert len(asked) == clicks
+    if asked:
+        left, top, _, _ = app.widgets["viewport"]
+        assert asked[0].pixel == (int(x - left), int(y - top))  # where it was pressed
+        np.testing.assert_array_equal(asked[0].camera.c2w, app.state.camera.c2w())
+        assert app.state.inspect is asked[0]
+
+
+def test_a_slip_and_return_is_a_drag(start: Start) -> None:
+    app, worker = start()
+    x, y = middle(app)
+    app.hand.move(x, y)
+    app.hand.press()
+    app.hand.move(x + 30, y)
+    app.hand.move(x, y)
+    app.hand.release()
+    app.settle()
+    assert not worker.sent
+
+
+def test_the_ray_is_drawn_where_it_was_clicked(start: Start) -> None:
+    app, _ = start()
+    rest(app)
+    plain = app.pixels()
+    x, y = middle(app)
+    app.hand.click(x, y)
+    app.hand.move(2, 2)
+    changed = (
+        np.abs(app.pixels().astype(int) - plain).max(-1)[int(y) - 30 : int(y) + 30, int(x) - 30 : int(x) + 30] > 30
+    )
+    rows, columns = np.nonzero(changed)
+    assert len(rows) > 20
+    np.testing.assert_allclose([rows.mean() - 30, columns.mean() - 30], 0, atol=3)
+    app.state.show_samples = False
+    app.settle()
+    np.testing.assert_array_equal(
+        app.pixels()[int(y) - 30 : int(y) + 30, int(x)], plain[int(y) - 30 : int(y) + 30, int(x)]
+    )
+
+
+def test_a_double_click_focuses_the_surface_under_it(start: Start) -> None:
+    app, worker = start()
+    rest(app)
+    left, top, _, _ = app.widgets["viewport"]
+    x, y = middle(app)
+    x -= 30
+    preview = worker.current.preview
+    assert preview is not None
+    camera = preview.camera
+    directions, _ = scripted.rays(camera, np.array([x - left]), np.array([y - top]))
+    distance, _ = scripted.trace(camera.c2w[:, 3], directions)
+    app.hand.double_click(x, y)
+    app.settle(30)  # the jump eases
+    expected = camera.c2w[:, 3] + distance[0] * directions[0]
+    np.testing.assert_allclose(app.state.camera.pivot, expected, atol=1e-4)
+    assert sum(isinstance(command, Inspect) for command in worker.sent) == 1  # the second click is part of the first
+
+
+def test_dragging_the_depth_asks_for_the_same_ray_again(start: Start) -> None:
+    app, worker = start()
+    app.perform(SetPointDepth(2.0))
+    assert not worker.sent  # no ray is open
+    app.hand.click(*middle(app))
+    first = app.state.inspect
+    assert first is not None
+    app.perform(SetPointDepth(2.0))
+    assert worker.sent[-1] == replace(first, point_t=2.0)
+    app.perform(SetPointDepth(None))
+    assert worker.sent[-1] == first
+
+
+# ---- keys -----------------------------------------------------------------------------------------------------------
+
+
+def test_space_trains_and_pauses_and_a_dot_makes_one_step(start: Start) -> None:
+    app, worker = start()
+    app.hand.key(imgui.Key.space)
+    app.hand.key(imgui.Key.space)
+    app.hand.key(imgui.Key.period)
+    assert worker.sent == [Train(), Pause(), Train(1)]
+
+
+def test_arrows_walk_through_the_training_photos_and_moving_leaves_them(start: Start) -> None:
+    app, worker = start()
+    scene = worker.current.scene
+    assert scene is not None
+    for expected in (0, 1, 2):
+        app.hand.key(imgui.Key.right_arrow)
+        assert app.state.current_view == expected
+    app.hand.key(imgui.Key.left_arrow)
+    app.settle(30)
+    np.testing.assert_allclose(app.state.camera.c2w(), scene.views[1].camera.c2w, atol=1e-6)
+    x, y = middle(app)
+    app.hand.drag((x, y), (x + 30, y))
+    assert app.state.current_view is None
+
+
+def test_flying_moves_the_eye_while_a_key_is_held(start: Start) -> None:
+    app, _ = start()
+    forward = -app.state.camera.c2w()[:, 2]
+    eye = app.state.camera.c2w()[:, 3]
+    app.hand.hold(imgui.Key.w, 10)
+    moved = app.state.camera.c2w()[:, 3] - eye
+    np.testing.assert_allclose(moved / np.linalg.norm(moved), forward, atol=1e-6)
+
+
+def test_tab_hides_all_but_the_viewport_and_brings_it_back(start: Start) -> None:
+    app, _ = start()
+    small = app.state.viewport
+    app.hand.key(imgui.Key.tab)
+    app.settle()
+    assert app.state.viewport[0] == SIZE[0]
+    app.hand.key(imgui.Key.tab)
+    app.settle()
+    assert app.state.viewport == small
+
+
+def test_ctrl_s_and_ctrl_e_save_and_export(start: Start) -> None:
+    app, worker = start()
+    app.state.checkpoint_file = "kept.safetensors"
+    app.state.orbit.frames, app.state.orbit.file = 5, "turn.mp4"
+    app.hand.key(imgui.Key.s, ctrl=True)
+    app.hand.key(imgui.Key.e, ctrl=True)
+    save, export = worker.sent
+    assert save == SaveCheckpoint(Path("kept.safetensors"))
+    assert isinstance(export, ExportPath)
+    assert (len(export.cameras), export.fps, export.file) == (5, 30.0, Path("turn.mp4"))
+    assert (export.cameras[0].width, export.cameras[0].height) == (40, 30)  # the training photos' size
+
+
+def test_a_text_field_has_its_keys_to_itself(start: Start) -> None:
+    app, worker = start((1000, 1200))
+    app.hand.key(imgui.Key.o, ctrl=True)  # puts the keyboard into the path's field
+    app.settle()
+    assert imgui.get_io().want_text_input
+    eye = app.state.camera.c2w()
+    app.hand.type_text("/data/w")
+    app.hand.key(imgui.Key.space)
+    app.hand.hold(imgui.Key.w, 3)
+    assert app.state.open_path == "/data/w"
+    assert not worker.sent
+    np.testing.assert_array_equal(app.state.camera.c2w(), eye)
+    app.hand.key(imgui.Key.enter)
+    app.settle()
+    asked = [command for command in worker.sent if isinstance(command, OpenScene)]
+    confirmed = app.widgets.get("scene.open_confirm")  # opening forgets 100 steps: the panel asks first
+    assert asked or confirmed
+
+
+# ---- what goes wrong ------------------------------------------------------------------------------------------------
+
+
+class Faulty:
+    title = "Faulty"
+    dock: Literal["right"] = "right"
+    order = 0
+    broken = True
+
+    def draw(self, ui: Ui, state: AppState) -> list[Action]:
+        imgui.begin_child("left open")
+        imgui.push_style_color(imgui.Col_.text, ui.theme.error)
+        implot.begin_plot("left open too")
+        if self.broken:
+            raise RuntimeError("no luck")
+        implot.end_plot()
+        imgui.pop_style_color()
+        imgui.end_child()
+        return []
+
+
+class Sound:
+    title = "Sound"
+    dock: Literal["right"] = "right"
+    order = 1
+    drawn = 0
+
+    def draw(self, ui: Ui, state: AppState) -> list[Action]:
+        self.drawn += 1
+        if implot.begin_plot("mine"):
+            implot.end_plot()
+        imgui.button("Cancel")
+        ui.mark("sound.cancel")
+        return [CancelExport()] if imgui.is_item_clicked() else []
+
+
+def test_a_panel_that_fails_tells_once_and_spares_the_others(start: Start) -> None:
+    faulty, sound = Faulty(), Sound()
+    app, worker = start(panels=[faulty, sound])
+    drawn = sound.drawn
+    app.settle(10)
+    assert sound.drawn == drawn + 10
+    told = [shown.notice for shown in app.state.notices]
+    assert len(told) == 1
+    assert told[0].level == "error"
+    assert "the panel Faulty failed (RuntimeError: no luck)" in told[0].text
+    assert "Traceback" in told[0].detail
+    left, top, right, bottom = app.widgets["sound.cancel"]
+    app.hand.click((left + right) / 2, (top + bottom) / 2)
+    assert worker.sent == [CancelExport()]
+    faulty.broken = False
+    left, top, right, bottom = app.widgets["Faulty.retry"]
+    app.hand.click((left + right) / 2, (top + bottom) / 2)
+    app.settle()
+    assert "Faulty.retry" not in app.widgets
+
+
+def test_the_workers_notices_are_kept_with_their_time(start: Start) -> None:
+    app, worker = start()
+    worker.waiting_notices = [Notice("warning", "3 images are missing")]
+    app.frame()
+    assert app.state.notices[-1].notice.text == "3 images are missing"
+    assert app.state.notices[-1].born == app.state.time
+
+
+def test_an_impossible_orbit_is_a_notice(start: Start) -> None:
+    app, worker = start()
+    app.state.orbit.file = " "
+    app.hand.key(imgui.Key.e, ctrl=True)
+    assert not worker.sent
+    assert app.state.notices[-1].notice == Notice("error", "the orbit has no file name: give one that ends in .mp4")
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [("radius", -1.0, "radius of -1"), ("elevation_degrees", 100.0, "elevation of 100"), ("fps", 0.0, "0 frames")],
+)
+def test_export_forms_are_checked(field: str, value: float, words: str) -> None:
+    with pytest.raises(UserError, match=words):
+        orbit_export(scripted.make_scene(), replace(OrbitForm(), **{field: value}))
+
+
+def test_a_screenshot_that_cannot_be_written_is_a_notice(start: Start, tmp_path: Path) -> None:
+    app, _ = start()
+    app.perform(SaveScreenshot(tmp_path / "shot.png"))
+    app.settle(1)
+    with Image.open(tmp_path / "shot.png") as image:
+        assert image.size == SIZE
+    app.perform(SaveScreenshot(tmp_path / "shot.png" / "below.png"))
+    app.settle(1)
+    assert [shown.notice.level for shown in app.state.notices] == ["info", "error"]
+
+
+@pytest.mark.parametrize("size", [(0, 0), (1, 1), (60, 40), (320, 200), (2600, 300)])
+def test_no_size_is_too_odd(start: Start, size: tuple[int, int]) -> None:
+    app, _ = start()
+    app.window.resize(*size)
+    app.settle(4)
+    assert app.frame(force=True) == (size != (0, 0))
+    app.window.resize(900, 600)
+    app.settle(4)
+    assert app.state.viewport[0] > 100
+
+
+@pytest.mark.parametrize("status", ["empty", "loading", "ready", "training", "paused", "finished", "failed"])
+def test_every_state_draws_with_and_without_a_scene(start: Start, status: str) -> None:
+    app, worker = start(scene=False)
+    worker.current = replace(Snapshot(), status=status, loading="loading photos: 3 of 10")  # pyright: ignore[reportArgumentType]
+    app.settle()
+    worker.current = replace(scripted.ScriptedWorker(scripted.make_scene()).current, status=status)
+    app.settle()
+    assert not app.state.notices
+
+
+def test_a_new_scene_closes_the_ray_and_moves_the_camera(start: Start) -> None:
+    app, worker = start()
+    app.hand.click(*middle(app))
+    app.perform(GoToView(3))
+    app.settle(30)
+    worker.current = replace(worker.current, loaded=2, ray=None, radiance=None)
+    app.settle()
+    assert app.state.inspect is None
+    assert app.state.current_view is None
+    scene = worker.current.scene
+    assert scene is not None
+    np.testing.assert_allclose(app.state.camera.c2w()[:, 3], scene.views[0].camera.c2w[:, 3])
+
+
+# ---- frames ---------------------------------------------------------------------------------------------------------
+
+
+def test_an_idle_window_draws_nothing(start: Start) -> None:
+    app, _ = start()
+    app.settle(5)
+    drew = [app.frame() for _ in range(180)]  # three seconds
+    assert any(drew[:60])  # what the last input left to settle
+    assert not any(drew[90:])
+
+
+def test_live_figures_are_drawn_seldom(start: Start) -> None:
+    app, worker = start()
+    for _ in range(90):
+        app.frame()
+    drew = 0
+    for k in range(240):
+        worker.current = replace(worker.current, step=200 + k)
+        drew += app.frame()
+    assert 3 <= drew <= 10  # offscreen, in 4 to 8 seconds of the clock, which also moves when the app looks twice
+
+
+def test_both_kinds_of_window_show_the_same(window: Window) -> None:
+    for _ in range(10):
+        window.poll(0.01)
+    worker = scripted.ScriptedWorker(scripted.make_scene())
+    app = App(window, worker, time=Clock())
+    app.settle(4)
+    assert app.state.has_display == window.has_display
+    left, top, right, bottom = (int(v) for v in app.widgets["viewport"])
+    app.hand.drag((left + 50, top + 50), (left + 80, top + 60))
+    app.settle(15)
+    assert worker.current.preview is not None
+    shown = app.pixels()[top:bottom, left:right]
+    app.close()
+    np.testing.assert_array_equal(shown, worker.current.preview.rgba[..., :3])
+
+
+def test_run_ends_when_asked_or_closed(start: Start) -> None:
+    app, _ = start()
+    turns = iter(range(100))
+    app.run(until=lambda: next(turns) == 5)
+    assert next(turns) == 6
+    app.window.request_close()
+    app.run()
+
+
+def test_reset_asks_first(start: Start) -> None:
+    app, worker = start()
+    for name in ("bar.reset", "bar.reset_confirm"):
+        left, top, right, bottom = app.widgets[name]
+        assert not worker.sent
+        app.hand.click((left + right) / 2, (top + bottom) / 2)
+    assert worker.sent == [Reset()]
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.5, 3.0])
+def test_lengths_follow_the_scale(offscreen: Offscreen, scale: float) -> None:
+    width, height = round(1000 * scale), round(700 * scale)
+    app = App(offscreen((width, height), scale), scripted.ScriptedWorker(scripted.make_scene()), time=Clock())
+    app.settle(5)
+    left, top, right, bottom = (v / scale for v in app.widgets["viewport"])
+    app.close()
+    np.testing.assert_allclose([left, top, right, bottom], [0, 22, 655, 413], atol=14)
+
+
+def test_every_registered_panel_was_drawn(start: Start) -> None:
+    app, _ = start((1600, 1000))
+    app.hand.click(*middle(app))
+    app.settle()
+    assert PANELS.names()
+    assert not app.state.notices  # a panel that fails would have told

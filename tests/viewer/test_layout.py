@@ -1,0 +1,115 @@
+"""Where the docks are remembered, and what happens when that file is no good."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import scripted
+
+from viewer.app import App
+from viewer.layout import HEADER
+from viewer.window import Window
+
+Offscreen = Callable[..., Window]
+SIZE = (1000, 700)
+
+
+Open = Callable[[Path | None], App]
+
+
+@pytest.fixture
+def opened(offscreen: Offscreen) -> Iterator[Open]:
+    """Opens apps, one at a time, and closes what a failed test leaves."""
+    apps: list[App] = []
+
+    def open_app(file: Path | None) -> App:
+        clock = itertools.count(100.0, 0.5)  # imgui waits 5 seconds after a change before it asks to be saved
+        worker = scripted.ScriptedWorker(scripted.make_scene())
+        app = App(offscreen(SIZE), worker, layout_file=file, time=lambda: next(clock))
+        apps.append(app)
+        app.settle(5)
+        return app
+
+    yield open_app
+    for app in apps:
+        app.close()
+
+
+def viewport_of(app: App) -> tuple[float, ...]:
+    return app.widgets["viewport"]
+
+
+def move_the_divider(app: App) -> None:
+    """Between the viewport and the right column."""
+    _, top, right, bottom = viewport_of(app)
+    edge, middle = right + 2, (top + bottom) / 2
+    app.hand.drag((edge, middle), (edge - 120, middle))
+    app.settle(5)
+
+
+def test_the_layout_survives_a_restart(opened: Open, tmp_path: Path) -> None:
+    file = tmp_path / "deep" / "layout.ini"
+    app = opened(file)
+    before = viewport_of(app)
+    move_the_divider(app)
+    moved = viewport_of(app)
+    assert moved[2] < before[2] - 100
+    app.close()
+    again = opened(file)
+    assert viewport_of(again) == pytest.approx(moved, abs=2)
+    assert not again.state.notices
+    again.close()
+
+
+@pytest.mark.parametrize("damage", ["cut", "binary", "foreign", "edited"])
+def test_a_damaged_file_is_kept_aside_and_the_default_shown(opened: Open, tmp_path: Path, damage: str) -> None:
+    file = tmp_path / "layout.ini"
+    app = opened(file)
+    default = viewport_of(app)
+    move_the_divider(app)
+    app.close()
+    text = file.read_text("utf-8")
+    broken = {
+        "cut": text[: len(text) // 2].encode(),
+        "binary": b"\xff\xfe\x00junk",
+        "foreign": b"[Window][Debug]\nPos=1,1\n",
+        "edited": text.replace("Size=", "Size=-", 1).encode(),
+    }[damage]
+    file.write_bytes(broken)
+    again = opened(file)
+    assert viewport_of(again) == pytest.approx(default, abs=2)
+    assert (tmp_path / "layout.bad").read_bytes() == broken
+    assert "damaged" in again.state.notices[0].notice.text
+    again.close()
+    assert file.read_text("utf-8").startswith(HEADER)
+
+
+def test_a_place_that_cannot_be_written_is_told_once(opened: Open, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    app = opened(tmp_path / "file" / "layout.ini")
+    for _ in range(2):
+        move_the_divider(app)
+        app.settle(10)
+    told = [shown.notice.text for shown in app.state.notices]
+    assert len(told) == 1
+    assert "cannot be kept" in told[0]
+
+
+def test_without_a_file_nothing_is_written(opened: Open, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    app = opened(None)
+    move_the_divider(app)
+    app.close()
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_default_comes_back_on_demand(opened: Open) -> None:
+    app = opened(None)
+    default = viewport_of(app)
+    move_the_divider(app)
+    app._layout.reset()
+    app.settle(5)
+    assert viewport_of(app) == pytest.approx(default, abs=2)

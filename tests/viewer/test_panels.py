@@ -1,0 +1,363 @@
+"""Every panel in every state, drawn without GL; and what its widgets ask for when they are clicked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from imgui_bundle import ImVec2, imgui, implot
+from panel_states import make_ray, make_snapshot, make_state, states
+
+from nerf_core.messages import (
+    CancelExport,
+    LoadCheckpoint,
+    OpenScene,
+    Pause,
+    Reset,
+    SaveCheckpoint,
+    SetShare,
+    Snapshot,
+    Status,
+    Train,
+)
+from viewer.panels import PANELS, Panel
+from viewer.state import (
+    Action,
+    AppState,
+    FocusOn,
+    FrameScene,
+    GoToView,
+    ResetView,
+    SetPointDepth,
+    StartOrbitExport,
+)
+from viewer.theme import DarkTheme
+from viewer.widgets import duration, number, rate, vector
+
+SCREEN = (1280, 800)
+
+# ---- a screen without GL ----------------------------------------------------------------------------------------
+
+
+class Screen:
+    """One panel's window, its real theme and fonts; textures are names without pixels. See `viewer.panels.Ui`."""
+
+    def __init__(self) -> None:
+        self.theme = DarkTheme()
+        self.theme.load_fonts()
+        self.theme.apply(1.0)
+        self.widgets: dict[str, tuple[float, float, float, float]] = {}
+        self.size = (420.0, 700.0)
+
+    @property
+    def em(self) -> float:
+        return self.theme.em
+
+    @property
+    def mono(self) -> imgui.ImFont:
+        return self.theme.mono
+
+    def texture(self, key: str, rgba: np.ndarray, smooth: bool = True) -> imgui.ImTextureRef:
+        assert rgba.dtype == np.uint8
+        assert rgba.ndim == 3
+        assert rgba.shape[2] == 4
+        return imgui.ImTextureRef(7)
+
+    def mark(self, name: str) -> None:
+        low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+        self.widgets[name] = (low.x, low.y, high.x, high.y)
+
+    def frame(self, panel: Panel, state: AppState) -> list[Action]:
+        self.widgets.clear()
+        imgui.new_frame()
+        imgui.set_next_window_pos(ImVec2(10, 10))
+        imgui.set_next_window_size(ImVec2(*self.size))
+        actions: list[Action] = []
+        if panel.dock == "overlay":
+            actions += panel.draw(self, state)
+        else:
+            imgui.begin(panel.title)
+            actions += panel.draw(self, state)
+            imgui.end()
+        imgui.render()
+        return actions
+
+    def click(self, panel: Panel, state: AppState, name: str) -> list[Action]:
+        self.frame(panel, state)
+        self.frame(panel, state)
+        left, top, right, bottom = self.widgets[name]
+        return self.drag(panel, state, ((left + right) / 2, (top + bottom) / 2))
+
+    def drag(self, panel: Panel, state: AppState, *places: tuple[float, float]) -> list[Action]:
+        """Press at the first place, move through the others, release at the last."""
+        io, actions = imgui.get_io(), []
+        io.add_mouse_pos_event(*places[0])
+        actions += self.frame(panel, state)
+        io.add_mouse_button_event(0, True)
+        actions += self.frame(panel, state)
+        for place in places[1:]:
+            io.add_mouse_pos_event(*place)
+            actions += self.frame(panel, state)
+        io.add_mouse_button_event(0, False)
+        return actions + self.frame(panel, state) + self.frame(panel, state)
+
+
+@pytest.fixture
+def screen(imgui_context: None) -> Iterator[Screen]:
+    implot.create_context()
+    io = imgui.get_io()
+    io.display_size = ImVec2(*SCREEN)
+    io.delta_time = 0.2  # slow hands: two clicks are no double click
+    io.backend_flags |= imgui.BackendFlags_.renderer_has_textures
+    yield Screen()
+    implot.destroy_context()
+
+
+# ---- the contract -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [(420, 700), (800, 240), (120, 90), (20, 20)])
+@pytest.mark.parametrize("name", PANELS.names())
+def test_a_panel_draws_in_every_state_and_size(screen: Screen, name: str, size: tuple[int, int]) -> None:
+    panel = PANELS.get(name)()
+    screen.size = size
+    assert panel.title
+    assert panel.dock in ("right", "bottom", "bottom_right", "overlay")
+    for state in states().values():
+        for place in ((-100.0, -100.0), (60.0, 60.0), (200.0, 120.0)):  # hovering must not fail either
+            imgui.get_io().add_mouse_pos_event(*place)
+            for _ in range(2):
+                assert all(isinstance(action, Action) for action in screen.frame(panel, state))
+
+
+def test_titles_are_unique() -> None:
+    titles = [PANELS.get(name)().title for name in PANELS.names()]
+    assert len(set(titles)) == len(titles)
+
+
+# ---- training ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("status", "widget", "action"),
+    [
+        ("paused", "training.start", Train()),
+        ("ready", "training.start", Train()),
+        ("training", "training.pause", Pause()),
+        ("paused", "training.step", Train(1)),
+        ("training", "training.save", SaveCheckpoint(Path("run/last.safetensors"))),
+    ],
+)
+def test_training_buttons(screen: Screen, status: Status, widget: str, action: Action) -> None:
+    assert screen.click(PANELS.get("training")(), make_state(make_snapshot(status)), widget) == [action]
+
+
+@pytest.mark.parametrize("widget", ["training.start", "training.step"])
+def test_a_finished_training_does_not_start_again(screen: Screen, widget: str) -> None:
+    assert screen.click(PANELS.get("training")(), make_state(make_snapshot("finished")), widget) == []
+
+
+@pytest.mark.parametrize(
+    ("panel", "widget", "action"),
+    [
+        ("training", "training.reset", Reset()),
+        ("training", "training.load", LoadCheckpoint(Path("run/last.safetensors"))),
+        ("scene", "scene.demo", OpenScene(None, None)),
+    ],
+)
+def test_what_forgets_steps_asks_first(screen: Screen, panel: str, widget: str, action: Action) -> None:
+    drawn, state = PANELS.get(panel)(), make_state(make_snapshot("paused"))
+    asked = "scene.open" if panel == "scene" else widget
+    assert screen.click(drawn, state, widget) == []
+    assert screen.click(drawn, state, f"{asked}_keep") == []
+    assert f"{asked}_confirm" not in screen.widgets
+    assert screen.click(drawn, state, widget) == []
+    assert screen.click(drawn, state, f"{asked}_confirm") == [action]
+    assert f"{asked}_confirm" not in screen.widgets
+
+
+def test_saved_steps_are_replaced_without_a_question(screen: Screen) -> None:
+    state = make_state(replace(make_snapshot("paused"), saved_step=12_400))
+    path = Path("run/last.safetensors")
+    assert screen.click(PANELS.get("training")(), state, "training.load") == [LoadCheckpoint(path)]
+
+
+def test_the_share_is_sent_once_when_the_slider_is_let_go(screen: Screen) -> None:
+    panel, state = PANELS.get("training")(), make_state(make_snapshot())
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    left, top, right, bottom = screen.widgets["training.share"]
+    y = (top + bottom) / 2
+    actions = screen.drag(panel, state, ((left + right) / 2, y), (right - 40, y), (right + 50, y))
+    assert len(actions) == 1
+    assert isinstance(actions[0], SetShare)
+    assert actions[0].train == pytest.approx(0.95)
+
+
+# ---- scene, view, export ----------------------------------------------------------------------------------------
+
+
+def test_opening_a_folder_keeps_the_options(screen: Screen) -> None:
+    state = make_state(Snapshot())
+    state.open_path = " captures/fox "
+    assert screen.click(PANELS.get("scene")(), state, "scene.open") == [OpenScene(Path("captures/fox"), None)]
+
+
+def test_photos_go_round_the_training_split(screen: Screen) -> None:
+    panel, state = PANELS.get("scene")(), make_state(make_snapshot())
+    assert screen.click(panel, state, "scene.next") == [GoToView(0)]
+    state.current_view = 19
+    assert screen.click(panel, state, "scene.next") == [GoToView(0)]
+    assert screen.click(panel, state, "scene.previous") == [GoToView(18)]
+
+
+def test_switches_write_the_state(screen: Screen) -> None:
+    state = make_state(make_snapshot())
+    assert screen.click(PANELS.get("scene")(), state, "scene.cameras") == []
+    assert state.show_cameras
+    screen.click(PANELS.get("view")(), state, "view.samples")
+    assert not state.show_samples
+    screen.click(PANELS.get("view")(), state, "view.help")
+    assert state.show_help
+    screen.click(PANELS.get("help")(), state, "help.close")
+    assert not state.show_help
+
+
+def test_view_buttons(screen: Screen) -> None:
+    panel, state = PANELS.get("view")(), make_state(make_snapshot())
+    assert screen.click(panel, state, "view.frame") == [FrameScene()]
+    assert screen.click(panel, state, "view.reset") == [ResetView()]
+    (focus,) = screen.click(panel, state, "view.focus")
+    assert isinstance(focus, FocusOn)
+    assert state.snapshot.radiance is not None
+    np.testing.assert_array_equal(focus.point, state.snapshot.radiance.point)
+
+
+def test_export_starts_and_cancels(screen: Screen) -> None:
+    panel, found = PANELS.get("export")(), states()
+    assert screen.click(panel, found["training"], "export.start") == [StartOrbitExport()]
+    assert screen.click(panel, found["export running"], "export.cancel") == [CancelExport()]
+    assert "export.start" not in screen.widgets
+    screen.click(panel, found["training"], "export.png")
+    assert found["training"].orbit.png_frames
+
+
+def test_the_export_tells_its_time_before_it_starts() -> None:
+    from viewer.panels.export import estimate
+
+    state = make_state(make_snapshot())  # 60 frames of 200 × 150 at 9,000 rays/s
+    assert estimate(state.orbit, state.snapshot) == (
+        "60 frames of 200 × 150, 2.0 s of video; takes about 3 min 20 s, longer while training"
+    )
+    unknown = replace(state.snapshot, preview_rays_per_second=0.0)
+    assert estimate(state.orbit, unknown).endswith("not measured yet")
+
+
+# ---- the ray and its point --------------------------------------------------------------------------------------
+
+
+def test_the_radiance_point_is_dragged_along_the_ray(screen: Screen) -> None:
+    panel, state = PANELS.get("ray")(), make_state(make_snapshot())
+    screen.size = (900, 260)
+    for _ in range(3):
+        screen.frame(panel, state)
+    left, top, right, bottom = screen.widgets["ray.point"]
+    x, y = (left + right) / 2, (top + bottom) / 2
+    actions = screen.drag(panel, state, (x, y), (x + 30, y), (x - 40, y), (x - 4000, y))
+    assert actions
+    assert all(isinstance(action, SetPointDepth) for action in actions)
+    depths = [action.t for action in actions if isinstance(action, SetPointDepth) and action.t is not None]
+    radiance, ray = state.snapshot.radiance, state.snapshot.ray
+    assert radiance is not None
+    assert ray is not None
+    assert min(depths) == pytest.approx(ray.near)  # never behind the ray's start
+    assert max(depths) > radiance.t
+
+
+def test_axes_stay_while_the_same_ray_is_trained_on(screen: Screen) -> None:
+    from viewer.panels.ray import RayPanel
+
+    panel, state = RayPanel(), make_state(make_snapshot())
+    screen.size = (900, 260)
+    for density, changes in ((40.0, False), (4.0, False), (40.0, True)):
+        ray = make_ray(density, step=state.snapshot.step + 1)
+        if changes:
+            ray = replace(ray, pixel=(1, 2), near=1.0, far=9.0)
+        state.snapshot = replace(state.snapshot, ray=ray, step=ray.step)
+        for _ in range(2):
+            screen.frame(panel, state)
+        low, high = panel.plots.t_limits
+        assert (low < 1.5) == changes
+        assert (high > 6.5) == changes
+
+
+def test_the_median_depth_can_be_asked_for_again(screen: Screen) -> None:
+    panel, state = PANELS.get("radiance")(), make_state(make_snapshot())
+    assert state.inspect is not None
+    assert screen.click(panel, state, "radiance.median") == []  # it is shown already
+    state.inspect = replace(state.inspect, point_t=3.0)
+    assert screen.click(panel, state, "radiance.median") == [SetPointDepth(None)]
+
+
+@pytest.mark.parametrize("widget", ["radiance.disc", "radiance.sphere"])
+@pytest.mark.parametrize("place", [(0.5, 0.5), (0.3, 0.4), (0.7, 0.6)])
+def test_hover_reads_the_direction_under_the_mouse(screen: Screen, widget: str, place: tuple[float, float]) -> None:
+    """The field is rgb = 0.5 + 0.5 d, so the colour tells the direction; and marks must lie where hovers read."""
+    from viewer.panels.radiance import RadiancePanel
+
+    panel, state = RadiancePanel(), make_state(make_snapshot())
+    radiance = state.snapshot.radiance
+    assert radiance is not None
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    left, top, right, bottom = screen.widgets[widget]
+    x, y = left + place[0] * (right - left), top + place[1] * (bottom - top)
+    imgui.get_io().add_mouse_pos_event(x, y)
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    assert panel.hovered is not None
+    direction, rgb = panel.hovered
+    np.testing.assert_allclose(np.linalg.norm(direction), 1)
+    np.testing.assert_allclose(rgb, 0.5 - 0.5 * direction, atol=0.06)
+    if widget == "radiance.sphere":
+        back = radiance.sphere_position(direction)
+    else:
+        on_disc = radiance.disc_position(direction)
+        assert on_disc is not None
+        back = ((on_disc[0] + 1) / 2, (1 - on_disc[1]) / 2)
+    np.testing.assert_allclose(back, place, atol=0.01)
+
+
+# ---- notices ----------------------------------------------------------------------------------------------------
+
+
+def test_an_error_stays_until_it_is_dismissed(screen: Screen) -> None:
+    panel, state = PANELS.get("toasts")(), states()["failed"]
+    for now, shown in ((100.0, {0, 2}), (5000.0, {2})):  # the warning is for the panel and the status bar
+        state.time = now
+        for _ in range(3):
+            screen.frame(panel, state)
+        assert {int(name.split(".")[1]) for name in screen.widgets if name.endswith("dismiss")} == shown
+    screen.click(panel, state, "toasts.2.dismiss")
+    assert state.notices[2].dismissed
+    assert not screen.widgets
+
+
+def test_the_path_of_a_result_is_copied(screen: Screen) -> None:
+    screen.click(PANELS.get("notices")(), states()["failed"], "notices.0.copy")
+    assert imgui.get_clipboard_text() == str(Path("run/last.safetensors"))
+
+
+# ---- words ------------------------------------------------------------------------------------------------------
+
+
+def test_words() -> None:
+    spans = {0.44: "0.4 s", 59.6: "1 min 0 s", 70.2: "1 min 10 s", 7500: "2 h 5 min", None: "–", float("nan"): "–"}
+    for seconds, text in spans.items():
+        assert duration(seconds) == text
+    assert [rate(v) for v in (0.0, 512.0, 640_123.0, 1.254e6)] == ["–", "512", "640k", "1.25M"]
+    assert [number(v) for v in (None, float("inf"), -0.00012345, 3.0)] == ["–", "–", "−0.0001234", "3"]
+    assert vector(np.array([0.5, -1.25])) == " 0.500 −1.250"

@@ -1,0 +1,48 @@
+"""What happened, newest first: what was written and where, what went wrong and how."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+from imgui_bundle import icons_fontawesome_6 as icons
+from imgui_bundle import imgui
+
+from viewer.panels import PANELS, Ui
+from viewer.state import Action, AppState, ShownNotice
+from viewer.widgets import button, duration, hint, mono, notice_text, path_line
+
+
+@PANELS.register("notices")
+class NoticesPanel:
+    title = "Notices"
+    dock: Literal["right"] = "right"
+    order = 4
+
+    def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
+        if not state.notices:
+            hint(ui, "Nothing has happened yet: files that were written, warnings and errors will be listed here.")
+        for index in reversed(range(len(state.notices))):
+            imgui.push_id(index)
+            _entry(ui, state.notices[index], state.time, f"notices.{index}")
+            imgui.pop_id()
+        yield from ()
+
+
+def _entry(ui: Ui, shown: ShownNotice, now: float, mark: str) -> None:
+    notice = shown.notice
+    shown.dismissed |= imgui.is_window_focused()  # who reads it here need not see it over the picture as well
+    notice_text(ui, notice.level, notice.text)
+    hint(ui, f"{duration(now - shown.born)} ago")
+    if notice.path is not None:
+        path_line(ui, notice.path, f"{mark}.copy")
+    if notice.detail:
+        opened = imgui.tree_node("details")
+        ui.mark(f"{mark}.details")
+        if opened:
+            if button(ui, f"{icons.ICON_FA_COPY}  Copy", f"{mark}.copy_details"):
+                imgui.set_clipboard_text(notice.detail)
+            with mono(ui):
+                imgui.text_unformatted(notice.detail)
+            imgui.tree_pop()
+    imgui.separator()

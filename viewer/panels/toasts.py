@@ -1,0 +1,67 @@
+"""What needs an eye now, over the picture's corner: errors until they are dismissed, results for a few seconds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+from imgui_bundle import ImVec2, imgui
+from imgui_bundle import icons_fontawesome_6 as icons
+
+from viewer.panels import PANELS, Ui
+from viewer.state import Action, AppState, ShownNotice
+from viewer.widgets import button, keep_in_front, notice_text, path_line
+
+SECONDS = 10.0  # how long a result stays
+MOST = 3  # the panel lists the others
+WIDTH_EM = 26.0
+FLAGS = (
+    imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_docking
+    | imgui.WindowFlags_.no_saved_settings | imgui.WindowFlags_.no_focus_on_appearing | imgui.WindowFlags_.no_nav
+    | imgui.WindowFlags_.no_move
+)  # fmt: skip
+
+
+@PANELS.register("toasts")
+class Toasts:
+    title = "Toasts"
+    dock: Literal["overlay"] = "overlay"
+    order = 0
+
+    def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
+        shown = [(i, n) for i, n in enumerate(state.notices) if _wanted(n, state.time)][-MOST:]
+        if not shown or state.viewport_rect is None:
+            return
+        x, y, width, height = state.viewport_rect
+        gap = 0.8 * ui.em
+        inner = min(WIDTH_EM * ui.em, width - 4 * gap)
+        if inner < 6 * ui.em:
+            return  # no room beside the picture: the panel and the status bar have them
+        imgui.set_next_window_pos(ImVec2(x + width - gap, y + height - gap), imgui.Cond_.always, ImVec2(1, 1))
+        imgui.set_next_window_size_constraints(ImVec2(inner, 0), ImVec2(inner, max(height - 2 * gap, gap)))
+        imgui.begin("##toasts", None, FLAGS)
+        keep_in_front()
+        for place, (index, notice) in enumerate(shown):
+            if place:
+                imgui.separator()
+            imgui.push_id(index)
+            _toast(ui, notice, f"toasts.{index}")
+            imgui.pop_id()
+        imgui.end()
+        yield from ()
+
+
+def _wanted(shown: ShownNotice, now: float) -> bool:
+    """Errors until they are dismissed, and for a while what led to a file. The rest is for the panel alone."""
+    if shown.dismissed:
+        return False
+    return shown.notice.level == "error" or (shown.notice.path is not None and now - shown.born < SECONDS)
+
+
+def _toast(ui: Ui, shown: ShownNotice, mark: str) -> None:
+    if button(ui, icons.ICON_FA_XMARK, f"{mark}.dismiss", tip="dismiss; Notices keeps it"):
+        shown.dismissed = True
+    imgui.same_line()
+    notice_text(ui, shown.notice.level, shown.notice.text)
+    if shown.notice.path is not None:
+        path_line(ui, shown.notice.path, f"{mark}.copy")

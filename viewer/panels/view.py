@@ -1,0 +1,72 @@
+"""The camera and the picture: where one looks from, how sharp the preview is, what is drawn over it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+from imgui_bundle import ImVec4, imgui
+from imgui_bundle import icons_fontawesome_6 as icons
+
+from viewer.draw.viewport import same_view
+from viewer.panels import PANELS, Ui
+from viewer.state import Action, AppState, FocusOn, FrameScene, ResetView
+from viewer.widgets import Row, button, figures, hint, number, same_line_if_fits, vector
+
+FRAME, RESET = f"{icons.ICON_FA_EXPAND}  Frame", f"{icons.ICON_FA_HOUSE}  Reset"
+FOCUS, HELP = f"{icons.ICON_FA_CROSSHAIRS}  Focus", f"{icons.ICON_FA_KEYBOARD}  Keys"
+
+
+@PANELS.register("view")
+class ViewPanel:
+    title = "View"
+    dock: Literal["right"] = "right"
+    order = 2
+
+    def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
+        control, radiance = state.camera, state.snapshot.radiance
+        text, color = _preview_state(ui, state)
+        hint(ui, text, color)
+        rows: list[Row] = [
+            ("position", vector(control.c2w()[:, 3])),
+            ("pivot", vector(control.pivot)),
+            ("distance", f"{number(control.distance)} units"),
+            ("field of view", f"{control.fov_y_degrees:.1f}° vertical"),
+            ("picture", f"{state.viewport[0]:,} × {state.viewport[1]:,} px"),
+        ]
+        figures(ui, "view", rows)
+        opened = state.snapshot.scene is not None
+        if button(ui, FRAME, "view.frame", enabled=opened, tip="see the whole scene (F)"):
+            yield FrameScene()
+        same_line_if_fits(RESET)
+        if button(ui, RESET, "view.reset", enabled=opened, tip="back to where the scene was first seen from (R)"):
+            yield ResetView()
+        same_line_if_fits(FOCUS)
+        tip = "orbit the inspected point; in the viewport: double click"
+        if button(ui, FOCUS, "view.focus", enabled=radiance is not None, tip=tip) and radiance is not None:
+            yield FocusOn(radiance.point)
+        _, state.show_samples = imgui.checkbox("Inspected ray", state.show_samples)
+        ui.mark("view.samples")
+        same_line_if_fits("     Cameras")
+        _, state.show_cameras = imgui.checkbox("Cameras", state.show_cameras)
+        ui.mark("view.cameras")
+        same_line_if_fits(HELP)
+        if button(ui, HELP, "view.help", tip="what mouse and keys do (H)"):
+            state.show_help = not state.show_help
+
+
+def _preview_state(ui: Ui, state: AppState) -> tuple[str, ImVec4]:
+    """How the picture in the viewport was made."""
+    preview, muted = state.snapshot.preview, ui.theme.muted
+    if state.snapshot.scene is None or preview is None:
+        return "No picture yet.", muted
+    if not same_view(preview.camera, state.camera.camera(*state.viewport)):
+        return "The last picture, warped: the next one is being drawn.", ui.theme.warning
+    network = ", coarse network" if preview.quality == "coarse" else ""
+    if preview.stride > 1:
+        return f"1/{preview.stride} resolution{network}: sharpening", muted
+    if not preview.complete:
+        return f"Up to full resolution{network}: sharpening", muted
+    if preview.step < state.snapshot.step:
+        return f"Full resolution{network}, of step {preview.step:,}: refreshing", muted
+    return f"Full resolution{network}", ui.theme.good
