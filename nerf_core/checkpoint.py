@@ -43,7 +43,7 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
-            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118: not a dict
+            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  it is no dict
     except (SafetensorError, OSError, ValueError) as error:
         raise UserError(f"{path}: not a readable checkpoint ({shorten(str(error))}); use an earlier one") from None
     if not {"nerf", "version", "sha256"} <= set(metadata):

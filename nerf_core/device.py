@@ -34,7 +34,7 @@ def describe(device: torch.device) -> str:
 
 
 def fast_precision(device: torch.device) -> torch.dtype:
-    """bfloat16 where matrix products run several times faster in it (CUDA from Ampere, AVX-512 BF16, AMX), else float32."""
+    """bfloat16 where matrix products are much faster in it (CUDA from Ampere, AVX-512 BF16, AMX), or float32."""
     if device.type == "cuda":
         return torch.bfloat16 if torch.cuda.get_device_capability(device)[0] >= 8 else torch.float32
     # The public API has no such query; both private ones are what torch's own tests use.

@@ -186,8 +186,8 @@ Status = Literal["empty", "loading", "ready", "training", "paused", "finished", 
 class Snapshot:
     """Everything the window shows of the worker at one moment.
 
-    loaded: grows with every scene that was opened; reset or loaded models keep it. train_share: the measured share of the
-    worker's time that went into training over the last seconds. seconds: training time alone.
+    loaded: grows with every scene that was opened; reset or loaded models keep it. train_share: the measured share
+    of the worker's time that went into training over the last seconds. seconds: training time alone.
     """
 
     status: Status = "empty"

@@ -8,7 +8,8 @@ import pytest
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--scenes", type=Path, default=None, help="folder of real scenes (lego, fox, fern, can) to test on as well")
+    text = "folder of real scenes (lego, fox, fern, can) to test on as well"
+    parser.addoption("--scenes", type=Path, default=None, help=text)
 
 
 @pytest.fixture(scope="session")

@@ -14,8 +14,6 @@ from nerf_core.errors import UserError
 from nerf_core.options import TrainOptions
 from nerf_core.signals import Interrupted, Signals
 
-DEBIAN_PACKAGES = "libegl1 libgl1 libgl1-mesa-dri libx11-6 libxext6 libxcb1"
-
 
 @dataclass(frozen=True)
 class ViewerOptions:
@@ -77,21 +75,24 @@ def run(options: ViewerOptions, signals: Signals) -> int:
         from viewer.doctor import examine
 
         return 0 if examine(print) else 1
-    try:
-        import viewer.session as sessions
-    except ImportError as error:
-        raise UserError(f"a system library is missing ({error}): install {DEBIAN_PACKAGES}") from error
+    from viewer.window import DisplayError, load_libraries, open_offscreen, open_window
+
+    load_libraries()  # before anything imports imgui: tells which system packages are missing
+    import viewer.session as sessions
+
     size, settings = sessions.parse_size(options.size), options.train.settings()
     if not 0.5 <= options.scale <= 4:
         raise UserError(f"--scale {options.scale:g}: give a number from 0.5 to 4")
-    window, reason = sessions.open_window("nerf-viewer", size, options.headless, options.scale)
+    try:
+        window = open_offscreen(size, options.scale) if options.headless else open_window("nerf-viewer", size)
+    except DisplayError as error:
+        print(f"{error}\nworking offscreen")
+        window = open_offscreen(size, options.scale)
     wishes = sessions.Wishes(
         load=options.load, steps=options.train.steps, seconds=options.train.seconds, save=options.save,
         clicks=tuple(options.click), inspect=options.inspect, render=options.render, orbit=options.orbit,
         screenshot=options.screenshot,
     )  # fmt: skip
-    if reason:
-        print(f"{reason}\nworking offscreen")
     if not window.has_display:
         wishes = sessions.unattended(wishes)
     session = sessions.Session(window, settings, signals, print)

@@ -54,7 +54,7 @@ class PanelHost:
         for panel in self.panels:
             if panel.dock == "overlay":
                 continue
-            if imgui.begin(panel.title):
+            if imgui.begin(panel.title)[0]:  # False for a tab that lies behind another
                 if panel.title in self._broken:
                     self._draw_broken(ui, panel.title)
                 else:

@@ -18,27 +18,11 @@ from nerf_core.signals import Signals
 from nerf_core.worker import Worker
 from viewer.app import App
 from viewer.script import Closed, Script, Wishes
-from viewer.window import DisplayError, Window
+from viewer.window import Window
 
 APP = "nerf-viewer"
 UNATTENDED_SECONDS = 60.0  # how long an offscreen run trains when nobody said how long
 SAVE_SECONDS = 4.0  # what a closing session may spend on saving; whoever sent SIGTERM soon sends SIGKILL
-
-
-def open_window(title: str, size: tuple[int, int], headless: bool, scale: float) -> tuple[Window, str]:
-    """A window, or the offscreen one where there is no display; and why it is offscreen ("" when it was asked for)."""
-    if not headless:
-        from viewer.window.glfw_window import GlfwWindow
-
-        try:
-            return GlfwWindow(title, size), ""
-        except DisplayError as error:
-            reason = str(error)
-    else:
-        reason = ""
-    from viewer.window.egl_window import EglWindow
-
-    return EglWindow(size, scale), reason
 
 
 @dataclass

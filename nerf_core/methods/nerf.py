@@ -75,7 +75,7 @@ class Nerf:
         )
         for parameter in self.parameters():  # Adam skips what has no gradient: a resumed run must not differ by that
             parameter.grad = torch.zeros_like(parameter)
-        self._alive = {name: 1.0 for name in self.networks}
+        self._alive = dict.fromkeys(self.networks, 1.0)
 
     def _network(self, start: torch.Generator) -> MlpField:
         c = self.config
@@ -113,7 +113,7 @@ class Nerf:
 
     def _field(self, name: str, p: _Parametrised, u: Tensor, index: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Raw density (P,) and colour (P, 3) at all samples u (R, S), or at the flat `index` of some."""
-        rays, samples = u.shape
+        samples = u.shape[1]
         x = (p.origins[:, None] + u[..., None] * p.directions[:, None]).flatten(0, 1)
         if index is None:
             d = p.encoded.repeat_interleave(samples, 0)
@@ -175,7 +175,7 @@ class Nerf:
     def _supervise(
         self, name: str, p: _Parametrised, u: Tensor, truth: Tensor, scale: float
     ) -> tuple[Tensor, Tensor, int]:
-        """Add the gradient of one network's share of the loss; returns weights, summed squared error, living samples."""
+        """Add one network's gradient of the loss; returns weights, summed squared error, number of living samples."""
         dense = self._alive[name] >= SPARSE_BELOW
         with torch.set_grad_enabled(dense):
             raw, rgb = self._field(name, p, u)

@@ -25,7 +25,7 @@ from nerf_core.types import Rendering
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "assets"))
 
-import demo_scene  # noqa: E402  it lies beside the pictures that it made
+import demo_scene
 
 POINTS = 400  # surface points whose radiance is compared
 CAMERAS = 8  # training cameras that each point is looked at from
@@ -63,7 +63,8 @@ def _radiance(
         if len(outgoing) < 2:
             continue
         count = len(outgoing)
-        truth = demo_scene.radiance(np.tile(point, (count, 1)), np.tile(normal, (count, 1)), np.full(count, thing), outgoing)
+        where = np.tile(point, (count, 1)), np.tile(normal, (count, 1)), np.full(count, thing)
+        truth = demo_scene.radiance(*where, outgoing)
         model = trainer.method.radiance(torch.from_numpy(point), torch.from_numpy(-outgoing)).numpy()
         errors.append(float(np.abs(model - truth).mean()))
         if thing in names:

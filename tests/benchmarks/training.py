@@ -14,8 +14,9 @@ import statistics
 import time
 from collections.abc import Callable
 
-import nerf_core  # first: it sets how OpenMP's threads wait
+import nerf_core  # noqa: F401  before torch: it sets how OpenMP's threads wait
 
+# isort: split
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -65,7 +66,8 @@ class PlainNerf:
             values = dict(network.named_parameters())
             for layer in range(8):
                 mine.layers[layer].load_state_dict({k: values[f"trunk.{layer}.{k}"] for k in ("weight", "bias")})
-            for own, name in ((mine.sigma, "density"), (mine.feature, "feature"), (mine.branch, "branch"), (mine.rgb, "rgb")):
+            heads = {"density": mine.sigma, "feature": mine.feature, "branch": mine.branch, "rgb": mine.rgb}
+            for name, own in heads.items():
                 own.load_state_dict({k: values[f"{name}.{k}"] for k in ("weight", "bias")})
 
     def render(self, network: PlainNetwork, rays: Rays, t: Tensor) -> tuple[Tensor, Tensor]:
@@ -119,14 +121,15 @@ def main() -> None:
     warm = PixelSampler(scene, NerfConfig(rays=64, one_image=False, precrop_steps=200), device, 1)
     batches = PixelSampler(scene, method.config, device, 2)
     peer = PlainNerf(torch.tensor(scene.background))
-    print(f"{describe(device)}, {next(iter(method.networks.values())).precision}, {args.rays} rays × (64 + 192) samples")
+    precision = method.networks["coarse"].precision
+    print(f"{describe(device)}, {precision}, {args.rays} rays × (64 + 192) samples")
     print("OpenMP:", os.environ["OMP_WAIT_POLICY"], "| torch", torch.__version__)
     for label, steps in (("fresh weights", 0), (f"after {args.warm} steps of 64 rays", args.warm)):
         for step in range(steps):
             method.train(*warm.draw(step), step, None, nothing)
         peer.load(method)
         ours, plain = [], []
-        for round_ in range(args.rounds + 1):  # the first warms up
+        for _ in range(args.rounds + 1):  # the first warms up
             batch = batches.draw(10**6)
             ours.append(seconds(lambda batch=batch: method.train(*batch, 10**6, None, nothing)))
             plain.append(seconds(lambda batch=batch: peer.train(*batch)))

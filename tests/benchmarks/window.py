@@ -15,7 +15,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from nerf_core.messages import OpenScene, Train, ViewRequest
+from nerf_core.messages import OpenScene, Snapshot, Train, ViewRequest
 from nerf_core.settings import RunSettings
 from nerf_core.worker import Worker
 from viewer.app import App
@@ -98,7 +98,7 @@ class _Stopwatch:
         self._asked[request.stamp] = time.perf_counter()
         self._worker.request_view(request)
 
-    def snapshot(self):  # noqa: ANN201
+    def snapshot(self) -> Snapshot:
         snapshot = self._worker.snapshot()
         if snapshot.preview is not None and snapshot.preview.stamp in self._asked:
             answered = snapshot.preview.stamp
