@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 
@@ -13,7 +14,9 @@ def frequency_width(frequencies: int, include_input: bool = True) -> int:
     return 3 * (2 * frequencies + (1 if include_input or frequencies == 0 else 0))
 
 
-def frequency(p: Tensor, frequencies: int, include_input: bool = True, pi: bool = False) -> Tensor:
+def frequency(
+    p: Float[Tensor, "P 3"], frequencies: int, include_input: bool = True, pi: bool = False
+) -> Float[Tensor, "P width"]:
     """γ(p) = (p, sin 2⁰p, cos 2⁰p, …, sin 2^{L−1}p, cos 2^{L−1}p): p (P, 3) → (P, frequency_width), float32.
 
     NeRF Eq. 4 (arXiv:2003.08934) has 2^k π p and no raw input; the official code, from which the published numbers

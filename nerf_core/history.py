@@ -33,6 +33,12 @@ class HistoryLog:
             self._losses = [(a + b) / 2 for a, b in zip(self._losses[::2], self._losses[1::2], strict=True)]
             self.every *= 2
 
+    def rewind(self, step: int) -> None:
+        """Forget what came after `step`: training went back to it."""
+        kept = sum(s <= step for s in self._steps)
+        self._steps, self._losses, self._pending = self._steps[:kept], self._losses[:kept], []
+        self._changed = True
+
     def view(self) -> History:
         if self._changed:
             loss = np.array(self._losses, np.float32)

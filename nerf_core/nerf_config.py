@@ -107,8 +107,8 @@ PRESETS: dict[str, dict[str, Any]] = {
     # Not of the table: the complete model where a machine does hundreds of rays a second. Progress per ray is best
     # in many small steps over all photos.
     "quick": {
-        "rays": 64, "one_image": False, "coarse_samples": 64, "fine_samples": 64, "learning_rate": 1e-3,
-        "precrop_steps": 200, "density_noise": 0.0, "total_steps": 30_000, "decay_steps": 30_000,
+        "rays": 32, "one_image": False, "coarse_samples": 32, "fine_samples": 64, "learning_rate": 1e-3,
+        "precrop_steps": 100, "density_noise": 0.0, "total_steps": 60_000, "decay_steps": 60_000,
     },
 }  # fmt: skip
 

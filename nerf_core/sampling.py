@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 # Official constant: keeps a bin of zero weight reachable, and the PDF defined on a ray that hits nothing.
 PDF_FLOOR = 1e-5
 
 
-def spaced(near: Tensor, far: Tensor, count: int, disparity: bool) -> Tensor:
+def spaced(
+    near: Float[Tensor, " R"], far: Float[Tensor, " R"], count: int, disparity: bool
+) -> Float[Tensor, "R count"]:
     """`count` depths from near to far, ends included, (R,) → (R, count); linear in t, or in 1/t."""
     u = torch.linspace(0, 1, count, device=near.device, dtype=near.dtype)
     near, far = near[:, None], far[:, None]
@@ -18,7 +21,7 @@ def spaced(near: Tensor, far: Tensor, count: int, disparity: bool) -> Tensor:
     return near + (far - near) * u
 
 
-def stratified(t: Tensor, generator: torch.Generator) -> Tensor:
+def stratified(t: Float[Tensor, "R S"], generator: torch.Generator) -> Float[Tensor, "R S"]:
     """Each depth (R, S) drawn anew, uniformly between the midpoints to its neighbours (half as wide at the ends).
 
     The official code's form of NeRF Eq. 2, whose bins are equal.
@@ -29,7 +32,9 @@ def stratified(t: Tensor, generator: torch.Generator) -> Tensor:
     return lower + (upper - lower) * torch.rand(t.shape, generator=generator, device=t.device, dtype=t.dtype)
 
 
-def inverse_transform(edges: Tensor, weights: Tensor, count: int, generator: torch.Generator | None) -> Tensor:
+def inverse_transform(
+    edges: Float[Tensor, "R edges"], weights: Float[Tensor, "R bins"], count: int, generator: torch.Generator | None
+) -> Float[Tensor, "R count"]:
     """`count` draws from the density that is constant within bins: NeRF, section 5.2.
 
     edges: (R, B + 1) ascending; weights: (R, B) ≥ 0, unnormalised. Uniform random draws with a generator, else

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 # Below this opacity a ray has hit nothing that a depth could be told of: less than one step of an 8-bit pixel.
 EMPTY = 1 / 512
 
 
-def absorb(sigma: Tensor, delta: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def absorb(
+    sigma: Float[Tensor, "R S"], delta: Float[Tensor, "R S"]
+) -> tuple[Float[Tensor, "R S"], Float[Tensor, "R S"], Float[Tensor, "R S"]]:
     """σ, δ (R, S) → α, T, w (R, S): NeRF Eq. 3 (arXiv:2003.08934).
 
     α_i = 1 − exp(−σ_i δ_i),  T_i = Π_{j<i} (1 − α_j) = exp(−Σ_{j<i} σ_j δ_j),  w_i = T_i α_i.
@@ -24,14 +27,16 @@ def absorb(sigma: Tensor, delta: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return alpha, transmittance, alpha * transmittance
 
 
-def composite(weights: Tensor, rgb: Tensor, background: Tensor) -> tuple[Tensor, Tensor]:
+def composite(
+    weights: Float[Tensor, "R S"], rgb: Float[Tensor, "R S 3"], background: Float[Tensor, " 3"]
+) -> tuple[Float[Tensor, "R 3"], Float[Tensor, " R"]]:
     """C = Σ w_i c_i + (1 − Σ w_i) background: w (R, S), c (R, S, 3), (3,) → colour (R, 3), opacity (R,)."""
     opacity = weights.sum(-1)
     color = torch.einsum("rs,rsc->rc", weights, rgb) + (1 - opacity)[:, None] * background
     return color, opacity
 
 
-def expected_depth(weights: Tensor, t: Tensor) -> Tensor:
+def expected_depth(weights: Float[Tensor, "R S"], t: Float[Tensor, "R S"]) -> Float[Tensor, " R"]:
     """Σ w t / Σ w, (R,); NaN where the opacity is under `EMPTY`."""
     opacity = weights.sum(-1)
     nothing = opacity < EMPTY

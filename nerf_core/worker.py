@@ -28,7 +28,7 @@ from nerf_core.scene import Scene
 from nerf_core.settings import RunSettings
 from nerf_core.trainer import Diverged, Trainer
 
-PUBLISH_SECONDS = 1 / 30  # snapshots no faster than a window could show them
+PUBLISH_SECONDS = 1 / 10  # between snapshots nobody waits for: a full picture takes some 5 ms to hand over
 GOOD_SECONDS = 20.0  # how often the weights are remembered, to fall back on when the loss diverges
 IDLE_SECONDS = 0.25  # how long an idle worker sleeps before it looks again
 NICENESS = 10  # the window's thread goes first when both want a core
@@ -284,6 +284,7 @@ class Worker:
         if self._good is not None:
             trainer.step_count, trainer.seconds, state = self._good
             trainer.load_state(state)
+            self._history.rewind(trainer.step_count)
         self._artist.forget_pictures()
         self._notices.put(Notice("error", f"{error}; back at step {trainer.step_count:,}, paused"))
 

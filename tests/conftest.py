@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
+import jaxtyping
 import pytest
+
+# Before anything imports them: calls of these are checked against the shapes they state, in tests alone.
+CHECKED = ["nerf_core.encodings", "nerf_core.sampling", "nerf_core.volume"]
+assert not set(CHECKED) & set(sys.modules)
+jaxtyping.install_import_hook(CHECKED, "beartype.beartype")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -79,9 +79,11 @@ class Nerf:
 
     def _network(self, start: torch.Generator) -> MlpField:
         c = self.config
+        # bfloat16 has 8 bits: enough for sines and cosines, not for bare coordinates
+        precision = fast_precision(self.device) if c.position_frequencies else torch.float32
         field = MlpField(
             c.depth, c.width, c.position_frequencies, c.direction_frequencies, c.include_input, c.pi, c.view_directions,
-            fast_precision(self.device),
+            precision,
         )  # fmt: skip
         field.initialise(start)
         return field.to(self.device)

@@ -33,3 +33,13 @@ def test_a_view_is_made_once_for_what_it_shows() -> None:
     log.add(2, 0.0)
     assert len(first.step) == 1
     assert log.view().psnr[1] == pytest.approx(100)  # not infinity
+
+
+def test_rewinding_forgets_what_came_after() -> None:
+    log = HistoryLog()
+    for step in range(1, 11):
+        log.add(step, 1 / step)
+    log.rewind(4)
+    log.add(5, 7.0)
+    assert log.view().step.tolist() == [1, 2, 3, 4, 5]
+    assert log.view().loss[-1] == 7

@@ -8,9 +8,11 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 
 import nerf_core
 import viewer
+from nerf_core.volume import absorb
 
 CORE, VIEWER = Path(nerf_core.__file__).parent, Path(viewer.__file__).parent
 # What only a window, a format, a video or a command line needs.
@@ -67,3 +69,10 @@ def test_plugins_of_a_folder_do_not_know_each_other(folder: Path) -> None:
     names = {f"{package}.{f.stem}" for f in files}
     for file in files:
         assert not imported(file) & (names - {f"{package}.{file.stem}"}), file
+
+
+def test_shapes_are_checked_while_testing() -> None:
+    """The import hook of tests/conftest.py is at work: a call with tensors of unequal shapes does not pass."""
+    sigma, delta = torch.zeros(2, 3), torch.zeros(2, 4)
+    with pytest.raises(TypeError, match="absorb"):
+        absorb(sigma, delta)

@@ -1,0 +1,209 @@
+"""The `nerf-viewer` command: the real app, worker and files, offscreen and in a real window."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+
+from nerf_core.cameras import Camera, camera_rays
+from nerf_core.datasets import LoadOptions, load_scene
+
+TINY = [
+    "--device", "cpu", "--threads", "1", "--downscale", "8", "--set", "rays=16", "--set", "coarse_samples=8",
+    "--set", "fine_samples=8", "--set", "depth=2", "--set", "width=16", "--size", "640x400",
+]  # fmt: skip
+
+
+def viewer(*arguments: str, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "viewer.cli", *arguments]
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=200, env={**os.environ, **(env or {})}, check=False
+    )
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One run that asks for everything at once."""
+    out = tmp_path_factory.mktemp("out")
+    done = viewer(
+        *TINY, "--headless", "--steps", "60", "--click", "0.5", "0.5", "--screenshot", str(out / "shot.png"),
+        "--render", str(out / "picture.npy"), "--inspect", str(out / "ray.json"), "--orbit", str(out / "orbit.mp4"),
+        "--save", str(out / "model.safetensors"),
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    return out
+
+
+def test_everything_asked_for_is_written(written: Path) -> None:
+    assert iio.imread(written / "shot.png").shape == (400, 640, 3)
+    film = iio.imread(written / "orbit.mp4", plugin="FFMPEG")
+    assert film.shape == (60, 26, 26, 3)  # 25 pixels a side, padded to even
+    assert not list(written.glob("*.part"))
+
+
+def test_the_inspected_ray_is_the_rendered_pixel(written: Path) -> None:
+    ray = json.loads((written / "ray.json").read_text())
+    picture = np.load(written / "picture.npy")
+    assert picture.dtype == np.float32
+    column, row = ray["pixel"]
+    assert abs(column - picture.shape[1] // 2) <= 1
+    assert abs(row - picture.shape[0] // 2) <= 1
+    assert np.abs(picture[row, column] - ray["color"]).max() < 1e-5
+    assert np.abs(np.array(ray["rendered_color"]) - ray["color"]).max() < 1e-5
+
+
+def test_the_inspected_ray_obeys_the_equations(written: Path) -> None:
+    ray = json.loads((written / "ray.json").read_text())
+    assert [one["name"] for one in ray["passes"]] == ["coarse", "fine"]
+    for one in ray["passes"]:
+        t, delta, sigma, rgb, weights = (np.array(one[k]) for k in ("t", "delta", "sigma", "rgb", "weights"))
+        alpha = 1 - np.exp(-sigma * delta)
+        light = np.concatenate([[1.0], np.cumprod(1 - alpha)[:-1]])
+        assert np.all(np.diff(t) >= 0)
+        assert np.allclose(one["alpha"], alpha, atol=1e-5)
+        assert np.allclose(one["transmittance"], light, atol=1e-5)
+        assert np.allclose(weights, light * alpha, atol=1e-5)
+    color = weights @ rgb + (1 - weights.sum()) * np.array(ray["background"])
+    assert np.abs(color - ray["color"]).max() < 1e-5
+    assert ray["opacity"] == pytest.approx(weights.sum(), abs=1e-6)
+    half = np.flatnonzero(np.cumsum(weights) >= 0.5)
+    assert ray["depth_median"] == (pytest.approx(t[half[0]]) if len(half) else None)
+
+
+def test_the_radiance_covers_the_sphere_around_the_point(written: Path) -> None:
+    ray = json.loads((written / "ray.json").read_text())
+    directions, rgb = np.array(ray["radiance"]["directions"]), np.array(ray["radiance"]["rgb"])
+    assert len(directions) == len(rgb) >= 2048
+    assert np.allclose(np.linalg.norm(directions, axis=-1), 1, atol=1e-6)
+    assert rgb.min() >= 0
+    assert rgb.max() <= 1
+    along = np.array(ray["radiance"]["point"]) - ray["origin"]
+    assert np.allclose(along / np.linalg.norm(along), ray["direction"], atol=1e-5)
+
+
+def test_a_checkpoint_gives_the_same_picture_again(written: Path, tmp_path: Path) -> None:
+    done = viewer(
+        *TINY, "--headless", "--load", str(written / "model.safetensors"), "--render", str(tmp_path / "again.npy")
+    )
+    assert done.returncode == 0, done.stderr
+    assert np.array_equal(np.load(tmp_path / "again.npy"), np.load(written / "picture.npy"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--size", "640"], "--size 640"),
+        (["--click", "2.0", "0.5", "--inspect", "x.json"], "--click 2.0"),
+        (["--inspect", "x.json"], "--click X Y"),
+        (["--render", "x.jpg"], ".png or .npy"),
+        (["--load", "nothing.safetensors"], "nothing.safetensors"),
+        (["nowhere"], "nowhere"),
+        (["--method", "magic"], "magic"),
+        (["--set", "rays=many"], "rays"),
+        (["--steps", "0"], "--steps 0"),
+    ],
+)
+def test_a_mistake_is_one_line_and_status_2(arguments: list[str], words: str, tmp_path: Path) -> None:
+    steps = [] if "--steps" in arguments or "--load" in arguments else ["--steps", "1"]
+    command = [sys.executable, "-m", "viewer.cli", *TINY, "--headless", *steps, *arguments]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=100, cwd=tmp_path, env=environment, check=False
+    )
+    assert done.returncode == 2, done.stderr
+    assert words in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_window_does_the_same(display: str, tmp_path: Path) -> None:
+    shot = tmp_path / "window.png"
+    home = {"DISPLAY": display, "XDG_CONFIG_HOME": str(tmp_path / "config"), "XDG_DATA_HOME": str(tmp_path / "data")}
+    done = viewer(*TINY, "--steps", "3", "--click", "0.5", "0.5", "--screenshot", str(shot), env=home)
+    assert done.returncode == 0, done.stderr
+    assert iio.imread(shot).shape[2] == 3
+
+
+def test_closing_a_training_window_loses_nothing(display: str, tmp_path: Path) -> None:
+    home = {"DISPLAY": display, "XDG_CONFIG_HOME": str(tmp_path / "config"), "XDG_DATA_HOME": str(tmp_path / "data")}
+    saved = tmp_path / "model.safetensors"
+    command = [
+        sys.executable,
+        "-m",
+        "viewer.cli",
+        *TINY,
+        "--save",
+        str(saved),
+        "--steps",
+        "100000",
+        "--orbit",
+        str(tmp_path / "o.mp4"),
+    ]
+    with subprocess.Popen(command, env={**os.environ, **home}, stdout=subprocess.PIPE, text=True) as process:
+        time.sleep(12)
+        process.send_signal(signal.SIGTERM)
+        begin = time.monotonic()
+        assert process.wait(timeout=20) == 143
+        assert time.monotonic() - begin < 5
+    assert saved.is_file()
+    assert not list(tmp_path.glob("*.mp4"))
+
+
+def test_a_window_without_a_display_works_offscreen(tmp_path: Path) -> None:
+    shot = tmp_path / "shot.png"
+    env = {"DISPLAY": "", "WAYLAND_DISPLAY": ""}
+    done = viewer(*TINY, "--steps", "2", "--screenshot", str(shot), env=env)
+    assert done.returncode == 0, done.stderr
+    assert "offscreen" in done.stdout
+    assert shot.is_file()
+
+
+def test_gl_and_training_live_in_one_process() -> None:
+    """With a CUDA build of torch, triton is there too: loaded after Mesa's LLVM it would end the process."""
+    pytest.importorskip("triton", reason="only Linux on x86-64 has triton")
+    code = (
+        "from viewer.window.egl_window import EglWindow; w = EglWindow((64, 64)); import triton, torch;"
+        "p = torch.nn.Parameter(torch.ones(3)); o = torch.optim.Adam([p]); p.sum().backward(); o.step();"
+        "w.framebuffer.clear(1.0, 0.0, 0.0); print(w.read_pixels()[0, 0].tolist())"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "[255, 0, 0]"
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("lego", ["--downscale", "16"]),
+        ("fox", ["--downscale", "32"]),
+        ("fern", ["--downscale", "8"]),
+        ("can", ["--format", "llff", "--downscale", "16"]),
+        ("can", ["--format", "colmap", "--downscale", "16"]),
+    ],
+)
+def test_real_scenes_open_and_train(scenes: Path, name: str, options: list[str], tmp_path: Path) -> None:
+    shot = tmp_path / "shot.png"
+    tiny = [a for a in TINY if a not in ("--downscale", "8")] + ["--set", "fine_samples=8", "--set", "coarse_samples=8"]
+    done = viewer(str(scenes / name), *tiny, *options, "--headless", "--steps", "20", "--screenshot", str(shot))
+    assert done.returncode == 0, done.stderr
+    assert shot.is_file()
+
+
+def test_the_free_camera_may_turn_away_in_ndc(scenes: Path) -> None:
+    scene = load_scene(scenes / "fern", LoadOptions(downscale=8))
+    assert scene.ndc is not None
+    camera: Camera = scene.views[0].camera
+    behind = camera.moved(camera.c2w @ np.diag([-1.0, 1, -1, 1])).resized(8, 8)
+    rays = camera_rays(behind, scene.near, scene.far)
+    _, _, exists = scene.ndc.rays(rays.origins, rays.directions)
+    assert not exists.any()
