@@ -88,7 +88,7 @@ class Script:
             self._train(wishes.steps, wishes.seconds)
         if wishes.save is not None:
             self._do(SaveCheckpoint(wishes.save), lambda _: self._told("saved"))
-        self.app.settle()
+        self._uncover()
         for x, y in wishes.clicks:
             self._click(x, y)
         if wishes.inspect is not None:
@@ -101,7 +101,7 @@ class Script:
             self._export(StartOrbitExport(), "orbit")
         if wishes.screenshot is not None:
             self._sharpen()
-            self.app.settle()
+            self._uncover()
             self.app.screenshot(wishes.screenshot)
         for file in wishes.files():
             if not file.is_file():
@@ -139,6 +139,12 @@ class Script:
         s = self._snapshot()
         trained = s.seconds - start.seconds
         self.say(f"trained to step {s.step:,} in {trained:.1f} s of training, {rate:,.0f} rays/s")
+
+    def _uncover(self) -> None:
+        """Take the notices off the viewport: they are printed anyway, and a click must not land on one."""
+        for shown in self.app.state.notices:
+            shown.dismissed = True
+        self.app.settle()
 
     def _click(self, x: str, y: str) -> None:
         left, top, right, bottom = self.app.widgets["viewport"]
