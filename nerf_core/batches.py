@@ -47,11 +47,10 @@ class PixelSampler:
         self.config, self.device = config, device
         self.generator = torch.Generator().manual_seed(seed)
         self.cameras = Cameras([scene.views[i].camera for i in views], scene.near, scene.far)
-        images = [scene.images[i] for i in views]
-        self.sizes = torch.tensor([(image.shape[1], image.shape[0]) for image in images])
+        self.images = [scene.images[i] for i in views]
+        self.sizes = torch.tensor([(image.shape[1], image.shape[0]) for image in self.images])
         counts = self.sizes.prod(-1)
         self.offsets = torch.cat([torch.zeros(1, dtype=torch.long), counts.cumsum(0)])
-        self.pixels = np.concatenate([image.reshape(-1, 3) for image in images])
 
     def draw(self, step: int) -> tuple[Rays, Tensor]:
         """The rays of training step `step` and their true colours (R, 3) float32."""
@@ -67,9 +66,16 @@ class PixelSampler:
         where = torch.rand(count, 2, generator=self.generator, dtype=torch.float64)
         # a product of a float below 1 and an integer can still round up to the integer
         pixel = (size - window) // 2 + torch.minimum((where * window).long(), window - 1)
-        flat = self.offsets[index] + pixel[:, 1] * size[:, 0] + pixel[:, 0]
-        truth = torch.from_numpy(self.pixels[flat.numpy()].astype(np.float32) / 65535)
-        return self.cameras.rays(index, pixel + 0.5).to(self.device), truth.to(self.device)
+        return self.cameras.rays(index, pixel + 0.5).to(self.device), self._colors(index, pixel).to(self.device)
+
+    def _colors(self, index: Tensor, pixel: Tensor) -> Tensor:
+        """What pixels (R, 2) of photos `index` (R,) show, (R, 3) float32; one gather a photo, since sizes differ."""
+        photo, (column, row) = index.numpy(), pixel.numpy().T
+        order = np.argsort(photo, kind="stable")
+        colors = np.empty((len(photo), 3), np.uint16)
+        for same in np.split(order, np.flatnonzero(np.diff(photo[order])) + 1):
+            colors[same] = self.images[photo[same[0]]][row[same], column[same]]
+        return torch.from_numpy(colors.astype(np.float32) / 65535)
 
     def _integers(self, below: int, count: int) -> Tensor:
         return torch.randint(below, (count,), generator=self.generator)

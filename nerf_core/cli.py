@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from nerf_core.checkpoint import write_atomically
+from nerf_core.command_line import parse
 from nerf_core.console import Display, duration
 from nerf_core.datasets import load_scene
 from nerf_core.device import describe
@@ -224,16 +225,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         | Annotated[Eval, tyro.conf.subcommand("eval")]
         | Annotated[Render, tyro.conf.subcommand("render")]
     )
-    config = (
-        tyro.conf.OmitArgPrefixes,
-        tyro.conf.UseAppendAction,
-        tyro.conf.FlagCreatePairsOff,
-        tyro.conf.DisallowNone,
-    )
     with Signals() as signals:
         try:
-            command = tyro.cli(commands, prog="nerf-core", args=arguments, config=config)
-            return command.run(signals)
+            return parse(commands, "nerf-core", arguments).run(signals)
         except Diverged as error:
             status, text = 1, str(error)
         except UserError as error:

@@ -195,7 +195,6 @@ class Snapshot:
     scene: Scene | None = None
     method: str = ""
     device: str = ""
-    preset: str = ""
     step: int = 0
     saved_step: int = 0  # of the newest checkpoint that was written or loaded
     total_steps: int = 0

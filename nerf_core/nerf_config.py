@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, get_type_hints
@@ -10,6 +11,8 @@ import torch
 
 from nerf_core.errors import UserError, shorten
 from nerf_core.scene import Scene
+
+MOST_FREQUENCIES = 32  # 2³¹ times a coordinate is past what float32 can tell apart; 2¹²⁸ would be infinite
 
 
 @dataclass(frozen=True)
@@ -59,8 +62,11 @@ class NerfConfig:
         }
         for f in fields(self):
             value = getattr(self, f.name)
-            if not isinstance(value, bool) and not value >= least.get(f.name, 0):
-                raise UserError(f"--set {f.name}={value}: must be at least {least.get(f.name, 0)}")
+            if not isinstance(value, bool) and not least.get(f.name, 0) <= value < math.inf:
+                raise UserError(f"--set {f.name}={value}: must be finite and at least {least.get(f.name, 0)}")
+        for name in ("position_frequencies", "direction_frequencies"):
+            if getattr(self, name) > MOST_FREQUENCIES:
+                raise UserError(f"--set {name}={getattr(self, name)}: must be at most {MOST_FREQUENCIES}")
         if not 0 < self.precrop <= 1:
             raise UserError(f"--set precrop={self.precrop}: must lie in (0, 1]")
         if not 0 < self.decay <= 1:
@@ -85,6 +91,11 @@ class NerfConfig:
         if set(config) != names:
             odd = sorted(set(config) ^ names)
             raise UserError(f"the checkpoint's nerf configuration differs in {', '.join(odd)}: made by another version")
+        for name, kind in get_type_hints(NerfConfig).items():
+            if not (type(config[name]) is kind or (kind is float and type(config[name]) is int)):
+                raise UserError(
+                    f"the checkpoint's {name} is {shorten(config[name])}, no {kind.__name__}: made by another version"
+                )
         return NerfConfig(**config)
 
     def to_json(self) -> dict[str, Any]:

@@ -1,7 +1,8 @@
 """What to compute next of a picture that is wanted at once: pure logic, no clock, no torch.
 
-A picture starts as a coarse grid of pixels (stride 32, say) and is refined by halving the stride; pixels already
-computed are kept, since every grid contains the coarser one. Within a level, pixels come from the centre outwards.
+A picture starts as a coarse grid of pixels (stride 32, say) and is refined by halving the stride. Every grid contains
+the coarser one: its pixels are kept if the weights are still those that drew them. Within a level, pixels come from the
+centre outwards.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ class Refinement:
         if self._step.min() < STALE * step:
             self._queue = self._ordered(np.ones_like(self._known))
         elif self.stride > 1:
-            self._refine()
+            self._refine(step)
             self._next = 0
             return self.advance(step)  # a picture of one texel gains none by halving
         elif self._step.min() < step:
@@ -80,7 +81,7 @@ class Refinement:
         self.first_level_done |= self._next >= len(self._queue)
         self.fresh = True
 
-    def _refine(self) -> None:
+    def _refine(self, step: int) -> None:
         stride = self.stride // 2
         shape = (-(-self.camera.height // stride), -(-self.camera.width // stride))
         known = np.zeros(shape, bool)
@@ -89,7 +90,8 @@ class Refinement:
         self._depth = np.repeat(np.repeat(self._depth, 2, 0), 2, 1)[: shape[0], : shape[1]]
         self._step = np.repeat(np.repeat(self._step, 2, 0), 2, 1)[: shape[0], : shape[1]]
         self._known, self.stride = known, stride
-        self._queue = self._ordered(~known)
+        # Older texels between newer ones would show as a grid of dots: while training goes on all are drawn again.
+        self._queue = self._ordered(~known | (self._step < step))
 
     def complete(self) -> bool:
         return self.stride == 1 and bool(self._known.all())

@@ -37,8 +37,9 @@ def inverse_transform(
 ) -> Float[Tensor, "R count"]:
     """`count` draws from the density that is constant within bins: NeRF, section 5.2.
 
-    edges: (R, B + 1) ascending; weights: (R, B) ≥ 0, unnormalised. Uniform random draws with a generator, else
-    evenly spaced quantiles 0 … 1. Returns (R, count), ascending without a generator, unsorted with one.
+    edges: (R, B + 1) ascending; weights: (R, B) ≥ 0, their sum at most 1 but for rounding, as of compositing.
+    Uniform random draws with a generator, else evenly spaced quantiles 0 … 1. Returns (R, count), ascending without
+    a generator, unsorted with one.
     """
     weights = weights + PDF_FLOOR
     pdf = weights / weights.sum(-1, keepdim=True)
@@ -51,5 +52,5 @@ def inverse_transform(
     bins = (torch.searchsorted(cdf, u, right=True) - 1).clamp(0, weights.shape[-1] - 1)
     low, high = cdf.gather(-1, bins), cdf.gather(-1, bins + 1)
     left, right = edges.gather(-1, bins), edges.gather(-1, bins + 1)
-    width = high - low  # at least PDF_FLOOR / Σ weights > 0: the floor above is what makes this division safe
+    width = high - low  # at least PDF_FLOOR / (1 + B · PDF_FLOOR) > 0: the floor above is what makes this division safe
     return left + (right - left) * ((u - low) / width).clamp(0, 1)

@@ -25,13 +25,17 @@ def nothing() -> None:
 
 @dataclass(frozen=True)
 class Report:
-    """What a step did. loss: mean squared error of the batch; psnr: −10 log₁₀ of it, in dB; seconds: its duration."""
+    """What a step did. loss: mean squared error of the batch; psnr: −10 log₁₀ of it, in dB; seconds: its duration.
+
+    note: what the user should know of it; mostly nothing.
+    """
 
     step: int
     loss: float
     psnr: float
     rays: int
     seconds: float
+    note: str = ""
 
 
 class Diverged(UserError):
@@ -59,35 +63,47 @@ class Trainer:
         trainer = cls.__new__(cls)
         trainer.device = pick_device(device)
         config = METHODS.get(description["method"]).restore(description["config"])
-        trainer._build(
-            scene, description["method"], config, description["steps"], description["seed"], description["threads"]
-        )
+        # more threads than cores, as a checkpoint of a larger machine asks for, would spin against each other
+        threads = min(description["threads"], usable_cores())
+        trainer._build(scene, description["method"], config, description["steps"], description["seed"], threads)
         try:
-            trainer.load_state(state)
-        except (KeyError, RuntimeError, ValueError) as error:
+            trainer.go_to(description, state)
+        except (KeyError, RuntimeError, ValueError, TypeError, IndexError) as error:
             reason = shorten(" ".join(str(error).split()), 120)
             raise UserError(
                 f"the checkpoint does not fit method {description['method']} ({reason}): made by another version"
             ) from None
-        trainer.step_count, trainer.seconds = description["step"], description["seconds"]
+        return trainer
+
+    def restarted(self) -> Trainer:
+        """The same run from its beginning."""
+        trainer = Trainer.__new__(Trainer)
+        trainer.device = self.device
+        trainer._build(self.scene, self.method_name, self.config, self.steps, self.seed, self.threads)
         return trainer
 
     def _build(self, scene: Scene, name: str, config: Any, steps: int, seed: int, threads: int) -> None:
         if self.device.type == "cpu":
-            torch.set_num_threads(threads)
-        self.scene, self.method_name, self.config = scene, name, config
-        self.steps, self.seed, self.threads = steps, seed, threads
+            torch.set_num_threads(max(threads, 1))
+        self.scene, self.method_name = scene, name
+        self.steps, self.seed, self.threads = steps, seed, max(threads, 1)
         self.total_steps: int = steps or config.total_steps
         self.method: Method = METHODS.get(name)(scene, config, self.device, seed)
         self.batches = PixelSampler(scene, config, self.device, seed)
         self.step_count = 0
         self.seconds = 0.0
 
+    @property
+    def config(self) -> Any:
+        """The method's configuration, as it now is."""
+        return self.method.config
+
     def step(self, pump: Callable[[], None] = nothing) -> Report:
         """One optimiser step. `pump` runs between gradient chunks; its time is not counted as training.
 
         What `pump` raises abandons the step, which then has not happened: the state is what it was before.
-        Raises Diverged when the loss is not finite.
+        Out of device memory, the step is tried again in chunks of half the size, as often as they can be halved.
+        Raises Diverged when the loss is not finite, torch.OutOfMemoryError when chunks cannot be smaller.
         """
         waited = 0.0
 
@@ -98,13 +114,21 @@ class Trainer:
             waited += time.perf_counter() - begin
 
         start = time.perf_counter()
-        drawn = self.batches.state()
+        drawn, note = self.batches.state(), ""
         rays, truth = self.batches.draw(self.step_count)
-        try:
-            loss = self.method.train(rays, truth, self.step_count, self.steps or None, timed_pump)
-        except BaseException:
-            self.batches.load_state(drawn)
-            raise
+        while True:
+            try:
+                loss = self.method.train(rays, truth, self.step_count, self.steps or None, timed_pump)
+                break
+            except torch.OutOfMemoryError:
+                if not self.method.halve():
+                    self.batches.load_state(drawn)
+                    raise
+                note = f"out of device memory at step {self.step_count + 1:,}: going on in chunks of half the size"
+            except BaseException:
+                self.batches.load_state(drawn)
+                raise
+            torch.cuda.empty_cache()  # outside the handler: its traceback holds the tensors that did not fit
         seconds = time.perf_counter() - start - waited
         self.seconds += seconds
         self.step_count += 1
@@ -112,7 +136,7 @@ class Trainer:
             raise Diverged(
                 f"step {self.step_count}: the loss is {loss}; lower the learning rate (--set learning_rate=…)"
             )
-        return Report(self.step_count, loss, psnr_of(loss), len(rays), seconds)
+        return Report(self.step_count, loss, psnr_of(loss), len(rays), seconds, note)
 
     def frozen_method(self) -> Method:
         """The model as it is now, with weights of its own: training on does not change it."""
@@ -138,6 +162,11 @@ class Trainer:
         """All tensors that a resumed run needs, by name."""
         parts = {"method": self.method.state(), "batches": self.batches.state()}
         return {f"{part}.{key}": value for part, tensors in parts.items() for key, value in tensors.items()}
+
+    def go_to(self, description: Mapping[str, Any], state: Mapping[str, Tensor]) -> None:
+        """Be where `describe()` and `state()` were taken."""
+        self.load_state(state)
+        self.step_count, self.seconds = description["step"], description["seconds"]
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         for part, owner in (("method.", self.method), ("batches.", self.batches)):

@@ -6,19 +6,17 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import torch
-from torch import Tensor
 
 from nerf_core import device
 from nerf_core.errors import UserError
+from nerf_core.recovery import LastGood
 from nerf_core.runs import RunFolder
 from nerf_core.trainer import Diverged, Report, Trainer, psnr_of
 
 LOG_SECONDS = 1.0
 SHOW_SECONDS = 0.1
-GOOD_SECONDS = 20.0  # how often the state is copied to the host: so much is lost when the loss diverges
 MEMORY = 0.98  # the share of the average that a step leaves: figures on show are means over some 50 steps
 
 
@@ -82,10 +80,9 @@ class _Session:
 
     def __post_init__(self) -> None:
         self._meter = _Meter()
-        self._logged = self._shown = self._remembered = time.monotonic()
+        self._logged = self._shown = time.monotonic()
         self._saved_seconds = self.trainer.seconds
-        self._good: tuple[dict[str, Any], dict[str, Tensor]] = ({}, {})
-        self._remember()
+        self._good = LastGood(self.trainer)
 
     def run(self) -> bool:
         finished = True
@@ -93,13 +90,13 @@ class _Session:
             while not self.goal.reached(self.trainer):
                 self._pump()
                 self._after(self.trainer.step(self._pump))
-            self._remember()
+            self._good.remember(self.trainer)
         except _StoppedError:
             finished = False
-            self._remember()
+            self._good.remember(self.trainer)
         except Exception as error:
-            self.folder.save(*self._good)
-            step = self._good[0]["step"]
+            self._save()
+            step = self._good.description["step"]
             if isinstance(error, Diverged):
                 raise Diverged(f"{error}; went back to step {step:,} and saved it") from None
             if isinstance(error, torch.OutOfMemoryError):
@@ -109,7 +106,7 @@ class _Session:
                 ) from error
             raise
         self._log()
-        self.folder.save(*self._good)
+        self._save()
         return finished
 
     def _pump(self) -> None:
@@ -118,6 +115,8 @@ class _Session:
 
     def _after(self, report: Report) -> None:
         self._meter.add(report)
+        if report.note:
+            self.warn(report.note)
         now = time.monotonic()
         if now - self._shown >= SHOW_SECONDS:
             self._shown = now
@@ -127,21 +126,13 @@ class _Session:
             self._log()
         if self.trainer.seconds - self._saved_seconds >= self.save_every:
             self._saved_seconds = self.trainer.seconds
-            self._remember()
-            self._tolerate(lambda: self.folder.save(*self._good))
-        elif now - self._remembered >= GOOD_SECONDS:
-            self._remember()
+            self._good.remember(self.trainer)
+            self._tolerate(self._save)
+        elif self._good.due():
+            self._good.remember(self.trainer)
 
-    def _remember(self) -> None:
-        """Copy the state to the host, where a lost device cannot take it. Raises Diverged where it is not finite."""
-        state = {name: value.detach().to("cpu", copy=True) for name, value in self.trainer.state().items()}
-        broken = [n for n, v in state.items() if v.is_floating_point() and not bool(v.isfinite().all())]
-        if broken:
-            raise Diverged(
-                f"step {self.trainer.step_count}: {broken[0]} is not finite; lower the learning rate "
-                "(--set learning_rate=…)"
-            )
-        self._good, self._remembered = (self.trainer.describe(), state), time.monotonic()
+    def _save(self) -> None:
+        self.folder.save(self._good.description, self._good.state)
 
     def _log(self) -> None:
         line = self._meter.line(self.trainer)

@@ -24,12 +24,12 @@ from nerf_core.errors import UserError
 from nerf_core.export import FilmJob, Job, StillJob
 from nerf_core.history import HistoryLog
 from nerf_core.messages import Command, Notice, Snapshot, ViewRequest
+from nerf_core.recovery import LastGood
 from nerf_core.scene import Scene
 from nerf_core.settings import RunSettings
 from nerf_core.trainer import Diverged, Trainer
 
 PUBLISH_SECONDS = 1 / 10  # between snapshots nobody waits for: a full picture takes some 5 ms to hand over
-GOOD_SECONDS = 20.0  # how often the weights are remembered, to fall back on when the loss diverges
 IDLE_SECONDS = 0.25  # how long an idle worker sleeps before it looks again
 NICENESS = 10  # the window's thread goes first when both want a core
 
@@ -65,8 +65,7 @@ class Worker:
         self._failed = False
         self._loading = ""
         self._saved_step = 0
-        self._good: tuple[int, float, dict[str, torch.Tensor]] | None = None
-        self._good_time = 0.0
+        self._good: LastGood | None = None
         self._history = HistoryLog()
         self._budget = Budget(share)
         self._artist = Artist()
@@ -164,8 +163,7 @@ class Worker:
             case messages.Pause():
                 self._training_until = None
             case messages.Reset():
-                self._need_trainer()
-                self._adopt(Trainer(self._need_scene(), self.settings))
+                self._adopt(self._need_trainer().restarted())
             case messages.SetShare(train):
                 self._budget.share = min(max(train, 0.05), 0.95)
             case messages.SaveCheckpoint(path):
@@ -210,11 +208,11 @@ class Worker:
 
     def _adopt(self, trainer: Trainer) -> None:
         """Make this the model; a paused one, whose history begins now."""
+        self._good = LastGood(trainer)  # raises where the weights are broken: what is open then stays
         self._trainer, self._training_until, self._failed = trainer, None, False
         self._saved_step = 0
         self._history = HistoryLog()
         self._artist.forget_pictures()
-        self._remember(trainer)
 
     def _load(self, path: Path) -> None:
         description, state = checkpoint.load(path)
@@ -259,6 +257,8 @@ class Worker:
     def _train_step(self, trainer: Trainer) -> None:
         try:
             report = trainer.step(self._pump)
+            if self._good is not None and self._good.due():
+                self._good.remember(trainer)
         except Diverged as error:
             self._recover(trainer, error)
             return
@@ -269,21 +269,14 @@ class Worker:
             ) from None
         self._budget.trained(report.seconds, report.rays)
         self._history.add(report.step, report.loss)
-        if time.monotonic() - self._good_time > GOOD_SECONDS:
-            self._remember(trainer)
-
-    def _remember(self, trainer: Trainer) -> None:
-        state = {name: value.clone() for name, value in trainer.state().items()}
-        if not all(value.isfinite().all() for value in state.values()):
-            return  # a step's loss is that of the weights before it: these are broken, as the next step will find
-        self._good, self._good_time = (trainer.step_count, trainer.seconds, state), time.monotonic()
+        if report.note:
+            self._notices.put(Notice("warning", report.note))
 
     def _recover(self, trainer: Trainer, error: Diverged) -> None:
         """Back to the last weights that were known to be good, paused."""
         self._training_until, self._failed = None, True
         if self._good is not None:
-            trainer.step_count, trainer.seconds, state = self._good
-            trainer.load_state(state)
+            self._good.restore(trainer)
             self._history.rewind(trainer.step_count)
         self._artist.forget_pictures()
         self._notices.put(Notice("error", f"{error}; back at step {trainer.step_count:,}, paused"))
@@ -391,7 +384,6 @@ class Worker:
             common = replace(
                 common,
                 method=trainer.method_name,
-                preset=self.settings.preset,
                 device=describe(trainer.device),
                 step=trainer.step_count,
                 saved_step=self._saved_step,

@@ -12,7 +12,7 @@ from nerf_core.trainer import Trainer
 
 @pytest.fixture(scope="module")
 def figures() -> tuple[dict[str, float], dict[str, float]]:
-    """Before and after some hundred steps, at an eighth of the photos' pixels."""
+    """Before and after some hundred steps, at a sixteenth of the photos' pixels."""
     trainer = Trainer(load_scene(None, LoadOptions(downscale=4)), RunSettings(preset="quick"))
     before = compare(trainer, views=2)
     while trainer.step_count < 800:

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import tyro
 
+from nerf_core.command_line import parse
 from nerf_core.errors import UserError
 from nerf_core.options import TrainOptions
 from nerf_core.signals import Interrupted, Signals
@@ -52,15 +53,9 @@ class ViewerOptions:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The exit status: 0; 1 for what the doctor found missing; 2 for what the user can mend; 130, 143 after signals."""
-    config = (
-        tyro.conf.OmitArgPrefixes,
-        tyro.conf.UseAppendAction,
-        tyro.conf.FlagCreatePairsOff,
-        tyro.conf.DisallowNone,
-    )
     with Signals() as signals:
         try:
-            return run(tyro.cli(ViewerOptions, prog="nerf-viewer", args=arguments, config=config), signals)
+            return run(parse(ViewerOptions, "nerf-viewer", arguments), signals)
         except UserError as error:
             status, text = 2, str(error)
         except Interrupted as error:

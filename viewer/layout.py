@@ -14,7 +14,7 @@ from viewer.panels import Panel
 VIEWPORT = "Viewport"
 HEADER = "; nerf-viewer layout 1 "
 RIGHT_EM, BOTTOM_EM, BOTTOM_RIGHT_EM = 23.0, 17.5, 23.0
-RIGHT_ROOM = (0.31, 0.4)  # of the column's height, from the top; what is left goes to the last panels, as tabs
+RIGHT_ROOM = (0.26, 0.46)  # of the column's height, from the top; what is left goes to the last panels, as tabs
 
 
 class Layout:

@@ -14,6 +14,7 @@ import numpy as np
 from nerf_core.datasets.calibration import fitted, oddities
 from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions
 from nerf_core.datasets.formats import recognise
+from nerf_core.datasets.geometry import normalise
 from nerf_core.datasets.images import Header, UnreadableError, damage_notes, measure, read_photo
 from nerf_core.errors import UserError
 from nerf_core.scene import Scene, View
@@ -31,8 +32,6 @@ def load_scene(path: Path | None, options: LoadOptions, progress: Progress | Non
     progress: called as (photos done, photos in all) from this thread; it may raise to cancel. What is odd but
     harmless is told in `Scene.notes`. Raises UserError naming file, field and remedy.
     """
-    from nerf_core.datasets.geometry import normalise
-
     _check(options)
     try:
         source, name, notes = recognise(path, options.format)

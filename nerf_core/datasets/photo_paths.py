@@ -40,7 +40,7 @@ def find_photos(folder: Path, listed: Sequence[str], source: Path) -> Found:
     if len(missing) == len(listed):
         raise UserError(
             f"{source}: none of the {len(listed)} listed photos exists, tried {_tried(folder, missing[0])}: "
-            "put the photos there or correct file_path"
+            "put the photos there or correct the names"
         )
     notes = []
     moved = [entry for entry, before, now in zip(listed, exact, paths, strict=True) if now and not before]

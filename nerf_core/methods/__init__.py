@@ -16,11 +16,12 @@ from nerf_core.types import Rays, Rendering, Trace
 class Method(Protocol):
     """A model of one scene with its optimiser; owned by one thread.
 
-    `summary` is the sentence that menus show. `tile` is how many rays one call of `render` works on at a time: a
-    preview asks for no more, so that it can be dropped between two calls.
+    `summary` is the sentence that menus show. `config`: as `configure` or `restore` made it. `tile` is how many rays
+    one call of `render` works on at a time: a preview asks for no more, so that it can be dropped between two calls.
     """
 
     summary: ClassVar[str]
+    config: Any
     tile: int
 
     @staticmethod
@@ -41,6 +42,10 @@ class Method(Protocol):
         `pump` is called between pieces of at most some 10 ms on a CPU, so that a preview can be served. What it
         raises abandons the step and leaves `state()` as it was.
         """
+        ...
+
+    def halve(self) -> bool:
+        """Use half the memory in `train` from now on, at the price of speed; False where that cannot be."""
         ...
 
     def render(self, rays: Rays, quality: str = "fine") -> Rendering:

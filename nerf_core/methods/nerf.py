@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from nerf_core.device import fast_precision
 from nerf_core.fields.mlp import MlpField
@@ -21,6 +23,9 @@ from nerf_core.volume import absorb, composite, expected_depth
 # samples is alive, evaluating everything without a graph and the living again with one is cheaper than one dense
 # pass (forward : backward = 1 : 2, hence 1 + 3f < 3).
 SPARSE_BELOW = 0.6
+# Their number is rounded up to a multiple of this: oneDNN compiles a kernel for every number of rows it has not seen,
+# which takes longer than to run it.
+BLOCK = 256
 
 
 class _Parametrised(NamedTuple):
@@ -187,12 +192,21 @@ class Nerf:
         squared = (color - truth).square().sum()
         raw_grad, rgb_grad = torch.autograd.grad(squared * scale, leaves)
         living = ((raw_grad != 0) | (rgb_grad != 0).any(-1)).nonzero().squeeze(-1)
-        if not dense and len(living):
+        alive = len(living)
+        if not dense and alive:
+            living = functional.pad(living, (0, -alive % BLOCK))  # samples that are there again, without a gradient
             raw, rgb = self._field(name, p, u, living)
             raw_grad, rgb_grad = raw_grad[living], rgb_grad[living]
-        if len(living):
+            raw_grad[alive:], rgb_grad[alive:] = 0, 0
+        if alive:
             torch.autograd.backward([raw, rgb], [raw_grad, rgb_grad])
-        return done.weights.detach(), squared.detach(), len(living)
+        return done.weights.detach(), squared.detach(), alive
+
+    def halve(self) -> bool:
+        if self.config.chunk_rays == 1:
+            return False
+        self.config = replace(self.config, chunk_rays=self.config.chunk_rays // 2)
+        return True
 
     def _samples(self, name: str) -> int:
         return self.config.coarse_samples + (self.config.fine_samples if name == "fine" else 0)

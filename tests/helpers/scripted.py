@@ -135,7 +135,7 @@ class ScriptedWorker:
         self.current = Snapshot("empty")
         if scene is not None:
             self.current = Snapshot(
-                status="ready", loaded=1, scene=scene, method="nerf", preset="complete", device="CPU", step=100,
+                status="ready", loaded=1, scene=scene, method="nerf", device="CPU", step=100,
                 total_steps=30_000, seconds=12.0, rays_per_second=64_000.0, seconds_left=70.0,
                 memory_bytes=512 << 20, history=history,
             )  # fmt: skip

@@ -133,11 +133,29 @@ def test_wrong_arguments_are_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("arguments", [["train", "--steps", "many"], ["train", "--wings"], ["eval"], ["fly"], []])
-def test_what_cannot_be_parsed_exits_2(arguments: list[str]) -> None:
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["train", "--steps", "many"], "--steps"),
+        (["train", "--wings"], "--wings"),
+        (["train", "--ndc", "perhaps"], "--ndc"),
+        (["eval"], "DIR"),
+        (["fly"], "fly"),
+        ([], "{train, eval, render}"),
+    ],
+)
+def test_what_cannot_be_parsed_is_one_line(arguments: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments) == 2
+    line = said(capsys)
+    assert text in line
+    assert line.endswith("; nerf-core --help lists the options\n")
+
+
+def test_help_is_no_mistake(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
-        main(arguments)
-    assert caught.value.code == 2
+        main(["train", "--help"])
+    assert caught.value.code == 0
+    assert "--seconds" in capsys.readouterr().out
 
 
 def test_diverged_exits_1(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

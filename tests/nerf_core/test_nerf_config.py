@@ -102,3 +102,9 @@ def test_a_configuration_of_another_version_is_refused() -> None:
     del stored["pi"]
     with pytest.raises(UserError, match="differs in pi: made by another version"):
         NerfConfig.restore(stored)
+
+
+@pytest.mark.parametrize(("name", "value"), [("rays", "many"), ("rays", 1.5), ("one_image", 1), ("decay", None)])
+def test_a_configuration_of_wrong_types_is_refused(name: str, value: object) -> None:
+    with pytest.raises(UserError, match=f"the checkpoint's {name} is .*: made by another version"):
+        NerfConfig.restore(NerfConfig().to_json() | {name: value})

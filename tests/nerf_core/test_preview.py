@@ -124,6 +124,20 @@ def test_a_level_that_training_has_outrun_is_redrawn_before_it_is_refined() -> N
     assert len(picture.take(100)) == 4
 
 
+def test_a_finer_level_is_all_of_one_age() -> None:
+    """Every second texel older than its neighbours would show as a grid of dots."""
+    picture = Refinement(camera(8, 8), 1, 2, "fine")
+    picture.advance(10)
+    work(picture, 10, 16)
+    assert picture.advance(11)
+    assert len(picture.take(100)) == 64
+    picture = Refinement(camera(8, 8), 1, 2, "fine")
+    picture.advance(10)
+    work(picture, 10, 16)
+    assert picture.advance(10)
+    assert len(picture.take(100)) == 48
+
+
 @pytest.mark.parametrize("affordable", [0.5, 1, 100, 5000, 1e9])
 def test_first_stride_is_the_smallest_that_can_be_afforded(affordable: float) -> None:
     def texels(stride: int) -> int:

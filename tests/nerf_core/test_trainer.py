@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from nerf_core.cameras import camera_rays
+from nerf_core.device import usable_cores
 from nerf_core.errors import UserError
 from nerf_core.scene import Scene
 from nerf_core.settings import RunSettings
@@ -128,6 +129,51 @@ def test_a_state_of_another_architecture_is_refused(make_trainer: MakeTrainer, s
         Trainer.resume(scene, stored(narrow), {}, "cpu")
     with pytest.raises(UserError, match="unknown method 'magic'"):
         Trainer.resume(scene, stored(narrow) | {"method": "magic"}, copied(narrow), "cpu")
+
+
+def test_out_of_memory_goes_on_in_smaller_chunks(make_trainer: MakeTrainer, monkeypatch: pytest.MonkeyPatch) -> None:
+    trainer, plain = make_trainer(chunk_rays=32), make_trainer(chunk_rays=8)
+    evaluate = trainer.method._field  # pyright: ignore[reportAttributeAccessIssue]: a Nerf
+
+    def limited(name: str, p: Any, u: Tensor, index: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        if len(u) > 8 and name == "fine":
+            raise torch.OutOfMemoryError("too many rays")
+        return evaluate(name, p, u, index)
+
+    monkeypatch.setattr(trainer.method, "_field", limited)
+    first, second = trainer.step(), trainer.step()
+    assert first.note == "out of device memory at step 1: going on in chunks of half the size"
+    assert second.note == ""
+    assert trainer.describe()["config"]["chunk_rays"] == 8
+    assert differing(trainer.state(), run(plain, 2).state()) == []
+
+
+def test_memory_that_never_suffices_stops(make_trainer: MakeTrainer, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise torch.OutOfMemoryError("full")
+
+    trainer = make_trainer()
+    before = copied(trainer)
+    monkeypatch.setattr(trainer.method, "_field", full)
+    with pytest.raises(torch.OutOfMemoryError):
+        trainer.step()
+    assert trainer.config.chunk_rays == 1
+    assert differing(trainer.state(), before) == []
+
+
+def test_restarted_is_the_same_run_again(make_trainer: MakeTrainer) -> None:
+    trainer = make_trainer(seed=4, density_noise=0.5)
+    begun, after = copied(trainer), copied(run(trainer, 3))
+    again = trainer.restarted()
+    assert (again.step_count, again.seconds) == (0, 0.0)
+    assert differing(again.state(), begun) == []
+    assert differing(run(again, 3).state(), after) == []
+
+
+def test_a_larger_machine_asked_for_more_threads(make_trainer: MakeTrainer, scene: Scene) -> None:
+    trainer = make_trainer()
+    resumed = Trainer.resume(scene, stored(trainer) | {"threads": 1000}, copied(trainer), "cpu")
+    assert resumed.threads == usable_cores()
 
 
 def test_psnr_of_a_loss() -> None:

@@ -1,0 +1,49 @@
+"""Command lines from dataclasses; a mistake in one is a single line, like every other error."""
+
+from __future__ import annotations
+
+import io
+import sys
+from collections.abc import Sequence
+from contextlib import redirect_stderr
+from typing import Any
+
+import tyro
+
+from nerf_core.errors import UserError
+
+CONFIG = (
+    tyro.conf.OmitArgPrefixes,
+    tyro.conf.UseAppendAction,
+    tyro.conf.FlagCreatePairsOff,
+    tyro.conf.DisallowNone,
+)
+
+
+def parse(kind: Any, prog: str, arguments: Sequence[str] | None) -> Any:
+    """An instance of the dataclass (or of one of a union's) that `arguments` (None: the process's own) describe.
+
+    Raises UserError naming the option, SystemExit(0) after --help.
+    """
+    said = io.StringIO()
+    try:
+        with redirect_stderr(said):
+            return tyro.cli(kind, prog=prog, args=arguments, config=CONFIG)
+    except SystemExit as end:
+        if not end.code:
+            raise
+        raise UserError(f"{_sentence(said.getvalue())}; {prog} --help lists the options") from None
+    finally:
+        if not said.getvalue().startswith("╭"):  # a warning of some library, say: not ours to hide
+            sys.stderr.write(said.getvalue())
+
+
+def _sentence(box: str) -> str:
+    """The message in a framed box: what stands between its upper edge and its first rule, on one line."""
+    words: list[str] = []
+    for line in box.splitlines()[1:]:
+        text = line.strip("│ ")
+        if text.startswith(("─", "╰")):
+            break
+        words += text.split()
+    return " ".join(words).partition(" Got errors:")[0].rstrip(".")
