@@ -7,6 +7,8 @@ centre outwards.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from nerf_core.cameras import Camera
@@ -38,27 +40,21 @@ class Refinement:
         self._depth = np.full(shape, np.nan, np.float32)
         self._step = np.zeros(shape, np.int64)
         self._known = np.zeros(shape, bool)
-        self._queue = self._ordered(~self._known)
+        self._queue = _ordered(~self._known)
         self._next = 0
-
-    def _ordered(self, wanted: np.ndarray) -> np.ndarray:
-        """Grid cells (row, column) to compute, nearest to the centre first."""
-        cells = np.argwhere(wanted)
-        centre = (np.array(wanted.shape) - 1) / 2
-        return cells[np.argsort(((cells - centre) ** 2).sum(-1), kind="stable")]
 
     def advance(self, step: int) -> bool:
         """When a level is complete: draw it again if training has outrun it, else go to the next; False: all done."""
         if self._next < len(self._queue):
             return True
         if self._step.min() < STALE * step:
-            self._queue = self._ordered(np.ones_like(self._known))
+            self._queue = _ordered(np.ones_like(self._known))
         elif self.stride > 1:
             self._refine(step)
             self._next = 0
             return self.advance(step)  # a picture of one texel gains none by halving
         elif self._step.min() < step:
-            self._queue = self._ordered(self._step < step)
+            self._queue = _ordered(self._step < step)
         else:
             return False
         self._next = 0
@@ -91,7 +87,7 @@ class Refinement:
         self._step = np.repeat(np.repeat(self._step, 2, 0), 2, 1)[: shape[0], : shape[1]]
         self._known, self.stride = known, stride
         # Older texels between newer ones would show as a grid of dots: while training goes on all are drawn again.
-        self._queue = self._ordered(~known | (self._step < step))
+        self._queue = _ordered(~known | (self._step < step))
 
     def complete(self) -> bool:
         return self.stride == 1 and bool(self._known.all())
@@ -111,6 +107,20 @@ class Refinement:
             step=int(self._step.min()),
             quality=self.quality,
         )
+
+
+def _ordered(wanted: np.ndarray) -> np.ndarray:
+    """The wanted cells (row, column) of a grid, nearest to the centre first."""
+    cells = _outwards(*wanted.shape)
+    return cells if wanted.all() else cells[wanted[cells[:, 0], cells[:, 1]]]
+
+
+@lru_cache(maxsize=8)  # a window's levels come again with every view, and sorting a million cells takes 0.1 s
+def _outwards(height: int, width: int) -> np.ndarray:
+    rows, columns = np.mgrid[:height, :width].astype(np.int32).reshape(2, -1)
+    # doubled, so that a centre between two cells stays a whole number
+    distance = (2 * rows - (height - 1)) ** 2 + (2 * columns - (width - 1)) ** 2
+    return np.stack([rows, columns], -1)[np.argsort(distance, kind="stable")]
 
 
 def _doubled(grid: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

@@ -1,0 +1,70 @@
+"""How long a person waits for the window and for the first picture of the demo scene.
+
+    xvfb-run -s '-screen 0 1600x1000x24' python tests/benchmarks/startup.py
+
+Each round is a fresh process; the first warms the disk's cache and is not counted. Medians and spread, in seconds
+since the process was started, and for the picture since training began.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import subprocess
+import sys
+import time
+
+
+def child(started: float) -> None:
+    """Open the window as the command does; print when what was there."""
+    from nerf_core.messages import OpenScene, Train
+    from nerf_core.settings import RunSettings
+    from nerf_core.signals import Signals
+    from viewer.window import load_libraries, open_window
+
+    load_libraries()
+    import viewer.session as sessions
+
+    with Signals() as signals:
+        window = open_window("startup", (1280, 800))
+        session = sessions.Session(window, RunSettings(), signals, print)
+        session.worker.send(OpenScene(None, RunSettings()))
+        session.worker.send(Train())
+        marks: dict[str, float] = {}
+        while "picture" not in marks:
+            window.poll(0.005)
+            drew, snapshot = session.app.frame(), session.worker.snapshot()
+            if drew:
+                marks.setdefault("window", time.monotonic())
+            if snapshot.scene is not None:
+                marks.setdefault("scene", time.monotonic())
+            if snapshot.status == "training":
+                marks.setdefault("training", time.monotonic())
+            if drew and session.app.state.snapshot.preview is not None:
+                marks["picture"] = time.monotonic()
+        session.close()
+    print(json.dumps({name: mark - started for name, mark in marks.items()}))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--child", type=float, help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.child is not None:
+        child(args.child)
+        return
+    rounds = []
+    for _ in range(args.rounds + 1):
+        command = [sys.executable, __file__, "--child", str(time.monotonic())]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        marks = json.loads(done.stdout.splitlines()[-1])
+        rounds.append(marks | {"picture after training began": marks["picture"] - marks["training"]})
+    for name in rounds[0]:
+        values = [marks[name] for marks in rounds[1:]]
+        print(f"{name}: {statistics.median(values):.2f} s (min {min(values):.2f}, max {max(values):.2f})")
+
+
+if __name__ == "__main__":
+    main()
