@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 X1, Y1 = implot.ImAxis_.x1, implot.ImAxis_.y1
 PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
 FIRST_STEPS = 500  # the steps axis starts with this many and doubles when they are full
-HEIGHT_EM = 4.8
+HEIGHT_EM = 4.3
 
 
 @dataclass(frozen=True)

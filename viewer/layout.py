@@ -14,7 +14,8 @@ from viewer.panels import Panel
 VIEWPORT = "Viewport"
 HEADER = "; nerf-viewer layout 1 "
 RIGHT_EM, BOTTOM_EM, BOTTOM_RIGHT_EM = 23.0, 17.5, 23.0
-RIGHT_ROOM = (0.26, 0.46)  # of the column's height, from the top; what is left goes to the last panels, as tabs
+MIDDLE_EM = 23.9  # the second panel of the right column holds plots and buttons of fixed height
+TOP_SHARE = 0.47  # of the column's rest for the panel above it; what is left goes to the last panels, as tabs
 
 
 class Layout:
@@ -105,15 +106,17 @@ def _build(space: int, panels: Sequence[Panel], size: ImVec2, em: float) -> str:
     for panel in panels:
         if panel.dock in places:
             docks.dock_builder_dock_window(panel.title, places[panel.dock])
-    first_tab = _stack(right.id_at_dir, [panel.title for panel in panels if panel.dock == "right"])
+    middle = _share(MIDDLE_EM * em, size.y)
+    rooms = (TOP_SHARE * (1 - middle), middle)
+    first_tab = _stack(right.id_at_dir, [panel.title for panel in panels if panel.dock == "right"], rooms)
     docks.dock_builder_finish(space)
     return first_tab
 
 
-def _stack(node: int, titles: list[str]) -> str:
-    """One below the other, as many as there is room for; the others share the last place as tabs: the first's title."""
+def _stack(node: int, titles: list[str], rooms: Sequence[float]) -> str:
+    """One below the other in `rooms` (shares of the height); the others share what is left as tabs: the first's title."""
     left = 1.0
-    for room in RIGHT_ROOM:
+    for room in rooms:
         if len(titles) < 2:
             break
         split = imgui.internal.dock_builder_split_node(node, imgui.Dir.up, room / left)
@@ -125,5 +128,5 @@ def _stack(node: int, titles: list[str]) -> str:
 
 
 def _share(wanted: float, whole: float) -> float:
-    """Of a side, but never more than 45 %: in a tiny window the picture still comes first."""
-    return min(wanted / max(whole, 1.0), 0.45)
+    """Of a side, but never more than half: in a tiny window the picture still comes first."""
+    return min(wanted / max(whole, 1.0), 0.5)
