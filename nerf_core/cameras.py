@@ -178,6 +178,14 @@ class Ndc:
         )
         return o_ndc, d_ndc, exists
 
+    def first(self, origins: Tensor) -> Tensor:
+        """World origins (R, 3) → the t′ (R,) at which their rays begin: 0, or beyond the near plane the origin's own.
+
+        Where world_t is 0: t′ / (1 − t′) = −(near + o_z) / near. What lies behind a camera that flew in is not seen.
+        """
+        beyond = ((-self.near - origins[:, 2]) / self.near).clamp(min=0)
+        return beyond / (1 + beyond)
+
     def world_t(self, origins: Tensor, directions: Tensor, t_ndc: Tensor) -> Tensor:
         """t′ (R, S) → world distance (R, S), clamped where the ray leaves the scene's far bound.
 

@@ -18,9 +18,10 @@ from nerf_core.errors import UserError, shorten
 
 VERSION = 1
 SUFFIX = ".safetensors"
-REQUIRED = {
-    "method": str, "config": dict, "steps": int, "seed": int, "threads": int, "step": int, "seconds": float,
-    "scene": str, "scene_name": str,
+# The description's fields, their types, and for numbers the largest (the least is 0).
+REQUIRED: dict[str, tuple[type, float]] = {
+    "method": (str, 0), "config": (dict, 0), "steps": (int, 2**53), "seed": (int, 2**63 - 1), "threads": (int, 1024),
+    "step": (int, 2**53), "seconds": (float, 1e12), "scene": (str, 0), "scene_name": (str, 0),
 }  # fmt: skip
 
 
@@ -48,16 +49,24 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
         raise UserError(f"{path}: not a readable checkpoint ({shorten(str(error))}); use an earlier one") from None
     if not {"nerf", "version", "sha256"} <= set(metadata):
         raise UserError(f"{path}: a safetensors file, but not a checkpoint of nerf-viewer")
-    if not metadata["version"].isdecimal() or int(metadata["version"]) > VERSION:
+    if metadata["version"] not in {str(v) for v in range(1, VERSION + 1)}:
         raise UserError(
             f"{path}: checkpoint version {shorten(metadata['version'])}, this program reads up to {VERSION}: update it"
         )
     if metadata["sha256"] != _digest(metadata["version"], metadata["nerf"], arrays):
         raise UserError(f"{path}: damaged: its checksum does not match; use an earlier checkpoint")
-    description = json.loads(metadata["nerf"])
-    for name, kind in REQUIRED.items():
-        if not isinstance(description, dict) or not isinstance(description.get(name), kind):
-            raise UserError(f"{path}: field {name} is missing or no {kind.__name__}: made by another version")
+    try:
+        description = json.loads(metadata["nerf"])
+    except (ValueError, RecursionError):  # sound by its checksum, but written by something else
+        description = None
+    if not isinstance(description, dict):
+        raise UserError(f"{path}: its description is no JSON object: not a checkpoint of nerf-viewer")
+    for name, (kind, most) in REQUIRED.items():
+        value = description.get(name)
+        if type(value) is not kind or (isinstance(value, (int, float)) and not 0 <= value <= most):
+            raise UserError(
+                f"{path}: field {name} is missing, no {kind.__name__} or out of range: made by another version"
+            )
     return description, arrays
 
 

@@ -18,7 +18,7 @@ from nerf_core.command_line import parse
 from nerf_core.console import Display, duration
 from nerf_core.datasets import load_scene
 from nerf_core.device import describe
-from nerf_core.errors import UserError
+from nerf_core.errors import UserError, shorten
 from nerf_core.evaluate import evaluate, select
 from nerf_core.export import FilmJob
 from nerf_core.messages import ExportPath
@@ -160,6 +160,9 @@ class Render:
     """auto, cpu, cuda or cuda:N."""
 
     def run(self, signals: Signals) -> int:
+        for name, most in (("frames", 100_000), ("width", 16_384), ("height", 16_384)):
+            if not 1 <= (getattr(self, name) or 1) <= most:
+                raise UserError(f"--{name} {shorten(getattr(self, name))}: give a whole number from 1 to {most:,}")
         if self.out.suffix.lower() != ".mp4":
             raise UserError(f"--out {self.out}: only MP4 is written: name a .mp4 file")
         around = {"elevation_degrees": self.elevation, "radius": self.radius}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import sys
 from collections.abc import Sequence
 from contextlib import redirect_stderr
 from typing import Any
@@ -33,17 +32,18 @@ def parse(kind: Any, prog: str, arguments: Sequence[str] | None) -> Any:
         if not end.code:
             raise
         raise UserError(f"{_sentence(said.getvalue())}; {prog} --help lists the options") from None
-    finally:
-        if not said.getvalue().startswith("╭"):  # a warning of some library, say: not ours to hide
-            sys.stderr.write(said.getvalue())
 
 
 def _sentence(box: str) -> str:
-    """The message in a framed box: what stands between its upper edge and its first rule, on one line."""
+    """The message in a box: what stands between its title and the rule below, without the frame.
+
+    It is drawn with Unicode's lines or, where the terminal has none, with dashes.
+    """
     words: list[str] = []
     for line in box.splitlines()[1:]:
         text = line.strip("│ ")
-        if text.startswith(("─", "╰")):
+        if text.strip("─╰╯- "):
+            words += text.split()
+        elif words:
             break
-        words += text.split()
     return " ".join(words).partition(" Got errors:")[0].rstrip(".")

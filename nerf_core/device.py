@@ -33,13 +33,14 @@ def describe(device: torch.device) -> str:
     return f"CPU, {torch.get_num_threads()} threads"
 
 
-def fast_precision(device: torch.device) -> torch.dtype:
-    """bfloat16 where matrix products are much faster in it (CUDA from Ampere, AVX-512 BF16, AMX), or float32."""
+def fast_precision(device: torch.device) -> str:
+    """ "bfloat16" where matrix products are much faster in it (CUDA from Ampere, AVX-512 BF16, AMX), else "float32"."""
     if device.type == "cuda":
-        return torch.bfloat16 if torch.cuda.get_device_capability(device)[0] >= 8 else torch.float32
-    # The public API has no such query; both private ones are what torch's own tests use.
-    fast = torch.cpu._is_amx_tile_supported() or torch.cpu._is_avx512_bf16_supported()
-    return torch.bfloat16 if fast else torch.float32
+        fast = torch.cuda.get_device_capability(device)[0] >= 8
+    else:
+        # The public API has no such query; both private ones are what torch's own tests use.
+        fast = torch.cpu._is_amx_tile_supported() or torch.cpu._is_avx512_bf16_supported()
+    return "bfloat16" if fast else "float32"
 
 
 def usable_cores() -> int:

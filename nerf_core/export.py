@@ -6,6 +6,7 @@ import io
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -72,19 +73,30 @@ class Job(ABC):
 
 
 class FilmJob(Job):
-    """A camera path as an MP4, and PNG frames beside it if asked for; frames are whole one by one and stay."""
+    """A camera path as an MP4, and PNG frames beside it if asked for. What is aborted leaves neither."""
 
     def __init__(self, method: Method, scene: Scene, command: ExportPath) -> None:
         if not command.cameras:
             raise UserError(f"{command.file}: a film needs at least one frame")
+        if command.file.suffix.lower() != ".mp4":
+            raise UserError(f"{command.file}: a film is written as MP4: name a .mp4 file")
         super().__init__(method, scene, command.file, command.cameras)
         self._command = command
+        self._frames: list[Path] = []
         first = command.cameras[0]
         self._writer = VideoWriter(command.file, command.fps, first.width, first.height)
 
     def abort(self) -> None:
         super().abort()
         self._writer.abort()
+        if self.progress.state == "done":
+            return
+        for frame in self._frames:
+            frame.unlink(missing_ok=True)
+        if self._frames:
+            with suppress(OSError):  # other files lie there: they are not ours
+                self._frames[0].parent.rmdir()
+        self._frames.clear()
 
     def _pieces(self) -> Iterator[bool]:
         file = self._command.file
@@ -96,7 +108,8 @@ class FilmJob(Job):
                 frame = to_bytes(color)
                 self._writer.add(frame)
                 if self._command.frames:
-                    write_png(file.with_name(f"{file.stem}_frames") / f"{number:05d}.png", frame)
+                    self._frames.append(file.with_name(f"{file.stem}_frames") / f"{number:05d}.png")
+                    write_png(self._frames[-1], frame)
         self._writer.close()
 
 

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-import math
+import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, get_type_hints
 
 import torch
 
+from nerf_core.device import fast_precision
 from nerf_core.errors import UserError, shorten
 from nerf_core.scene import Scene
 
-MOST_FREQUENCIES = 32  # 2³¹ times a coordinate is past what float32 can tell apart; 2¹²⁸ would be infinite
+# 2³¹ times a coordinate is past what float32 can tell apart; the other limits are past what any machine can hold.
+MOST = {
+    "position_frequencies": 32, "direction_frequencies": 32, "rays": 2**22, "chunk_rays": 2**22, "tile": 2**22,
+    "coarse_samples": 2**14, "fine_samples": 2**14, "depth": 64, "width": 2**13, "decay_steps": 10**9,
+    "total_steps": 10**9, "precrop_steps": 10**9, "train_images": 10**9,
+}  # fmt: skip
+PRECISIONS = ("float32", "bfloat16")
 
 
 @dataclass(frozen=True)
@@ -22,8 +29,9 @@ class NerfConfig:
     decay_steps: the learning rate falls to `decay` of itself over so many steps; a run that is told its number of
     steps decays over those instead. one_image: each step's rays come from one photo. precrop_steps: so long,
     rays come from the middle `precrop` of a photo. train_images: only so many photos, evenly spread (0: all).
-    last_delta: the δ of the last sample, which makes any positive density there opaque. chunk_rays: rays whose
-    gradient is computed at once; tile: rays rendered at once (0: by device). Both are part of what a seed fixes.
+    last_delta: the δ of the last sample, which makes any positive density there opaque. precision: of the matrix
+    products; unless it is set, bfloat16 where the device is fast at that. chunk_rays: rays whose gradient is computed
+    at once; tile: rays rendered at once (0: by device). All three are part of what a seed fixes.
     """
 
     rays: int = 1024
@@ -47,6 +55,7 @@ class NerfConfig:
     precrop: float = 0.5
     train_images: int = 0
     last_delta: float = 1e10
+    precision: str = "float32"
     chunk_rays: int = 32
     tile: int = 0
 
@@ -62,11 +71,15 @@ class NerfConfig:
         }
         for f in fields(self):
             value = getattr(self, f.name)
-            if not isinstance(value, bool) and not least.get(f.name, 0) <= value < math.inf:
-                raise UserError(f"--set {f.name}={value}: must be finite and at least {least.get(f.name, 0)}")
-        for name in ("position_frequencies", "direction_frequencies"):
-            if getattr(self, name) > MOST_FREQUENCIES:
-                raise UserError(f"--set {name}={getattr(self, name)}: must be at most {MOST_FREQUENCIES}")
+            if isinstance(value, (bool, str)):
+                continue
+            low, high = least.get(f.name, 0), MOST.get(f.name, sys.float_info.max)
+            if not value >= low:
+                raise UserError(f"--set {f.name}={value}: must be at least {low}")
+            if value > high:
+                raise UserError(f"--set {f.name}={shorten(value)}: must be at most {high}")
+        if self.precision not in PRECISIONS:
+            raise UserError(f"--set precision={shorten(self.precision)}: choose {' or '.join(PRECISIONS)}")
         if not 0 < self.precrop <= 1:
             raise UserError(f"--set precrop={self.precrop}: must lie in (0, 1]")
         if not 0 < self.decay <= 1:
@@ -83,6 +96,7 @@ class NerfConfig:
             )
         if device.type == "cuda":
             config = replace(config, chunk_rays=4096)
+        config = replace(config, precision=fast_precision(device))
         return replace(config, **(PRESETS[preset_name(preset, device)] | _parse(changes)))
 
     @staticmethod
@@ -146,6 +160,6 @@ def _parse(changes: Mapping[str, str]) -> dict[str, Any]:
             else:
                 values[name] = kind(text)
         except (ValueError, KeyError):
-            wanted = {bool: "true or false", int: "a whole number", float: "a number"}[kind]
+            wanted = {bool: "true or false", int: "a whole number", float: "a number", str: "a word"}[kind]
             raise UserError(f"--set {name}={shorten(text)}: expected {wanted}") from None
     return values

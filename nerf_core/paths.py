@@ -54,8 +54,8 @@ def orbit(
     """
     if not -90 <= elevation_degrees <= 90:
         raise UserError(f"an orbit's elevation of {elevation_degrees:g}° does not exist: take one from -90 to 90")
-    if radius is not None and not 0 < radius < np.inf:
-        raise UserError(f"an orbit's radius of {radius:g} is none: take a positive number of scene units")
+    if radius is not None and not 0 < radius <= 1e6:  # beyond, float32 has no digits left for the scene
+        raise UserError(f"an orbit's radius of {radius:g} is none: take a number of scene units from 0 to a million")
     if scene.ndc is not None:
         return spiral(scene, frames, width, height, fov_y_degrees=fov_y_degrees)
     lens = _lens(scene, width, height, fov_y_degrees)

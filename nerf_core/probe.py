@@ -125,7 +125,7 @@ def open_ray(method: Method, scene: Scene, camera: Camera, pixel: tuple[int, int
     names = [f.name for f in fields(PassProbe)][1:]
     passes = tuple(PassProbe(s.name, *(getattr(s, name)[i].cpu().numpy() for name in names)) for s in trace.passes)
     last = passes[-1]
-    opacity = float(last.weights.sum(dtype=np.float64))
+    opacity = min(float(last.weights.sum(dtype=np.float64)), 1.0)  # rounding may carry it a little over
     background = np.array(scene.background, dtype=np.float32)
     color = last.weights.astype(np.float64) @ last.rgb + (1 - opacity) * background
     depth = float(trace.rendering.depth[i])
@@ -135,8 +135,9 @@ def open_ray(method: Method, scene: Scene, camera: Camera, pixel: tuple[int, int
         pixel=pixel,
         origin=rays.origins[i].numpy(),
         direction=rays.directions[i].numpy(),
-        near=float(rays.near[i]),
-        far=float(rays.far[i]),
+        # under NDC samples lie between the near plane and the far bound, which the capture's bounds need not reach
+        near=min(float(rays.near[i]), *(float(p.t.min()) for p in passes)),
+        far=max(float(rays.far[i]), *(float(p.t.max()) for p in passes)),
         passes=passes,
         color=color.astype(np.float32),
         opacity=opacity,

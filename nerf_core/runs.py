@@ -139,7 +139,8 @@ class RunFolder:
                 f"{path}: was trained on {shorten(description['scene_name'])}, and {given} differs from that in "
                 "photos, poses or splits: give the data it was trained on"
             )
-        return Trainer.resume(scene, description, state, on), (*rejected, *scene.notes)
+        trainer = Trainer.resume(scene, description, state, on)
+        return trainer, (*rejected, *scene.notes, *trainer.notes(description))
 
     def rewind(self, step: int) -> None:
         """Before a run continues from `step`: set aside what was written after it. Raises UserError."""

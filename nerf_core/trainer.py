@@ -163,6 +163,15 @@ class Trainer:
         parts = {"method": self.method.state(), "batches": self.batches.state()}
         return {f"{part}.{key}": value for part, tensors in parts.items() for key, value in tensors.items()}
 
+    def notes(self, description: Mapping[str, Any]) -> tuple[str, ...]:
+        """What is to be told of a run resumed from `describe()`."""
+        if self.threads == description["threads"] or self.device.type != "cpu":
+            return ()
+        return (
+            f"begun on {description['threads']} threads, continued on the {self.threads} there are here: "
+            "its weights will differ in rounding from an uninterrupted run's",
+        )
+
     def go_to(self, description: Mapping[str, Any], state: Mapping[str, Tensor]) -> None:
         """Be where `describe()` and `state()` were taken."""
         self.load_state(state)

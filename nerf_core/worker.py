@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 import traceback
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -34,8 +35,15 @@ IDLE_SECONDS = 0.25  # how long an idle worker sleeps before it looks again
 NICENESS = 10  # the window's thread goes first when both want a core
 
 
-class _Cancelled(Exception):
-    """The window closed while a scene was loading or a step was under way."""
+# What can be obeyed in the middle of a training step: it touches neither the weights nor whose they are.
+QUICK = (
+    messages.SetShare, messages.Inspect, messages.StopInspecting, messages.ExportPath, messages.ExportStill,
+    messages.CancelExport,
+)  # fmt: skip
+
+
+class _Abandoned(Exception):
+    """A step, or the loading of a scene, was given up for a command that cannot wait for its end."""
 
 
 class Worker:
@@ -49,13 +57,15 @@ class Worker:
     def __init__(self, settings: RunSettings, wake: Callable[[], None] = lambda: None, share: float = 0.6) -> None:
         self.settings = settings
         self.wake = wake
-        self._commands: queue.SimpleQueue[Command] = queue.SimpleQueue()
+        self._commands: deque[Command] = deque()
         self._notices: queue.SimpleQueue[Notice] = queue.SimpleQueue()
         self._view: ViewRequest | None = None
+        self._skipped: ViewRequest | None = None  # a view that could not be drawn: tried again only when asked anew
         self._snapshot = Snapshot(wanted_share=share)
         self._published = 0.0
         self._thread = threading.Thread(target=self._run, name="nerf-worker", daemon=True)
-        self._quit = threading.Event()
+        self._quit = threading.Event()  # Quit was sent; what was sent before it is still done
+        self._ended = False  # and now it was its turn
         self._arrived = threading.Event()
         self._scene: Scene | None = None
         self._trainer: Trainer | None = None
@@ -66,6 +76,7 @@ class Worker:
         self._loading = ""
         self._saved_step = 0
         self._good: LastGood | None = None
+        self._accounted = 0.0  # up to when the step under way is in the budget
         self._history = HistoryLog()
         self._budget = Budget(share)
         self._artist = Artist()
@@ -77,7 +88,7 @@ class Worker:
         self._thread.start()
 
     def send(self, command: Command) -> None:
-        self._commands.put(command)
+        self._commands.append(command)
         if isinstance(command, messages.Quit):
             self._quit.set()
         self._arrived.set()
@@ -99,18 +110,14 @@ class Worker:
 
     def stop(self, timeout: float = 5.0) -> bool:
         """Ask the thread to end; whether it did within `timeout` seconds."""
-        self.send(messages.Quit())
+        if not self._quit.is_set():
+            self.send(messages.Quit())
         self._thread.join(timeout)
         return not self._thread.is_alive()
 
     @property
     def alive(self) -> bool:
         return self._thread.is_alive()
-
-    @property
-    def _closing(self) -> bool:
-        """Quit has come and nothing before it waits: a save sent just before it is still done, on a whole step."""
-        return self._quit.is_set() and self._commands.qsize() <= 1
 
     # ---- the thread -------------------------------------------------------------------------------------------------
 
@@ -119,11 +126,11 @@ class Worker:
             thread = threading.get_native_id()
             # only root may lower a niceness that the user has set higher
             os.setpriority(os.PRIO_PROCESS, thread, max(NICENESS, os.getpriority(os.PRIO_PROCESS, thread)))
-        while not self._closing:
+        while not self._ended:
             try:
                 self._turn()
-            except _Cancelled:
-                break
+            except _Abandoned:
+                pass  # the command is taken next
             except Exception as error:
                 self._fail(error)
         if self._export is not None:
@@ -133,26 +140,21 @@ class Worker:
     def _turn(self) -> None:
         """Commands first; then one training step, or one tile of a picture, or sleep."""
         self._arrived.clear()
-        self._take_commands()
+        while self._commands and not self._ended:
+            self._obey(self._commands.popleft())
+            self._publish(force=True)
         trainer = self._trainer
+        if self._ended:
+            return
         if trainer is not None and self._training_until is not None:
             if trainer.step_count >= self._training_until or trainer.seconds >= self._training_seconds:
                 self._training_until = None
             else:
                 self._train_step(trainer)
-        elif not self._draw(self._view):
+        elif not self._draw(self._wanted_view()):
             self._publish(force=self._artist.fresh)
             self._arrived.wait(IDLE_SECONDS)
         self._publish()
-
-    def _take_commands(self) -> None:
-        while not self._closing:
-            try:
-                command = self._commands.get_nowait()
-            except queue.Empty:
-                return
-            self._obey(command)
-            self._publish(force=True)
 
     def _obey(self, command: Command) -> None:  # noqa: PLR0912  one branch a message
         match command:
@@ -180,7 +182,7 @@ class Worker:
                 if self._export is not None:
                     self._export.cancel()
             case messages.Quit():
-                pass
+                self._ended = True
 
     # ---- scenes and checkpoints -------------------------------------------------------------------------------------
 
@@ -189,8 +191,8 @@ class Worker:
         self._publish(force=True)
 
         def progress(done: int, total: int) -> None:
-            if self._closing:
-                raise _Cancelled
+            if self._quit.is_set():
+                raise _Abandoned
             self._loading = f"loading photos: {done} of {total}"
             self._publish()
 
@@ -209,7 +211,7 @@ class Worker:
     def _adopt(self, trainer: Trainer) -> None:
         """Make this the model; a paused one, whose history begins now."""
         self._good = LastGood(trainer)  # raises where the weights are broken: what is open then stays
-        self._trainer, self._training_until, self._failed = trainer, None, False
+        self._trainer, self._training_until, self._failed, self._skipped = trainer, None, False, None
         self._saved_step = 0
         self._history = HistoryLog()
         self._artist.forget_pictures()
@@ -222,7 +224,10 @@ class Worker:
                 f"{path}: trained on another scene or with other loading options ({description['scene_name']}); "
                 f"open that one first (now open: {scene.name})"
             )
-        self._adopt(Trainer.resume(scene, description, state, self.settings.device))
+        trainer = Trainer.resume(scene, description, state, self.settings.device)
+        self._adopt(trainer)
+        for note in trainer.notes(description):
+            self._notices.put(Notice("warning", note))
         self._saved_step = description["step"]
         self._notices.put(Notice("info", f"loaded {path.name}: step {description['step']:,}", path))
 
@@ -246,7 +251,7 @@ class Worker:
 
     def _start_training(self, steps: int | None, seconds: float | None) -> None:
         trainer = self._need_trainer()
-        self._failed = False
+        self._failed, self._skipped = False, None
         self._training_seconds = math.inf if seconds is None else trainer.seconds + seconds
         end = trainer.total_steps if steps is None else trainer.step_count + steps
         if trainer.step_count >= end:
@@ -256,6 +261,7 @@ class Worker:
 
     def _train_step(self, trainer: Trainer) -> None:
         try:
+            self._accounted = time.perf_counter()
             report = trainer.step(self._pump)
             if self._good is not None and self._good.due():
                 self._good.remember(trainer)
@@ -267,7 +273,7 @@ class Worker:
             raise UserError(
                 f"out of device memory: {error}; use fewer rays a step or a smaller --set chunk_rays"
             ) from None
-        self._budget.trained(report.seconds, report.rays)
+        self._budget.trained(time.perf_counter() - self._accounted, report.rays)
         self._history.add(report.step, report.loss)
         if report.note:
             self._notices.put(Notice("warning", report.note))
@@ -282,22 +288,33 @@ class Worker:
         self._notices.put(Notice("error", f"{error}; back at step {trainer.step_count:,}, paused"))
 
     def _pump(self) -> None:
-        """Between two gradient chunks: serve the window for as long as the budget allows.
+        """Between two gradient chunks: obey, and serve the window for as long as the budget allows.
 
+        A step can take long. Commands that need it to end, to close the window or to pause, say, abandon it: it has
+        then not happened.
         A new view gets its first pixels at once, but only one new view each time: a hand that keeps moving must
         not stop the training.
         """
-        if self._closing:
-            raise _Cancelled
-        view = self._view
+        while self._commands and isinstance(self._commands[0], QUICK):
+            self._obey(self._commands.popleft())
+            self._publish(force=True)
+        if self._commands:
+            raise _Abandoned
+        self._budget.trained(time.perf_counter() - self._accounted, 0)
+        view = self._wanted_view()
         served = False
         while self._artist.urgent(view) and (view is self._view or (view and view.moving)) and self._draw(view):
             served = True
-        while self._budget.may_draw() and not self._artist.urgent(self._view) and self._draw(self._view):
+        while self._budget.may_draw() and not self._artist.urgent(self._view) and self._draw(self._wanted_view()):
             self._publish()
         self._publish(force=served)
+        self._accounted = time.perf_counter()
 
     # ---- pictures ---------------------------------------------------------------------------------------------------
+
+    def _wanted_view(self) -> ViewRequest | None:
+        view = self._view
+        return None if view is self._skipped else view
 
     def _draw(self, view: ViewRequest | None) -> bool:
         """One piece of drawing of at most some 15 ms; whether there was any to do."""
@@ -347,7 +364,7 @@ class Worker:
             self._notices.put(Notice("error", str(error)))
         else:
             self._training_until, self._failed = None, True
-            self._view = None  # what cannot be drawn is reported once, not at every turn: the next view tries again
+            self._skipped = self._view  # what cannot be drawn is reported once, not at every turn
             text = f"{type(error).__name__}: {error}".splitlines()[0]
             self._notices.put(Notice("error", f"the worker failed: {text}", detail=traceback.format_exc()))
         self._publish(force=True)

@@ -88,6 +88,7 @@ def run(options: ViewerOptions, signals: Signals) -> int:
         clicks=tuple(options.click), inspect=options.inspect, render=options.render, orbit=options.orbit,
         screenshot=options.screenshot,
     )  # fmt: skip
+    wishes.check()
     if not window.has_display:
         wishes = sessions.unattended(wishes)
     session = sessions.Session(window, settings, signals, print)

@@ -46,7 +46,7 @@ def _training() -> list[str]:
     trainer.step()
     device = pick_device("auto")
     return [
-        f"torch {torch.__version__}, {describe(device)}, {str(fast_precision(device)).removeprefix('torch.')}",
+        f"torch {torch.__version__}, {describe(device)}, {fast_precision(device)}",
         f"{usable_cores()} usable cores, CUDA {torch.version.cuda or 'not in this build'}",
     ]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from imgui_bundle import imgui
 
-from nerf_core.messages import Inspect, Pause, SaveCheckpoint, Train
+from nerf_core.messages import Inspect, Pause, SaveCheckpoint, StopInspecting, Train
 from viewer.draw.viewport import same_view
 from viewer.state import Action, AppState, FocusOn, FrameScene, GoToView, ResetView, StartOrbitExport
 from viewer.theme import TEXT_PIXELS
@@ -118,6 +118,8 @@ class ViewportInput:
         if _pressed(imgui.Key.h):
             state.show_help = not state.show_help
         if _pressed(imgui.Key.escape):
+            if not state.show_help and state.inspect is not None:
+                self.actions.append(StopInspecting())
             state.show_help = False
         scene = state.snapshot.scene
         if scene is None:

@@ -114,7 +114,7 @@ def _build(space: int, panels: Sequence[Panel], size: ImVec2, em: float) -> str:
 
 
 def _stack(node: int, titles: list[str], rooms: Sequence[float]) -> str:
-    """One below the other in `rooms` (shares of the height); the others share what is left as tabs: the first's title."""
+    """One below the other in `rooms`, shares of the height; the rest share what is left as tabs: the first's title."""
     left = 1.0
     for room in rooms:
         if len(titles) < 2:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -53,6 +54,18 @@ class Wishes:
 
     def files(self) -> tuple[Path, ...]:
         return tuple(p for p in (self.save, self.inspect, self.render, self.orbit, self.screenshot) if p is not None)
+
+    def check(self) -> None:
+        """Raises UserError for what could not be written, before hours are spent on what goes into it."""
+        kinds = {"screenshot": (".png",), "render": (".png", ".npy"), "orbit": (".mp4",)}
+        for option, suffixes in kinds.items():
+            file: Path | None = getattr(self, option)
+            if file is not None and file.suffix.lower() not in suffixes:
+                raise UserError(f"--{option} {file}: name a {' or '.join(suffixes)} file")
+        for file in self.files():
+            folder = next(parent for parent in file.absolute().parents if parent.exists())
+            if file.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
+                raise UserError(f"{file}: cannot be written: choose a file in a folder that you may write to")
 
 
 class Closed(Exception):
@@ -147,6 +160,8 @@ class Script:
         self.app.settle()
 
     def _click(self, x: str, y: str) -> None:
+        if "viewport" not in self.app.widgets:
+            raise UserError(f"--click {x} {y}: there is no viewport in so small a window; give a larger --size")
         left, top, right, bottom = self.app.widgets["viewport"]
         at = [_position(v, size) for v, size in ((x, right - left), (y, bottom - top))]
         self.app.hand.click(left + at[0] + 0.5, top + at[1] + 0.5)

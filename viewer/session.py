@@ -105,6 +105,8 @@ def unattended(wishes: Wishes) -> Wishes:
 def parse_size(text: str) -> tuple[int, int]:
     """ "1440x900" → (1440, 900). Raises UserError."""
     width, x, height = text.lower().partition("x")
-    if not (x and width.isdigit() and height.isdigit()) or not all(16 <= int(v) <= 16384 for v in (width, height)):
+    if not (x and (width + height).isascii() and width.isdigit() and height.isdigit()) or not all(
+        16 <= int(v) <= 16384 for v in (width, height)
+    ):
         raise UserError(f"--size {text}: write WIDTHxHEIGHT in pixels, 16 to 16384 each, as in --size 1280x800")
     return int(width), int(height)

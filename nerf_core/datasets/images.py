@@ -27,6 +27,8 @@ BROKEN = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error) 
 # Pillow warns above this size and refuses above its double; a warning here is a refusal as well.
 Image.MAX_IMAGE_PIXELS = MAX_PIXELS
 warnings.filterwarnings("error", category=Image.DecompressionBombWarning)
+# What else Pillow finds odd in a photo (a damaged tag, say) it reads all the same; what it cannot read is counted.
+warnings.filterwarnings("ignore", category=UserWarning, module=r"PIL\.")
 
 
 class UnreadableError(Exception):

@@ -16,12 +16,13 @@ from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions
 from nerf_core.datasets.formats import recognise
 from nerf_core.datasets.geometry import normalise
 from nerf_core.datasets.images import Header, UnreadableError, damage_notes, measure, read_photo
-from nerf_core.errors import UserError
+from nerf_core.errors import UserError, shorten
 from nerf_core.scene import Scene, View
 
 Progress = Callable[[int, int], None]
 T = TypeVar("T")
 WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
+LARGEST_SIDE = 1_000_000  # in pixels: more than any photo has
 BYTES_PER_PIXEL = 6  # uint16 RGB
 THREADS = min(4, os.cpu_count() or 1)  # decoders release the GIL; each holds one whole photo, so not too many
 
@@ -71,10 +72,10 @@ def load_scene(path: Path | None, options: LoadOptions, progress: Progress | Non
 
 
 def _check(options: LoadOptions) -> None:
-    if options.downscale < 1:
-        raise UserError(f"--downscale is {options.downscale}: give a whole number from 1 up")
-    if options.max_size < 0:
-        raise UserError(f"--max-size is {options.max_size}: give the longer side in pixels, or 0 for no limit")
+    if not 1 <= options.downscale <= LARGEST_SIDE:
+        raise UserError(f"--downscale is {shorten(options.downscale)}: give a whole number from 1 to {LARGEST_SIDE:,}")
+    if not 0 <= options.max_size <= LARGEST_SIDE:
+        raise UserError(f"--max-size is {shorten(options.max_size)}: give the longer side in pixels, or 0 for no limit")
     if not options.memory_gb > 0:
         raise UserError(f"--memory-gb is {options.memory_gb}: give how many GB the photos may take, more than 0")
 

@@ -63,13 +63,25 @@ class MlpField(nn.Module):
     def geometry(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """x (P, 3) → raw density (P,) float32, trunk output (P, width) in the compute precision."""
         with self._autocast():
-            encoded = encodings.frequency(x, self.position_frequencies, self.include_input, self.pi).to(self.precision)
-            h = encoded
+            encoded = encodings.frequency(x, self.position_frequencies, self.include_input, self.pi)
+            if self.position_frequencies:  # 8 bits hold sines and cosines, but not bare coordinates
+                encoded = encoded.to(self.precision)
+            h = encoded[:, :0]
             for i, layer in enumerate(self.trunk):
-                h = functional.relu(layer(h), inplace=True)
-                if i == SKIP_AFTER and i + 1 < len(self.trunk):
-                    h = torch.cat([encoded, h], -1)
+                h = self._joined(layer, encoded, h) if i in (0, SKIP_AFTER + 1) else layer(h)
+                h = functional.relu(h, inplace=True)
             return self.density(h).squeeze(-1).float(), h
+
+    def _joined(self, layer: nn.Module, encoded: Tensor, h: Tensor) -> Tensor:
+        """A layer that the encoded position enters, in front of the trunk's h; in float32 where that is float32."""
+        assert isinstance(layer, nn.Linear)
+        if encoded.dtype == self.precision:
+            return layer(torch.cat([encoded, h], -1) if h.shape[1] else encoded)
+        own = encoded.shape[1]
+        rest = functional.linear(h, layer.weight[:, own:]) if h.shape[1] else torch.zeros((), device=h.device)
+        with torch.autocast(encoded.device.type, enabled=False):
+            exact = functional.linear(encoded, layer.weight[:, :own], layer.bias)
+        return (exact + rest).to(self.precision)
 
     def color(self, trunk: Tensor, encoded_directions: Tensor) -> Tensor:
         """Trunk output (P, width), γ(d) (P, D) → sRGB-encoded colour (P, 3) in [0, 1], float32."""

@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from nerf_core.device import fast_precision
 from nerf_core.fields.mlp import MlpField
 from nerf_core.methods import METHODS
 from nerf_core.nerf_config import NerfConfig
@@ -84,8 +83,7 @@ class Nerf:
 
     def _network(self, start: torch.Generator) -> MlpField:
         c = self.config
-        # bfloat16 has 8 bits: enough for sines and cosines, not for bare coordinates
-        precision = fast_precision(self.device) if c.position_frequencies else torch.float32
+        precision = torch.bfloat16 if c.precision == "bfloat16" else torch.float32
         field = MlpField(
             c.depth, c.width, c.position_frequencies, c.direction_frequencies, c.include_input, c.pi, c.view_directions,
             precision,
@@ -101,8 +99,8 @@ class Nerf:
             one = torch.ones_like(rays.near)
             return _Parametrised(rays.origins, rays.directions, rays.near, rays.far, one, one.bool(), encoded)
         origins, directions, exists = self.ndc.rays(rays.origins, rays.directions)
-        zero, one = torch.zeros_like(rays.near), torch.ones_like(rays.near)
-        return _Parametrised(origins, directions, zero, one, directions.norm(dim=-1), exists, encoded)
+        first, one = self.ndc.first(rays.origins), torch.ones_like(rays.near)
+        return _Parametrised(origins, directions, first, one, directions.norm(dim=-1), exists, encoded)
 
     def _coarse_u(self, p: _Parametrised, random: bool) -> Tensor:
         u = spaced(p.near, p.far, self.config.coarse_samples, self.disparity and self.ndc is None)
@@ -112,7 +110,7 @@ class Nerf:
         """The sorted union of the coarse depths and N_f draws from their weights (ends left out, as in the code)."""
         middle = (coarse_u[:, 1:] + coarse_u[:, :-1]) / 2
         draws = inverse_transform(
-            middle, weights[:, 1:-1].detach(), self.config.fine_samples, self.generator if random else None
+            middle, weights[:, 1:-1], self.config.fine_samples, self.generator if random else None
         )
         return torch.cat([coarse_u, draws], -1).sort(-1).values
 
@@ -282,6 +280,13 @@ class Nerf:
             if key.startswith("adam."):
                 _, i, slot = key.split(".")
                 slots.setdefault(int(i), {})[slot] = value.clone()  # Adam keeps what it is given and writes into it
+        # Before the first step there are none. The fused kernel trusts them: past the end of one that is too small it
+        # would write all the same.
+        for i, parameter in enumerate(self.parameters() if slots else ()):
+            shapes = {name: (value.shape, value.dtype) for name, value in slots.get(i, {}).items()}
+            moment = (parameter.shape, parameter.dtype)
+            if shapes != {"step": (torch.Size(), torch.float32), "exp_avg": moment, "exp_avg_sq": moment}:
+                raise ValueError(f"the optimiser's state of parameter {i} does not fit")
         self.optimizer.load_state_dict({**self.optimizer.state_dict(), "state": slots})
         generator = state["generator"].cpu()
         if len(generator) == len(self.generator.get_state()):  # else of another kind of device: draws begin at the seed

@@ -23,7 +23,7 @@ from torch.nn import functional
 
 from nerf_core.batches import PixelSampler
 from nerf_core.datasets import LoadOptions, load_scene
-from nerf_core.device import describe, usable_cores
+from nerf_core.device import describe, fast_precision, usable_cores
 from nerf_core.methods.nerf import Nerf
 from nerf_core.nerf_config import NerfConfig
 from nerf_core.trainer import nothing
@@ -117,7 +117,7 @@ def main() -> None:
     torch.set_num_threads(usable_cores())
     device = torch.device("cpu")
     scene = load_scene(None, LoadOptions())
-    method = Nerf(scene, NerfConfig(rays=args.rays, one_image=False), device, 0)
+    method = Nerf(scene, NerfConfig(rays=args.rays, one_image=False, precision=fast_precision(device)), device, 0)
     warm = PixelSampler(scene, NerfConfig(rays=64, one_image=False, precrop_steps=200), device, 1)
     batches = PixelSampler(scene, method.config, device, 2)
     peer = PlainNerf(torch.tensor(scene.background))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import pickle
 import random
@@ -113,11 +114,40 @@ def test_another_programs_safetensors_are_told_apart(tmp_path: Path) -> None:
         checkpoint.load(tmp_path / "llm.safetensors")
 
 
-@pytest.mark.parametrize(("field", "value"), [("step", None), ("seconds", "long"), ("config", [])])
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("step", None), ("seconds", "long"), ("config", []), ("step", True), ("step", -5), ("step", 10**400),
+        ("seconds", math.nan), ("threads", -3), ("seed", 2**70),
+    ],
+)  # fmt: skip
 def test_a_field_that_is_wrong_is_named(tmp_path: Path, field: str, value: object) -> None:
     checkpoint.save(tmp_path / "x.safetensors", DESCRIPTION | {field: value}, TENSORS)
-    with pytest.raises(UserError, match=f"field {field} is missing or no "):
+    with pytest.raises(UserError, match=f"field {field} is missing, no .* or out of range"):
         checkpoint.load(tmp_path / "x.safetensors")
+
+
+@pytest.mark.parametrize("text", ["", "nerf", "[" * 100_000, "[1]", '{"step": 1e999}'])
+def test_a_description_that_is_none_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    """With a checksum that is right: the file is whole, but no program of ours wrote it."""
+    path = tmp_path / "x.safetensors"
+    with monkeypatch.context() as context:
+        context.setattr(checkpoint.json, "dumps", lambda *_, **__: text)
+        checkpoint.save(path, DESCRIPTION, TENSORS)
+    with pytest.raises(
+        UserError, match=r"no JSON object: not a checkpoint|field method is missing, no str or out of range"
+    ):
+        checkpoint.load(path)
+
+
+@pytest.mark.parametrize("version", ["0", "-1", "9" * 5000, "one", "١"])
+def test_a_version_that_is_none_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, version: str) -> None:
+    path = tmp_path / "x.safetensors"
+    with monkeypatch.context() as context:
+        context.setattr(checkpoint, "VERSION", version)
+        checkpoint.save(path, DESCRIPTION, TENSORS)
+    with pytest.raises(UserError, match=r"checkpoint version '.*, this program reads up to 1: update it"):
+        checkpoint.load(path)
 
 
 class Payload:

@@ -115,6 +115,8 @@ def test_an_exception_is_told_once_and_the_thread_lives(open_desk: OpenDesk, mon
         time.sleep(0.6)  # two of the worker's idle turns
         desk.until(lambda _: True)
         assert len(desk.heard) == 1
+    desk.trained(1)  # the same view is tried again once there is something new to show
+    desk.until(lambda s: s.preview is not None and s.preview.stamp == 1)
     desk.worker.request_view(view_of(scene, 2))
     desk.until(lambda s: s.preview is not None and s.preview.stamp == 2)
     assert desk.trained(1).status == "paused"

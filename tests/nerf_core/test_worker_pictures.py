@@ -17,6 +17,7 @@ from nerf_core.messages import (
     CancelExport,
     ExportPath,
     Inspect,
+    Pause,
     SaveCheckpoint,
     SetShare,
     StopInspecting,
@@ -112,6 +113,35 @@ def test_watched_or_not_the_weights_are_the_same(
     assert [name for name in alone if not torch.equal(state[name], alone[name])] == []
 
 
+def test_a_film_is_an_mp4(open_desk: OpenDesk, tmp_path: Path) -> None:
+    desk = open_desk()
+    desk.send(ExportPath(orbit(desk.worker.snapshot().scene, 3), 30.0, tmp_path / "orbit.avi"))
+    desk.until_told("orbit.avi: a film is written as MP4: name a .mp4 file")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_long_step_keeps_nobody_waiting(open_desk: OpenDesk, tmp_path: Path) -> None:
+    """A step of the official batch takes seconds on a CPU; this one would take minutes."""
+    desk, path = open_desk(rays="60000", chunk_rays="1"), tmp_path / "model.safetensors"
+    scene = desk.worker.snapshot().scene
+    assert scene is not None
+    desk.send(Train())
+    desk.until(lambda s: s.status == "training")
+    begin = time.monotonic()
+    desk.send(Inspect(scene.views[0].camera, (3, 4)))
+    desk.until(lambda s: s.ray is not None and s.ray.pixel == (3, 4))
+    desk.send(ExportPath(orbit(scene, 2), 30.0, tmp_path / "film.mp4"))
+    desk.until_told("exported")
+    desk.send(Pause())
+    assert desk.until(lambda s: s.status == "ready").step == 0  # the step was given up
+    desk.send(Train())
+    desk.until(lambda s: s.status == "training")
+    desk.send(SaveCheckpoint(path))
+    assert desk.worker.stop(5.0)
+    assert checkpoint.load(path)[0]["step"] == 0
+    assert time.monotonic() - begin < 30
+
+
 def test_a_film_is_made_while_training_goes_on(open_desk: OpenDesk, tmp_path: Path) -> None:
     desk, film = open_desk(), tmp_path / "orbit.mp4"
     desk.send(Train(), ExportPath(orbit(desk.worker.snapshot().scene, 3), 30.0, film, frames=True))
@@ -128,8 +158,9 @@ def test_a_film_is_made_while_training_goes_on(open_desk: OpenDesk, tmp_path: Pa
 def test_a_cancelled_film_leaves_nothing(open_desk: OpenDesk, tmp_path: Path) -> None:
     desk = open_desk()
     scene = desk.worker.snapshot().scene
-    desk.send(ExportPath(orbit(scene, 5000), 30.0, tmp_path / "long.mp4"))
-    desk.until(lambda s: s.export is not None and s.export.state == "running" and s.export.done > 3)
+    desk.send(ExportPath(orbit(scene, 5000), 30.0, tmp_path / "long.mp4", frames=True))
+    desk.until(lambda s: s.export is not None and s.export.state == "running" and s.export.done > 30)
+    assert list(tmp_path.glob("long_frames/*.png"))
     desk.send(ExportPath(orbit(scene, 1), 30.0, tmp_path / "second.mp4"))
     desk.until_told("long.mp4 is running: cancel it or wait for it")
     desk.send(CancelExport())

@@ -69,6 +69,7 @@ def test_the_inspected_ray_is_the_rendered_pixel(written: Path) -> None:
 def test_the_inspected_ray_obeys_the_equations(written: Path) -> None:
     ray = json.loads((written / "ray.json").read_text())
     assert [one["name"] for one in ray["passes"]] == ["coarse", "fine"]
+    t = weights = rgb = np.empty(0)  # of the last pass, after the loop
     for one in ray["passes"]:
         t, delta, sigma, rgb, weights = (np.array(one[k]) for k in ("t", "delta", "sigma", "rgb", "weights"))
         alpha = 1 - np.exp(-sigma * delta)
@@ -117,6 +118,14 @@ def test_a_checkpoint_gives_the_same_picture_again(written: Path, tmp_path: Path
         (["--steps", "0"], "--steps 0"),
         (["--steps", "1.5"], "--steps"),
         (["--wings"], "--wings"),
+        (["--size", "²x500"], "--size ²x500"),
+        (["--size", "16x16", "--click", "0.5", "0.5", "--inspect", "x.json"], "give a larger --size"),
+        (["--orbit", "x.avi"], "--orbit x.avi: name a .mp4 file"),
+        (["--screenshot", "x.jpg"], "--screenshot x.jpg: name a .png file"),
+        (["--save", "/proc/none/x.safetensors"], "/proc/none/x.safetensors: cannot be written"),
+        (["--downscale", "9" * 400], "--downscale"),
+        (["--set", "rays=" + 20 * "9"], "rays"),
+        (["--set", "depth=100000"], "depth"),
     ],
 )
 def test_a_mistake_is_one_line_and_status_2(arguments: list[str], words: str, tmp_path: Path) -> None:

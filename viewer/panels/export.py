@@ -110,6 +110,6 @@ def _progress(ui: Ui, export: Export) -> None:
         hint(ui, "Done:", ui.theme.good)
         path_line(ui, export.file, "export.copy")
     elif export.state == "cancelled":
-        hint(ui, "Cancelled: no file was written.")
+        hint(ui, "Cancelled: nothing was kept.")
     else:
         hint(ui, "The export failed and left no file: see Notices.", ui.theme.error)

@@ -19,6 +19,7 @@ HANDS = (
     ("fly down, up", "Q, E"),
     ("fly faster", "Shift"),
     ("inspect a ray", "click"),
+    ("close the ray", "Esc"),
     ("focus on a point", "double click"),
     ("", ""),
     ("frame the scene", "F"),

@@ -85,3 +85,23 @@ def test_bfloat16_stays_near_single_precision() -> None:
     for a, b in zip(exact(x, exact.encode_directions(d)), fast(x, fast.encode_directions(d)), strict=True):
         assert b.dtype == torch.float32
         torch.testing.assert_close(a, b, atol=0.03, rtol=0.03)
+
+
+def test_bare_coordinates_keep_their_digits_in_bfloat16() -> None:
+    """Two points closer than bfloat16 can tell apart (2⁻⁷ at 1 … 2) are still two points for the network."""
+    field = official(position_frequencies=0, width=64, precision=torch.bfloat16)
+    x = torch.tensor([[1.5, 1.5, 1.5], [1.501, 1.5, 1.5]], requires_grad=True)
+    assert x.detach().to(torch.bfloat16).unique(dim=0).shape[0] == 1
+    with torch.no_grad():
+        field.trunk[0].weight.mul_(100)  # so that what the layers behind it can tell apart is not what fails
+    raw, _ = field.geometry(x)
+    assert raw[0] != raw[1]
+
+
+def test_bare_coordinates_in_bfloat16_stay_near_single_precision() -> None:
+    exact = official(position_frequencies=0, width=64)
+    fast = official(position_frequencies=0, width=64, precision=torch.bfloat16)
+    fast.load_state_dict(exact.state_dict())
+    x, d = torch.randn(200, 3), exact.encode_directions(nn.functional.normalize(torch.randn(200, 3), dim=-1))
+    for a, b in zip(exact(x, d), fast(x, d), strict=True):
+        torch.testing.assert_close(a, b, rtol=0.05, atol=0.05)

@@ -141,6 +141,6 @@ def test_both_precisions_are_tested_where_the_hardware_has_both(
     make: MakeMethod, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The tests above ran in the fast precision of this machine; here the pixel's independence in the other."""
-    other = torch.bfloat16 if fast_precision(CPU) == torch.float32 else torch.float32
-    monkeypatch.setattr("nerf_core.methods.nerf.fast_precision", lambda device: other)
+    other = "bfloat16" if fast_precision(CPU) == "float32" else "float32"
+    monkeypatch.setattr("nerf_core.nerf_config.fast_precision", lambda device: other)
     test_a_pixel_does_not_depend_on_its_neighbours(make, scene)

@@ -21,11 +21,6 @@ CPU = torch.device("cpu")
 CONFIG = NerfConfig(rays=24, coarse_samples=10, fine_samples=14, depth=7, width=20, chunk_rays=24)
 
 
-@pytest.fixture(autouse=True)
-def single_precision(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nerf_core.methods.nerf.fast_precision", lambda device: torch.float32)
-
-
 # ---- the paper ----------------------------------------------------------------------------------------------------
 
 
@@ -172,6 +167,24 @@ def test_only_living_samples_backwards_gives_the_same_gradients(scene: Scene) ->
     assert_same_gradients(found[0][0], found[1][0], 1e-5)
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"adam.3.exp_avg": torch.zeros(3)},
+        {"adam.3.exp_avg_sq": torch.zeros(20, 20, dtype=torch.float64)},
+        {"adam.3.step": torch.zeros(2)},
+        {"adam.3.exp_avg": None},
+    ],
+)
+def test_an_optimisers_state_that_does_not_fit_is_refused(scene: Scene, change: dict[str, Tensor | None]) -> None:
+    """The fused kernel would write past the end of what is too small."""
+    method = Nerf(scene, CONFIG, CPU, 0)
+    method.train(*batch(scene, 24), 0, None, lambda: None)
+    state = {k: v for k, v in (method.state() | change).items() if v is not None}
+    with pytest.raises(ValueError, match="the optimiser's state of parameter 3 does not fit"):
+        method.load_state(state)
+
+
 def test_a_dead_network_is_resumed_bit_for_bit(scene: Scene) -> None:
     """Adam goes on by its momentum where no sample gets a gradient; so must a resumed one."""
     first = Nerf(scene, replace(CONFIG, fine_samples=0), CPU, seed=0)
@@ -275,6 +288,30 @@ def test_a_camera_that_turns_away_sees_background(forward: Scene) -> None:
     loss = method.train(rays[:24], torch.ones(24, 3), 0, None, lambda: None)
     assert loss == pytest.approx(float((1 - torch.tensor(forward.background)).square().mean()), rel=1e-5)
     assert all(not g.any() for g in gradients(method).values())
+
+
+@pytest.mark.parametrize("z", [0.5, -2.0, -7.0, -19.0])
+def test_a_camera_that_flew_in_sees_nothing_behind_itself(forward: Scene, z: float) -> None:
+    method = Nerf(forward, CONFIG, CPU, 0)
+    c2w = forward.views[0].camera.c2w.copy()
+    c2w[2, 3] = z
+    rays = camera_rays(forward.views[0].camera.moved(c2w), 1.0, 20.0)[100:104]
+    for one in method.trace(rays).passes:
+        assert (one.t >= -1e-4).all()
+        assert (one.t[:, 1:] >= one.t[:, :-1]).all()
+        depth = z + one.t * rays.directions[:, 2:]
+        torch.testing.assert_close(depth[:, 0], torch.full((4,), min(z, -1.0)), rtol=1e-3, atol=1e-3)
+        torch.testing.assert_close(depth[:, -1], torch.full((4,), -20.0), rtol=1e-3, atol=0)
+
+
+def test_radiance_under_ndc_is_asked_for_at_the_projected_point(forward: Scene) -> None:
+    method = Nerf(forward, CONFIG, CPU, 0)
+    directions = nn.functional.normalize(torch.randn(9, 3), dim=-1)
+    world, net = torch.tensor([0.3, -0.2, -2.5]), method.networks["fine"]
+    scale = 2 * forward.views[0].camera.fx / 16
+    x = torch.tensor([scale * 0.3 / 2.5, scale * -0.2 / 2.5, 1 - 2 / 2.5])
+    _, rgb = net(x.expand(9, 3), net.encode_directions(directions))
+    torch.testing.assert_close(method.radiance(world, directions), rgb)
 
 
 def test_samples_are_linear_in_disparity_where_the_scene_says_so(scene: Scene) -> None:
