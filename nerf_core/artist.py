@@ -47,8 +47,9 @@ class Artist:
 
     def preview(self, previous: Preview | None) -> Preview | None:
         """The newest picture that may be shown; the previous one until a new camera's first level is complete."""
-        if self._picture is not None and self._picture.fresh and self._picture.first_level_done:
-            return self._picture.image()
+        picture = self._picture
+        if picture is not None and picture.fresh and picture.first_level_done and picture.coherent():
+            return picture.image()
         return previous
 
     def rays_per_second(self, quality: str) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import sys
 from collections.abc import Sequence
 from contextlib import redirect_stderr
 from typing import Any
@@ -19,11 +20,19 @@ CONFIG = (
 )
 
 
+REPEATABLE = ("--click", "--set")
+
+
 def parse(kind: Any, prog: str, arguments: Sequence[str] | None) -> Any:
     """An instance of the dataclass (or of one of a union's) that `arguments` (None: the process's own) describe.
 
     Raises UserError naming the option, SystemExit(0) after --help.
     """
+    arguments = sys.argv[1:] if arguments is None else arguments
+    options = [a.partition("=")[0] for a in arguments if a.startswith("--")]
+    for option in options:
+        if options.count(option) > 1 and option not in REPEATABLE:
+            raise UserError(f"{option}: given {options.count(option)} times; once is enough")
     said = io.StringIO()
     try:
         with redirect_stderr(said):

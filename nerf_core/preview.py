@@ -2,7 +2,8 @@
 
 A picture starts as a coarse grid of pixels (stride 32, say) and is refined by halving the stride. Every grid contains
 the coarser one: its pixels are kept if the weights are still those that drew them. Within a level, pixels come from the
-centre outwards.
+centre outwards. Young weights change faster than a fine level can be drawn: then the level stays as coarse as one that
+is done before they have, since half of one picture and half of another is none.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from nerf_core.messages import Preview
 from nerf_core.render import to_bytes
 
 COARSEST = 64
-STALE = 0.9  # a picture drawn before this share of today's steps is drawn again before it is refined
+COHERENT = 0.75  # pixels drawn after this share of the newest pixels' steps show the same model to the eye
 
 
 def first_stride(width: int, height: int, affordable: float) -> int:
@@ -44,21 +45,28 @@ class Refinement:
         self._next = 0
 
     def advance(self, step: int) -> bool:
-        """When a level is complete: draw it again if training has outrun it, else go to the next; False: all done."""
+        """When a level is complete: go to the next if that can be drawn before the weights are others, else draw it
+        again; False: all done.
+
+        The next has four times the pixels: four times as many steps will pass as did during this one.
+        """
         if self._next < len(self._queue):
             return True
-        if self._step.min() < STALE * step:
-            self._queue = _ordered(np.ones_like(self._known))
-        elif self.stride > 1:
+        oldest = int(self._step.min())
+        passed = step - oldest
+        if self.stride > 1 and oldest + passed >= COHERENT * (oldest + 5 * passed):
             self._refine(step)
             self._next = 0
             return self.advance(step)  # a picture of one texel gains none by halving
-        elif self._step.min() < step:
-            self._queue = _ordered(self._step < step)
-        else:
+        if not passed:
             return False
+        self._queue = _ordered(np.ones_like(self._known))
         self._next = 0
         return True
+
+    def coherent(self) -> bool:
+        """Whether all its pixels show the same model, or as good as."""
+        return int(self._step.min()) >= COHERENT * int(self._step.max())
 
     def take(self, count: int) -> np.ndarray:
         """The next at most `count` cells (K, 2) to compute."""
@@ -93,7 +101,7 @@ class Refinement:
         return self.stride == 1 and bool(self._known.all())
 
     def image(self) -> Preview:
-        """The picture as it stands, once its first level is done."""
+        """The picture as it stands, once its first level is done and while it is `coherent`."""
         self.fresh = False
         rgba = np.full((*self._known.shape, 4), 255, np.uint8)
         rgba[..., :3] = to_bytes(self._color)

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import signal
+import time
+from collections.abc import Callable
 from types import FrameType, TracebackType
 from typing import Any
+
+ECHO_SECONDS = 0.5  # no hand presses Ctrl-C twice so fast
 
 
 class Interrupted(KeyboardInterrupt):
@@ -18,14 +22,17 @@ class Interrupted(KeyboardInterrupt):
 class Signals:
     """While this context lasts, SIGINT and SIGTERM raise `Interrupted` in the main thread.
 
-    After `be_polite()` the first one is only noted, in `received`, for the program to look at; a second one raises.
+    After `be_polite()` the first one is only noted, in `received`, for the program to look at; a second one raises,
+    unless it comes with the first: a terminal that closes, and what wraps a program, may both send one.
     """
 
     NUMBERS = (signal.SIGINT, signal.SIGTERM)
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.received: int | None = None
+        self._clock = clock
         self._polite = False
+        self._received_at = 0.0
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Signals:
@@ -51,6 +58,9 @@ class Signals:
             signal.signal(number, self._handle)
 
     def _handle(self, number: int, _: FrameType | None) -> None:
+        now = self._clock()
+        if self.received is not None and now - self._received_at < ECHO_SECONDS:
+            return
         if not self._polite or self.received is not None:
             raise Interrupted(number)
-        self.received = number
+        self.received, self._received_at = number, now

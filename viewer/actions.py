@@ -96,4 +96,5 @@ def orbit_export(scene: Scene, form: OrbitForm) -> ExportPath:
         elevation_degrees=form.elevation_degrees,
         radius=form.radius or None,
     )
-    return ExportPath(cameras, form.fps, Path(form.file.strip()).expanduser(), form.png_frames)
+    file = Path(form.file.strip()).expanduser()
+    return ExportPath(cameras, form.fps, file if file.suffix else file.with_suffix(".mp4"), form.png_frames)

@@ -30,7 +30,6 @@ from viewer.theme import DarkTheme
 from viewer.viewport_panel import ViewportPanel
 from viewer.window import Window
 
-SCENE = "Scene"  # the panel that opens captures
 SHORTEST = 1e-4  # seconds: imgui wants time to pass between frames, even on a clock that stands still
 
 
@@ -78,7 +77,7 @@ class App:
         self._stamp = 0
         self._drawn_at = self.state.time
         self._frame_times: deque[float] = deque(maxlen=120)
-        self._closed = False
+        self._closed = self._hidden = False
         self._warn(self._layout.load())
         self.hand = Hand(lambda: self.frame(force=True))
 
@@ -182,7 +181,11 @@ class App:
             self._layout.dock(self._host.panels, ui.em)
         viewport.draw(ui, state, alone=not state.show_panels)
         if state.show_panels:
+            front = self._host.in_front
             actions += self._host.draw(ui, state)
+            if self._hidden:
+                self._layout.bring_forward(front)
+        self._hidden = not state.show_panels
         actions += self._host.draw_overlays(ui, state)
         for notice in self._host.notices:
             self._actions.tell(notice)
@@ -203,8 +206,9 @@ class App:
     def _wishes(self) -> None:
         """What menus and keys ask of the window itself."""
         bars = self._bars
-        if self.state.focus_open:
-            imgui.set_window_focus(SCENE)  # its tab may lie behind another; the panel focuses the field
+        if self.state.raise_panel:
+            imgui.set_window_focus(self.state.raise_panel)
+            self.state.raise_panel = ""
         if bars.reset_layout_wanted:
             self._layout.reset()
         if bars.quit_wanted:

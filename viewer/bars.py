@@ -9,9 +9,9 @@ from imgui_bundle import ImVec2, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.messages import Pause, Reset, Train
-from viewer.interaction import save_action
+from viewer.interaction import export_action, save_action, show_open
 from viewer.panel_host import PanelUi
-from viewer.state import Action, AppState, FrameScene, ResetView, SaveScreenshot, StartOrbitExport
+from viewer.state import Action, AppState, FrameScene, ResetView, SaveScreenshot
 from viewer.theme import CLEAR
 from viewer.widgets import duration, rate
 
@@ -33,11 +33,11 @@ class Bars:
         opened = state.snapshot.scene is not None
         if imgui.begin_menu("File"):
             if _item(ui, "Open…", "Ctrl+O"):
-                state.show_panels = state.focus_open = True
+                show_open(state)
             if _item(ui, "Save checkpoint", "Ctrl+S", enabled=opened):
                 yield save_action(state)
             if _item(ui, "Export orbit", "Ctrl+E", enabled=opened):
-                yield StartOrbitExport()
+                yield export_action(state)
             if _item(ui, "Save screenshot"):
                 yield SaveScreenshot(Path(SCREENSHOT))
             imgui.separator()

@@ -7,6 +7,7 @@ hands did, then calls `update(time)` once.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -24,6 +25,7 @@ MAX_ELEVATION = math.radians(89.0)  # at 90° dragging sideways would spin the p
 ROLL_FADE = 0.1  # radians of orbiting in which the roll of a photo's camera falls to 1/e
 FLY_SPEED, FLY_FAST = 0.6, 5.0  # scene radii a second; times this with Shift
 FLY_LONGEST = 0.1  # seconds: after a hitch the camera must not leap
+SAMPLED = 200  # with how many, at most twice that, each of thousands of cameras is compared
 NEAREST, FARTHEST = 1e-3, 100.0  # scene radii between eye and pivot that the wheel may reach
 
 
@@ -67,6 +69,15 @@ def _blend(a: Pose, b: Pose, share: float, up: np.ndarray) -> Pose:
         mix(a.fov_y_degrees, b.fov_y_degrees),
     )
     return replace(pose, eye=a.eye) if np.array_equal(a.eye, b.eye) else pose
+
+
+def _most_central(cameras: Sequence[Camera], center: np.ndarray) -> int:
+    """Index of the camera whose place and direction of view differ least from the others', in all."""
+    poses = np.stack([np.asarray(camera.c2w, np.float64) for camera in cameras])
+    size = np.linalg.norm(poses[:, :, 3] - center, axis=1).mean() or 1.0
+    features = np.concatenate([(poses[:, :, 3] - center) / size, poses[:, :, 2]], 1)
+    others = features[:: max(1, len(features) // SAMPLED)]
+    return int(np.linalg.norm(features[:, None] - others, axis=-1).sum(1).argmin())
 
 
 @dataclass
@@ -182,15 +193,24 @@ class CameraControl:
     # ---- jumps -----------------------------------------------------------------------------------------------
 
     def set_scene(self, scene: Scene) -> None:
-        """Start at the first training photo, level; without one, on a pleasant orbit. At once: nothing to ease from."""
+        """Start at a training photo, level; without one, on a pleasant orbit. At once: nothing to ease from.
+
+        Of a synthetic object, seen from all around, that is the first; of a place the one that is most like the
+        others, as its content is what most of them show. A portrait photo is cut to the height of a square as large.
+        """
         self.scene = scene
         self._up = np.asarray(scene.up, np.float64) / np.linalg.norm(scene.up)
         # A capture without extent (all cameras in one place, no points) has no scale of its own.
         self._unit = float(scene.radius) if scene.radius > 0 else 1.0
         train = scene.split("train")
         if train:
-            photo = self._photo(scene.views[train[0]].camera)
-            self._home = replace(photo, rotation=level(photo.rotation, self._up))
+            cameras = [scene.views[i].camera for i in train]
+            camera = cameras[0] if scene.synthetic else cameras[_most_central(cameras, scene.center)]
+            photo = self._photo(camera)
+            # Windows are wide: a portrait photo that fitted into one would have unseen space around it.
+            sides = camera.width / camera.fx, camera.height / camera.fy
+            fov = math.degrees(2 * math.atan(min(sides[1], math.sqrt(sides[0] * sides[1])) / 2))
+            self._home = replace(photo, rotation=level(photo.rotation, self._up), fov_y_degrees=fov)
         else:
             self._home = _pleasant(np.asarray(scene.center, np.float64), self._up, 3 * self._unit)
         self._ease = None

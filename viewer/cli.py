@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import sys
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import tyro
 
@@ -14,6 +16,8 @@ from nerf_core.command_line import parse
 from nerf_core.errors import UserError
 from nerf_core.options import TrainOptions
 from nerf_core.signals import Interrupted, Signals
+
+WORKER_THREAD = "nerf-worker"  # as `nerf_core.worker` names it; importing that takes a second that --help has not
 
 
 @dataclass(frozen=True)
@@ -31,8 +35,8 @@ class ViewerOptions:
     """Draw offscreen (EGL): the same loop, panels and messages without a window."""
     size: str = "1440x900"
     """Size of the window in pixels."""
-    scale: float = 1.0
-    """Size of text and panels offscreen; a window takes its screen's."""
+    scale: float | None = None
+    """Size of text and panels offscreen, 1 by default; a window takes its screen's."""
     click: list[tuple[str, str]] = field(default_factory=list)
     """Click into the viewport at X Y after training: in pixels, or with a decimal point in fractions. Repeatable."""
     screenshot: Path | None = None
@@ -76,21 +80,25 @@ def run(options: ViewerOptions, signals: Signals) -> int:
     import viewer.session as sessions
 
     size, settings = sessions.parse_size(options.size), options.train.settings()
-    if not 0.5 <= options.scale <= 4:
-        raise UserError(f"--scale {options.scale:g}: give a number from 0.5 to 4")
-    try:
-        window = open_offscreen(size, options.scale) if options.headless else open_window("nerf-viewer", size)
-    except DisplayError as error:
-        print(f"{error}\nworking offscreen")
-        window = open_offscreen(size, options.scale)
+    scale = 1.0 if options.scale is None else options.scale
+    if not 0.5 <= scale <= 4:
+        raise UserError(f"--scale {scale:g}: give a number from 0.5 to 4")
     wishes = sessions.Wishes(
         load=options.load, steps=options.train.steps, seconds=options.train.seconds, save=options.save,
         clicks=tuple(options.click), inspect=options.inspect, render=options.render, orbit=options.orbit,
         screenshot=options.screenshot,
     )  # fmt: skip
     wishes.check()
+    try:
+        window = open_offscreen(size, scale) if options.headless else open_window("nerf-viewer", size)
+    except DisplayError as error:
+        print(f"{error}\nworking offscreen")
+        window = open_offscreen(size, scale)
     if not window.has_display:
         wishes = sessions.unattended(wishes)
+    elif options.scale is not None:
+        window.close()
+        raise UserError(f"--scale {scale:g}: a window takes its screen's scale; this goes with --headless")
     session = sessions.Session(window, settings, signals, print)
     try:
         return session.run(options.data, wishes)
@@ -98,5 +106,17 @@ def run(options: ViewerOptions, signals: Signals) -> int:
         session.close()
 
 
+def command() -> NoReturn:
+    """`main` as a process of its own, which it ends."""
+    status = main()
+    if any(thread.name == WORKER_THREAD for thread in threading.enumerate()):
+        # It did not end in time, as in the middle of a huge step. Python's own way out would pull the interpreter
+        # away under torch, which aborts.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+    sys.exit(status)
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    command()

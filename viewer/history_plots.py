@@ -29,10 +29,11 @@ class Curve:
     limits: tuple[float, float]
     log: bool
     figure: str
+    ticks: tuple[float, ...]
 
 
-LOSS = Curve("loss", "training.loss", (1e-4, 1.0), log=True, figure=".3g")
-PSNR = Curve("PSNR (dB)", "training.psnr", (5.0, 40.0), log=False, figure=".2f")
+LOSS = Curve("loss", "training.loss", (1e-4, 1.0), log=True, figure=".3g", ticks=(1.0, 1e-2, 1e-4))
+PSNR = Curve("PSNR (dB)", "training.psnr", (5.0, 40.0), log=False, figure=".2f", ticks=(10.0, 20.0, 30.0))
 
 
 class HistoryPlots:
@@ -74,6 +75,8 @@ class HistoryPlots:
         implot.setup_axis(Y1, None)
         implot.setup_axis_scale(Y1, implot.Scale_.log10 if curve.log else implot.Scale_.linear)
         implot.setup_axis_limits(Y1, *curve.limits, implot.Cond_.always if fresh else implot.Cond_.once)
+        if curve.ticks:
+            implot.setup_axis_ticks(Y1, list(curve.ticks), [f"{v:g}" for v in curve.ticks])
         color = ui.theme.accent if curve.log else ui.theme.good
         good = np.isfinite(values) & ((values > 0) if curve.log else True)  # a log axis has no place for 0
         steps, values = steps[good].astype(np.float64), values[good].astype(np.float64)

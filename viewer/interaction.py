@@ -106,11 +106,11 @@ class ViewportInput:
 
     def _chords(self, state: AppState) -> None:
         if _pressed(imgui.Key.o):
-            state.show_panels = state.focus_open = True
+            show_open(state)
         if _pressed(imgui.Key.s) and state.snapshot.scene is not None:
             self.actions.append(save_action(state))
-        if _pressed(imgui.Key.e):
-            self.actions.append(StartOrbitExport())
+        if _pressed(imgui.Key.e) and state.snapshot.scene is not None:
+            self.actions.append(export_action(state))
 
     def _single(self, state: AppState) -> None:
         if imgui.is_key_pressed(imgui.Key.tab, False):
@@ -175,6 +175,18 @@ def point_under(state: AppState, x: int, y: int) -> np.ndarray | None:
     if ray is None or asked is None or not ray.pixel == asked.pixel == (x, y) or ray.depth_median is None:
         return None
     return ray.origin + ray.depth_median * ray.direction if same_view(asked.camera, camera) else None
+
+
+def show_open(state: AppState) -> None:
+    """Bring up the field for the path of a capture."""
+    state.show_panels = state.focus_open = True
+    state.raise_panel = "Scene"
+
+
+def export_action(state: AppState) -> StartOrbitExport:
+    """Export as the form says, and show its panel: there one sees how long it takes, and can cancel it."""
+    state.show_panels, state.raise_panel = True, "Export"
+    return StartOrbitExport()
 
 
 def save_action(state: AppState) -> SaveCheckpoint:

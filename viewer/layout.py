@@ -14,6 +14,7 @@ from viewer.panels import Panel
 VIEWPORT = "Viewport"
 HEADER = "; nerf-viewer layout 1 "
 RIGHT_EM, BOTTOM_EM, BOTTOM_RIGHT_EM = 23.0, 17.5, 23.0
+BOTTOM_SHARE = 0.34  # of the height, at least: a tall window has taller plots, not only a taller picture
 MIDDLE_EM = 23.9  # the second panel of the right column holds plots and buttons of fixed height
 TOP_SHARE = 0.47  # of the column's rest for the panel above it; what is left goes to the last panels, as tabs
 
@@ -24,7 +25,8 @@ class Layout:
     def __init__(self, file: Path | None) -> None:
         self._file = file
         self._build_next = True
-        self._raise_next = ""  # the window whose tab comes to the front
+        self._raise_next: tuple[str, ...] = ()  # windows whose tabs come to the front
+        self._remembered = ""
 
     def load(self) -> str | None:
         """Hand the remembered layout to imgui, before its first frame; a warning when the file is no good."""
@@ -43,6 +45,7 @@ class Layout:
                 return f"{self._file}: the window layout cannot be read ({error}; {failure}); the default is shown"
             return f"{self._file}: the window layout was damaged; the default is shown, the old file is {backup.name}"
         imgui.load_ini_settings_from_memory(body)
+        self._remembered = body
         self._build_next = False
         return None
 
@@ -77,13 +80,22 @@ class Layout:
         """The dock space over what the bars leave of the window; call before the panels' windows."""
         area = imgui.get_main_viewport()
         space = imgui.get_id("docks")
+        if self._remembered:  # of another version, perhaps: a panel without a place would float over the others
+            places = {panel.title for panel in panels if panel.dock != "overlay"} | {VIEWPORT}
+            self._build_next = not all(f"[Window][{title}]\n" in self._remembered for title in places)
+            self._remembered = ""
         if self._build_next and area.work_size.x > 0 and area.work_size.y > 0:
             self._build_next = False
-            self._raise_next = _build(space, panels, area.work_size, em)
+            self._raise_next = (_build(space, panels, area.work_size, em),)
         elif self._raise_next:
-            imgui.set_window_focus(self._raise_next)
-            self._raise_next = ""
+            for title in self._raise_next:
+                imgui.set_window_focus(title)
+            self._raise_next = ()
         imgui.dock_space_over_viewport(space, area)
+
+    def bring_forward(self, titles: Sequence[str]) -> None:
+        """From the next frame on these are the tabs in front; docks that return show their last ones otherwise."""
+        self._raise_next = tuple(titles)
 
 
 def _checksum(body: str) -> str:
@@ -98,7 +110,7 @@ def _build(space: int, panels: Sequence[Panel], size: ImVec2, em: float) -> str:
     docks.dock_builder_set_node_size(space, size)
     right = docks.dock_builder_split_node(space, imgui.Dir.right, _share(RIGHT_EM * em, size.x))
     rest = right.id_at_opposite_dir
-    bottom = docks.dock_builder_split_node(rest, imgui.Dir.down, _share(BOTTOM_EM * em, size.y))
+    bottom = docks.dock_builder_split_node(rest, imgui.Dir.down, max(_share(BOTTOM_EM * em, size.y), BOTTOM_SHARE))
     left_width = size.x * (1 - _share(RIGHT_EM * em, size.x))
     corner = docks.dock_builder_split_node(bottom.id_at_dir, imgui.Dir.right, _share(BOTTOM_RIGHT_EM * em, left_width))
     docks.dock_builder_dock_window(VIEWPORT, bottom.id_at_opposite_dir)

@@ -47,19 +47,23 @@ class PanelHost:
         found = [PANELS.get(name)() for name in PANELS.names()] if panels is None else list(panels)
         self.panels = sorted(found, key=lambda panel: panel.order)
         self.notices: list[Notice] = []  # faults that nobody has been told of
+        self.in_front: tuple[str, ...] = ()  # the panels that were not behind another's tab when they were last drawn
         self._broken: dict[str, str] = {}
 
     def draw(self, ui: PanelUi, state: AppState) -> Iterator[Action]:
         """The panels that have a window."""
+        in_front: list[str] = []
         for panel in self.panels:
             if panel.dock == "overlay":
                 continue
             if imgui.begin(panel.title)[0]:  # False for a tab that lies behind another
+                in_front.append(panel.title)
                 if panel.title in self._broken:
                     self._draw_broken(ui, panel.title)
                 else:
                     yield from self._draw_panel(panel, ui, state)
             imgui.end()
+        self.in_front = tuple(in_front)
 
     def draw_overlays(self, ui: PanelUi, state: AppState) -> Iterator[Action]:
         """Those that open what they need themselves; a broken one stays away."""

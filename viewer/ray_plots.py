@@ -17,7 +17,7 @@ from viewer.widgets import axis_name, faded, packed
 if TYPE_CHECKING:
     from viewer.panels import Ui
 
-X1, Y1, Y2 = implot.ImAxis_.x1, implot.ImAxis_.y1, implot.ImAxis_.y2
+X1, Y1 = implot.ImAxis_.x1, implot.ImAxis_.y1
 PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
 LOG_DECADES = 4  # how far below its peak density is still told from empty space on a log axis
 DRAG_ID = 0
@@ -62,9 +62,8 @@ class RayPlots:
         self.log_density = False
         self.hovered: tuple[Steps, int] | None = None
         self._t_min, self._t_max = implot.BoxedValue(0.0), implot.BoxedValue(1.0)
-        self._weight_top = 1.0
         self._sigma_limits = (0.0, 1.0)
-        self._fresh_weights = self._fresh_density = True
+        self._fresh_density = True
         self._dragged: float | None = None
 
     @property
@@ -75,11 +74,9 @@ class RayPlots:
         """Choose limits and scale for a ray that was just opened."""
         span = max(ray.far - ray.near, 1e-6)  # a ray without length still needs an axis
         self._t_min.value, self._t_max.value = ray.near - 0.01 * span, ray.near + 1.01 * span
-        self._weight_top = 1.2 * max([float(p.weights.max()) for p in passes], default=0.0) or 1.0
         self.log_density = bool(passes) and wants_log(passes[-1].sigma)
         self._dragged = None
         self.scale_density(passes)
-        self._fresh_weights = True
 
     def scale_density(self, passes: tuple[Steps, ...]) -> None:
         top = max([float(p.sigma.max()) for p in passes], default=0.0) or 1.0
@@ -122,27 +119,20 @@ class RayPlots:
             return None, None
         passes = opened.passes
         self._share_t(implot.AxisFlags_.no_tick_labels)
-        implot.setup_axis(Y1, None)
-        implot.setup_axis_limits(Y1, 0, self._weight_top, _when(self._fresh_weights))
-        implot.setup_axis_limits_constraints(Y1, 0, 1.2)
-        implot.setup_axis(Y2, None, implot.AxisFlags_.aux_default | implot.AxisFlags_.lock)
-        implot.setup_axis_limits(Y2, 0, 1.05, implot.Cond_.always)
-        implot.setup_axis_ticks(Y2, [0.0, 0.5, 1.0], ["0", "0.5", "1"])
-        self._fresh_weights = False
+        implot.setup_axis(Y1, None, implot.AxisFlags_.lock)
+        implot.setup_axis_limits(Y1, 0, 1.05, implot.Cond_.always)
+        implot.setup_axis_ticks(Y1, [0.0, 0.5, 1.0], ["0", "0.5", "1"])
         for steps in passes[-1:]:
             filled = implot.Spec(fill_color=faded(ui.theme.fine, 0.55), flags=implot.StairsFlags_.shaded)
             filled.line_color = ui.theme.fine
-            implot.plot_stairs("fine weight", steps.edges, steps.weights, filled)
+            implot.plot_stairs("fine weight", steps.edges, _of_largest(steps), filled)
         for steps in passes[:-1]:
             outline = implot.Spec(line_color=ui.theme.coarse, line_weight=0.1 * ui.em)
-            implot.plot_stairs(f"{steps.probe.name} weight", steps.edges, steps.weights, outline)
+            implot.plot_stairs(f"{steps.probe.name} weight", steps.edges, _of_largest(steps), outline)
         for steps in passes[-1:]:
-            implot.set_axes(X1, Y2)
             line = implot.Spec(line_color=ui.theme.transmittance, line_weight=0.12 * ui.em)
             implot.plot_line("transmittance", steps.edges, steps.transmittance, line)
-            implot.set_axes(X1, Y1)
-        self._name_weights(ui, passes)
-        axis_name(ui, "T", right=True)
+        axis_name(ui, "w / largest w, T")
         self._depth_marks(ui, opened.ray, glyphs=True)
         result = self._drag_point(ui, opened.point_t), self._read(ui, passes)
         implot.end_plot()
@@ -208,7 +198,7 @@ class RayPlots:
         implot.setup_axis_links(X1, self._t_min, self._t_max)
 
     def _drag_point(self, ui: Ui, point: float) -> float | None:
-        changed, t, *_ = implot.drag_line_x(DRAG_ID, point, ui.theme.accent, 0.15 * ui.em, implot.DragToolFlags_.no_fit)
+        changed, t, *_ = implot.drag_line_x(DRAG_ID, point, ui.theme.point, 0.15 * ui.em, implot.DragToolFlags_.no_fit)
         x, top = _x(point), implot.get_plot_pos().y
         _be_item(x - 0.3 * ui.em, top, x + 0.3 * ui.em, top + implot.get_plot_size().y)
         ui.mark("ray.point")
@@ -217,24 +207,16 @@ class RayPlots:
     def _depth_marks(self, ui: Ui, ray: RayProbe, *, glyphs: bool) -> None:
         draw, top = implot.get_plot_draw_list(), implot.get_plot_pos().y
         implot.push_plot_clip_rect()
-        for _, name, glyph in DEPTHS:
+        for row, (_, name, glyph) in enumerate(DEPTHS):
             t = getattr(ray, name)
             if t is None or not np.isfinite(t):
                 continue
             x = _x(t)
             draw.add_line(ImVec2(x, top), ImVec2(x, top + implot.get_plot_size().y), packed(faded(ui.theme.text, 0.35)))
             if glyphs:
-                glyph(draw, ImVec2(x, top + 0.5 * ui.em), 0.3 * ui.em, packed(ui.theme.text))
+                # one below the other: on a surface all three lie in one place
+                glyph(draw, ImVec2(x, top + (0.5 + 0.75 * row) * ui.em), 0.3 * ui.em, packed(ui.theme.text))
         implot.pop_plot_clip_rect()
-
-    def _name_weights(self, ui: Ui, passes: tuple[Steps, ...]) -> None:
-        """Training may lift a peak out of limits that stay where they are: say so, and how to see it."""
-        peak = max((float(p.weights.max()) for p in passes), default=0.0)
-        limits = implot.get_plot_limits(X1, Y1).y
-        if peak <= limits.max:
-            axis_name(ui, "w")
-        else:
-            axis_name(ui, f"w, up to {peak:.3f}: double click to fit", color=ui.theme.warning)
 
     def _read(self, ui: Ui, passes: tuple[Steps, ...]) -> tuple[Steps, int] | None:
         """The sample nearest to the mouse, of whichever pass; it is also marked in this plot while it is read."""
@@ -248,6 +230,11 @@ class RayPlots:
         t = implot.get_plot_mouse_pos().x
         nearest = [(steps, int(np.abs(steps.edges[:-1] - t).argmin())) for steps in passes]
         return min(nearest, key=lambda hit: abs(float(hit[0].edges[hit[1]]) - t))
+
+
+def _of_largest(steps: Steps) -> np.ndarray:
+    """Weights (S + 1,) over the largest of their pass: many narrow samples share what a few wide ones have each."""
+    return steps.weights / max(float(steps.weights.max()), 1e-12)  # where all are zero they stay zero
 
 
 def _when(fresh: bool) -> implot.Cond_:

@@ -25,6 +25,7 @@ from nerf_core.messages import (
     Snapshot,
     Train,
 )
+from nerf_core.paths import training_size
 from nerf_core.probe import inspection
 from nerf_core.settings import RunSettings
 from nerf_core.worker import Worker
@@ -33,11 +34,16 @@ from viewer.state import StartOrbitExport
 
 FRAME_SECONDS = 0.25  # how often an offscreen interface is drawn while it waits: drawing takes time from training
 SHARPEN_SECONDS = 30.0  # how long a screenshot waits for the preview to reach full resolution
+SHORT_FRAMES, SHORT_FPS = 40, 20.0  # of an orbit that is to take only so long
+SLOWEST, SMALLEST = 100.0, 32  # rays a second, where none was timed; pixels: what is smaller shows nothing
 
 
 @dataclass(frozen=True)
 class Wishes:
-    """Files to write and things to do before it, in this order; see `viewer.cli.ViewerOptions`."""
+    """Files to write and things to do before it; see `viewer.cli.ViewerOptions`.
+
+    orbit_seconds: make the orbit's pictures small enough to take about so long; None: as large as the photos.
+    """
 
     load: Path | None = None
     steps: int | None = None
@@ -47,6 +53,7 @@ class Wishes:
     inspect: Path | None = None
     render: Path | None = None
     orbit: Path | None = None
+    orbit_seconds: float | None = None
     screenshot: Path | None = None
 
     def any_file(self) -> bool:
@@ -56,7 +63,12 @@ class Wishes:
         return tuple(p for p in (self.save, self.inspect, self.render, self.orbit, self.screenshot) if p is not None)
 
     def check(self) -> None:
-        """Raises UserError for what could not be written, before hours are spent on what goes into it."""
+        """Raises UserError for what cannot be done, before hours are spent on what goes before it."""
+        for click in self.clicks:
+            for text in click:
+                _coordinate(text)
+        if self.inspect is not None and not self.clicks:
+            raise UserError(f"--inspect {self.inspect}: of which ray? add --click X Y")
         kinds = {"screenshot": (".png",), "render": (".png", ".npy"), "orbit": (".mp4",)}
         for option, suffixes in kinds.items():
             file: Path | None = getattr(self, option)
@@ -95,7 +107,7 @@ class Script:
             self._do(LoadCheckpoint(self.wishes.load), lambda _: self._told("loaded"))
 
     def run(self) -> None:
-        """Train, save, click, inspect, render, film, picture."""
+        """Train, save, click; then the files, the quickest first."""
         wishes = self.wishes
         if wishes.steps or wishes.seconds:
             self._train(wishes.steps, wishes.seconds)
@@ -106,16 +118,15 @@ class Script:
             self._click(x, y)
         if wishes.inspect is not None:
             self._inspect(wishes.inspect)
-        if wishes.render is not None:
-            camera = self.app.state.camera.camera(*self.app.state.viewport)
-            self._export(ExportStill(camera, wishes.render), f"rendering {camera.width}×{camera.height}")
-        if wishes.orbit is not None:
-            self.app.state.orbit.file = str(wishes.orbit)
-            self._export(StartOrbitExport(), "orbit")
         if wishes.screenshot is not None:
             self._sharpen()
             self._uncover()
             self.app.screenshot(wishes.screenshot)
+        if wishes.render is not None:
+            camera = self.app.state.camera.camera(*self.app.state.viewport)
+            self._export(ExportStill(camera, wishes.render), f"rendering {camera.width}×{camera.height}")
+        if wishes.orbit is not None:
+            self._film(wishes.orbit, wishes.orbit_seconds)
         for file in wishes.files():
             if not file.is_file():
                 raise UserError(f"{file}: was not written")
@@ -127,6 +138,7 @@ class Script:
         start = self._snapshot()
         left = None if steps is None else max(steps - start.step, 0)
         if left == 0:
+            self.say(f"no training: step {start.step:,} is past --steps {steps:,} already")
             return
         self.worker.send(Train(left, seconds))
         rate = 0.0
@@ -172,9 +184,24 @@ class Script:
 
     def _inspect(self, file: Path) -> None:
         snapshot = self._snapshot()
-        if snapshot.ray is None or snapshot.radiance is None:
-            raise UserError(f"--inspect {file}: no ray is open; add --click X Y")
+        assert snapshot.ray is not None  # --inspect comes with a click
+        assert snapshot.radiance is not None
         write_atomically(file, json.dumps(inspection(snapshot.ray, snapshot.radiance)))
+
+    def _film(self, file: Path, seconds: float | None) -> None:
+        snapshot, form = self._snapshot(), self.app.state.orbit
+        form.file = str(file)
+        if seconds is not None and snapshot.scene is not None:
+            width, height = training_size(snapshot.scene)
+            form.frames, form.fps = SHORT_FRAMES, SHORT_FPS
+            affordable = max(snapshot.preview_rays_per_second, SLOWEST) * seconds / form.frames
+            scale = min(math.sqrt(affordable / (width * height)), 1.0)
+            form.width, form.height = (max(round(scale * side), SMALLEST) for side in (width, height))
+            self.say(
+                f"orbit: {form.frames} frames of {form.width}×{form.height}, to take about {seconds / 60:.0f} min; "
+                f"--orbit FILE writes one in the photos' {width}×{height}"
+            )
+        self._export(StartOrbitExport(), "orbit")
 
     def _export(self, action: Command | StartOrbitExport, label: str) -> None:
         before = self._snapshot().export
@@ -245,12 +272,20 @@ class Script:
                 raise UserError("the worker ended unexpectedly")
 
 
-def _position(text: str, size: float) -> int:
-    """A coordinate of --click: with a decimal point a fraction of the viewport, else pixels."""
+def _coordinate(text: str) -> float:
+    """A coordinate of --click: with a decimal point a fraction of the viewport, else pixels. Raises UserError."""
     try:
-        value = float(text) * size if "." in text else int(text)
+        value = float(text) if "." in text else int(text)
     except ValueError:
         raise UserError(f"--click {text}: expected a whole number of pixels, or a fraction such as 0.5") from None
-    if not (math.isfinite(value) and 0 <= value <= size):
+    if not 0 <= value <= (1 if "." in text else math.inf):  # not a number is not in between either
+        raise UserError(f"--click {text}: lies outside the viewport")
+    return value
+
+
+def _position(text: str, size: float) -> int:
+    """The pixel that a coordinate of --click means in a viewport of `size`. Raises UserError."""
+    value = _coordinate(text) * (size if "." in text else 1)
+    if value > size:
         raise UserError(f"--click {text}: outside the viewport, which is {size:.0f} pixels wide here")
     return min(int(value), int(size) - 1)

@@ -12,7 +12,7 @@ from pathlib import Path
 import platformdirs
 
 from nerf_core.errors import UserError
-from nerf_core.messages import LoadCheckpoint, OpenScene, SaveCheckpoint, Train
+from nerf_core.messages import SaveCheckpoint, Train
 from nerf_core.settings import RunSettings
 from nerf_core.signals import Signals
 from nerf_core.worker import Worker
@@ -22,6 +22,7 @@ from viewer.window import Window
 
 APP = "nerf-viewer"
 UNATTENDED_SECONDS = 60.0  # how long an offscreen run trains when nobody said how long
+UNATTENDED_ORBIT_SECONDS = 120.0  # and about how long it draws an orbit that nobody named
 SAVE_SECONDS = 4.0  # what a closing session may spend on saving; whoever sent SIGTERM soon sends SIGKILL
 
 
@@ -45,10 +46,10 @@ class Session:
         """The wishes, then (in a window that was asked for no files) the user; returns the exit status."""
         script = Script(self.app, self.worker, wishes, lambda: self.signals.received is not None, self.say)
         try:
+            script.open(data, self.settings)
             if self.window.has_display and not wishes.any_file():
-                self._attend(data, wishes)
+                self._attend(wishes)
             else:
-                script.open(data, self.settings)
                 script.run()
         except Closed:
             self._save_unsaved(wishes.save)
@@ -57,12 +58,11 @@ class Session:
             self._save_unsaved(wishes.save)
         return 128 + self.signals.received if self.signals.received else 0
 
-    def _attend(self, data: Path | None, wishes: Wishes) -> None:
-        """Open, start training, and follow the user's hand until the window closes."""
-        self.worker.send(OpenScene(data, self.settings))
-        if wishes.load is not None:
-            self.worker.send(LoadCheckpoint(wishes.load))
-        self.worker.send(Train(wishes.steps, wishes.seconds))
+    def _attend(self, wishes: Wishes) -> None:
+        """Start training, and follow the user's hand until the window closes."""
+        left = None if wishes.steps is None else wishes.steps - self.worker.snapshot().step
+        if left is None or left > 0:
+            self.worker.send(Train(left, wishes.seconds))
         self.app.run(lambda: self.signals.received is not None)
 
     def _save_unsaved(self, asked: Path | None) -> None:
@@ -80,6 +80,7 @@ class Session:
             self.say(f"saved to {path}; continue with --load {path}")
 
     def close(self) -> None:
+        """Free what the session holds; a worker that cannot end is left to `viewer.cli.command`."""
         self.worker.stop(SAVE_SECONDS)
         self.app.close()
         self.window.close()
@@ -97,6 +98,7 @@ def unattended(wishes: Wishes) -> Wishes:
             clicks=wishes.clicks or (("0.5", "0.5"),),
             screenshot=folder / "screenshot.png",
             orbit=folder / "orbit.mp4",
+            orbit_seconds=UNATTENDED_ORBIT_SECONDS,
             inspect=folder / "ray.json",
         )
     return wishes

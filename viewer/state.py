@@ -93,6 +93,7 @@ class AppState:
     checkpoint_file: str = ""  # *
     open_path: str = ""  # *
     focus_open: bool = False  # * give the scene panel's path field the keyboard in the next frame
+    raise_panel: str = ""  # * title of the panel whose tab is to come to the front in the next frame
     show_cameras: bool = False  # * training cameras in the viewport
     show_samples: bool = True  # * the inspected ray and its samples in the viewport
     show_help: bool = False  # *

@@ -46,6 +46,7 @@ class DarkTheme:
     density = _rgb("2fb890")  # Okabe and Ito's green, lightened to read on a dark surface
     transmittance = PURPLE
     ray = YELLOW
+    point = _rgb("ffffff")
 
     def __init__(self) -> None:
         self.em = TEXT_PIXELS

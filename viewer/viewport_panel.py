@@ -104,7 +104,7 @@ class ViewportPanel:
         radiance = state.snapshot.radiance
         if radiance is not None:
             overlay.point(radiance.point, 1.15 * ui.em, SHADE)
-            overlay.point(radiance.point, ui.em, theme.accent)
+            overlay.point(radiance.point, ui.em, theme.point)
 
     def _draw_words(self, ui: PanelUi, state: AppState, draw: imgui.ImDrawList, origin: ImVec2, size: ImVec2) -> None:
         snapshot = state.snapshot

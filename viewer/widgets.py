@@ -78,8 +78,8 @@ def packed(color: ImVec4) -> int:
 
 
 def unsaved_steps(snapshot: Snapshot) -> int:
-    """How many training steps would be lost; 0 where the newest checkpoint holds them all."""
-    return 0 if snapshot.saved_step == snapshot.step else snapshot.step
+    """How many training steps would be lost: those since the newest checkpoint."""
+    return max(snapshot.step - snapshot.saved_step, 0)
 
 
 # ---- widgets -------------------------------------------------------------------------------------------------
@@ -226,8 +226,9 @@ class Confirmation:
     def __init__(self) -> None:
         self.asking = False
 
-    def draw(self, ui: Ui, question: str, answer: str, mark: str) -> bool:
-        """Show the question while it is asked; True in the frame in which it is answered with yes."""
+    def draw(self, ui: Ui, question: str, answer: str, mark: str, needed: bool) -> bool:
+        """Show the question while it is asked and `needed`; True in the frame in which it is answered with yes."""
+        self.asking = self.asking and needed
         if not self.asking:
             return False
         hint(ui, question, ui.theme.warning)

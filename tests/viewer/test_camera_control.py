@@ -41,6 +41,7 @@ def make_scene(radius: float = 1.0, ndc: Ndc | None = None) -> Scene:
         radius=radius,
         up=UP,
         to_input=np.eye(4),
+        synthetic=True,
         ndc=ndc,
     )
 
@@ -91,6 +92,23 @@ def test_starts_at_the_first_training_photo_level() -> None:
     np.testing.assert_allclose(camera.pivot, CENTER, atol=1e-12)
     assert camera.fov_y_degrees == pytest.approx(2 * math.degrees(math.atan(30 / 65)))
     assert_level(camera)
+
+
+def test_starts_in_a_place_at_its_most_central_photo() -> None:
+    """Five cameras in a row, one of them turned away: the middle one of the others is most like all."""
+    views = [photo(azimuth, 0.2, 0.1) for azimuth in (0.0, 0.2, 0.4, 0.6, 3.0)]
+    scene = replace(
+        make_scene(), synthetic=False, views=tuple(View(str(i), c) for i, c in enumerate(views)),
+        splits={"train": (0, 1, 2, 3, 4)},
+    )  # fmt: skip
+    np.testing.assert_allclose(control(scene).c2w()[:, 3], views[2].c2w[:, 3], atol=1e-12)
+
+
+def test_a_portrait_photo_is_cut_to_the_height_of_a_square_as_large() -> None:
+    tall = Camera(60, 80, 65.0, 70.0, 30.0, 40.0, photo(0.3, 0.2, 0.0).c2w)
+    scene = replace(make_scene(), views=(View("tall", tall),), splits={"train": (0,)})
+    height = math.sqrt(60 / 65 * 80 / 70)
+    assert control(scene).fov_y_degrees == pytest.approx(2 * math.degrees(math.atan(height / 2)))
 
 
 def test_starts_on_an_orbit_where_nothing_was_trained_on() -> None:

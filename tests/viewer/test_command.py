@@ -24,6 +24,12 @@ TINY = [
 ]  # fmt: skip
 
 
+def without(options: list[str], given: list[str]) -> list[str]:
+    """`options`, pairs of a name and a value, but those that are `given`: an option is given once."""
+    pairs = [options[i : i + 2] for i in range(0, len(options), 2)]
+    return [word for name, value in pairs if name == "--set" or name not in given for word in (name, value)]
+
+
 def viewer(*arguments: str, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "viewer.cli", *arguments]
     return subprocess.run(
@@ -110,6 +116,8 @@ def test_a_checkpoint_gives_the_same_picture_again(written: Path, tmp_path: Path
         (["--size", "640"], "--size 640"),
         (["--click", "2.0", "0.5", "--inspect", "x.json"], "--click 2.0"),
         (["--inspect", "x.json"], "--click X Y"),
+        (["--click", "a", "0.5", "--steps", "1000000"], "--click a"),
+        (["--render", "a.png", "--render", "b.npy"], "--render: given 2 times"),
         (["--render", "x.jpg"], ".png or .npy"),
         (["--load", "nothing.safetensors"], "nothing.safetensors"),
         (["nowhere"], "nowhere"),
@@ -130,7 +138,7 @@ def test_a_checkpoint_gives_the_same_picture_again(written: Path, tmp_path: Path
 )
 def test_a_mistake_is_one_line_and_status_2(arguments: list[str], words: str, tmp_path: Path) -> None:
     steps = [] if "--steps" in arguments or "--load" in arguments else ["--steps", "1"]
-    command = [sys.executable, "-m", "viewer.cli", *TINY, "--headless", *steps, *arguments]
+    command = [sys.executable, "-m", "viewer.cli", *without(TINY, arguments), "--headless", *steps, *arguments]
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
     done = subprocess.run(
         command, capture_output=True, text=True, timeout=100, cwd=tmp_path, env=environment, check=False
@@ -174,6 +182,28 @@ def test_closing_a_training_window_loses_nothing(display: str, tmp_path: Path) -
     assert not list(tmp_path.glob("*.mp4"))
 
 
+def test_a_window_that_cannot_open_what_it_was_told_says_so_and_ends(display: str, tmp_path: Path) -> None:
+    home = {"DISPLAY": display, "XDG_CONFIG_HOME": str(tmp_path / "config"), "XDG_DATA_HOME": str(tmp_path / "data")}
+    done = viewer("nowhere", env=home)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "nowhere" in done.stderr
+    done = viewer("--scale", "2", env=home)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "--scale 2" in done.stderr
+
+
+def test_offscreen_with_nothing_asked_for_leaves_a_picture_an_orbit_and_a_ray(tmp_path: Path) -> None:
+    """As the first command of the README does on a machine without a display, but with less training."""
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+    command = [sys.executable, "-m", "viewer.cli", *TINY, "--headless", "--steps", "5"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=200, cwd=tmp_path, env=environment, check=False)
+    assert done.returncode == 0, done.stderr
+    (folder,) = tmp_path.iterdir()
+    assert str(folder) in done.stdout
+    assert sorted(p.name for p in folder.iterdir()) == ["orbit.mp4", "ray.json", "screenshot.png"]
+    assert imageio_ffmpeg.count_frames_and_secs(str(folder / "orbit.mp4"))[0] == 40
+
+
 def test_a_window_without_a_display_works_offscreen(tmp_path: Path) -> None:
     shot = tmp_path / "shot.png"
     env = {"DISPLAY": "", "WAYLAND_DISPLAY": ""}
@@ -208,8 +238,11 @@ def test_gl_and_training_live_in_one_process() -> None:
 )
 def test_real_scenes_open_and_train(scenes: Path, name: str, options: list[str], tmp_path: Path) -> None:
     shot = tmp_path / "shot.png"
-    tiny = [a for a in TINY if a not in ("--downscale", "8")] + ["--set", "fine_samples=8", "--set", "coarse_samples=8"]
-    done = viewer(str(scenes / name), *tiny, *options, "--headless", "--steps", "20", "--screenshot", str(shot))
+    done = viewer(
+        str(scenes / name), *without(TINY, options), *options, "--headless", "--steps", "20", "--screenshot", str(shot)
+    )
+        str(scenes / name), *without(TINY, options), *options, "--headless", "--steps", "20", "--screenshot", str(shot)
+    )
     assert done.returncode == 0, done.stderr
     assert shot.is_file()
 

@@ -216,7 +216,7 @@ def test_photos_go_round_the_training_split(screen: Screen) -> None:
 
 def test_switches_write_the_state(screen: Screen) -> None:
     state = make_state(make_snapshot())
-    assert screen.click(PANELS.get("scene")(), state, "scene.cameras") == []
+    assert screen.click(PANELS.get("view")(), state, "view.cameras") == []
     assert state.show_cameras
     screen.click(PANELS.get("view")(), state, "view.samples")
     assert not state.show_samples

@@ -28,6 +28,7 @@ class Theme(Protocol):
     density: ImVec4
     transmittance: ImVec4
     ray: ImVec4
+    point: ImVec4
 
 
 class Ui(Protocol):

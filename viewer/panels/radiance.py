@@ -199,7 +199,7 @@ def _sight(ui: Ui, views: TrainingViews) -> None:
             ui.theme.warning,
         )
     elif count:
-        hint(ui, f"in the frame of {framed:,} of {count:,} training cameras (dots)")
+        hint(ui, f"{framed:,} of {count:,} training cameras (dots) have it in their frame")
 
 
 def _tooltip(ui: Ui, direction: np.ndarray, rgb: np.ndarray) -> None:

@@ -77,10 +77,10 @@ class RayPanel:
         return self.plots.draw(ui, opened, imgui.get_content_region_avail())
 
     def _legend(self, ui: Ui) -> None:
-        entries = [(f"{s.probe.name} w", "box", ui.theme.coarse) for s in self._passes[:-1]]
-        entries += [(f"{s.probe.name} w", "filled", ui.theme.fine) for s in self._passes[-1:]]
+        entries = [(_weights_of(s), "box", ui.theme.coarse) for s in self._passes[:-1]]
+        entries += [(_weights_of(s), "filled", ui.theme.fine) for s in self._passes[-1:]]
         entries += [("T", "line", ui.theme.transmittance), ("σ", "line", ui.theme.density)]
-        entries.append(("point", "bar", ui.theme.accent))
+        entries.append(("point", "bar", ui.theme.point))
         for i, (label, shape, color) in enumerate(entries):
             if i:
                 same_line_if_fits(f"   {label}")
@@ -111,6 +111,10 @@ class RayPanel:
         ui.mark("ray.log")
         if changed:
             self.plots.scale_density(self._passes)
+
+
+def _weights_of(steps: Steps) -> str:
+    return f"{steps.probe.name} w, up to {number(float(steps.weights.max()), 2)}"
 
 
 def _nothing_yet(state: AppState) -> str:

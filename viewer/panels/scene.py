@@ -65,10 +65,11 @@ class ScenePanel:
         if (button(ui, OPEN, "scene.open", enabled=bool(path)) or entered) and path:
             yield from self._ask(state, Path(path).expanduser())
         same_line_if_fits(DEMO)
-        if button(ui, DEMO, "scene.demo", tip="open the demo scene"):
+        if button(ui, DEMO, "scene.demo", tip="" if self._confirmation.asking else "open the demo scene"):
             yield from self._ask(state, None)
-        question = f"Opening another scene forgets {unsaved_steps(state.snapshot):,} unsaved training steps."
-        if self._confirmation.draw(ui, question, "Open", "scene.open"):
+        unsaved = unsaved_steps(state.snapshot)
+        question = f"Opening another scene forgets {unsaved:,} unsaved training steps."
+        if self._confirmation.draw(ui, question, "Forget them and open", "scene.open", needed=unsaved > 0):
             yield OpenScene(self._wanted, None)
 
     def _ask(self, state: AppState, path: Path | None) -> Iterator[Action]:
@@ -84,10 +85,9 @@ def _rows(scene: Scene) -> list[Row]:
     size = f"{sizes[0][0]:,} × {sizes[0][1]:,}" if len(sizes) == 1 else f"{len(sizes):,} sizes"
     if len(sizes) > 1:
         size += f", up to {max(w for w, _ in sizes):,} × {max(h for _, h in sizes):,}"
-    spacing = "NDC" if scene.ndc is not None else "samples linear in 1/z" if scene.disparity else "samples linear in z"
     return [
         ("name", scene.name),
-        ("format", f"{scene.format}, {spacing}"),
+        ("format", f"{scene.format}, in NDC" if scene.ndc is not None else scene.format),
         ("photos", " · ".join(counts) or "none"),
         ("size", f"{size} px" if sizes else "–"),
         ("near … far", f"{number(scene.near)} … {number(scene.far)} units"),
@@ -110,6 +110,3 @@ def _photos(ui: Ui, state: AppState, scene: Scene) -> Iterator[Action]:
         imgui.set_item_tooltip(scene.views[current].name)
     else:
         imgui.text_colored(ui.theme.muted, f"{len(train):,} training photos")
-    same_line_if_fits("      Show cameras")
-    _, state.show_cameras = imgui.checkbox("Show cameras", state.show_cameras)
-    ui.mark("scene.cameras")

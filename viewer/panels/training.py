@@ -66,21 +66,27 @@ class TrainingPanel:
         if button(ui, STEP, "training.step", enabled=can_train, tip="one step (.)"):
             yield Train(steps=1)
         same_line_if_fits(RESET)
-        if button(ui, RESET, "training.reset", enabled=snapshot.step > 0, tip="forget the weights and start again"):
+        tip = "" if self._reset.asking else "forget the weights and start again"  # it would cover the question
+        if button(ui, RESET, "training.reset", enabled=snapshot.step > 0, tip=tip):
             self._reset.asking = True
-        if self._reset.draw(ui, f"This forgets {snapshot.step:,} trained steps.", "Reset", "training.reset"):
+        question = f"This forgets {snapshot.step:,} trained steps."
+        if self._reset.draw(ui, question, "Forget them", "training.reset", needed=snapshot.step > 0):
             yield Reset()
 
     def _time_share(self, ui: Ui, snapshot: Snapshot) -> Iterator[Action]:
         if self._share is not None and abs(self._share - snapshot.wanted_share) < 1e-6:
             self._share = None
         percent = 100 * (self._share if self._share is not None else snapshot.wanted_share)
-        field_width(ui, "##share")
-        now = f" (now {100 * snapshot.train_share:.0f} %%)" if snapshot.status == "training" else ""
+        label = f"training gets {percent:.0f} %"
+        field_width(ui, "training gets 95 %")
         clamp = imgui.SliderFlags_.always_clamp
-        changed, percent = imgui.slider_float("##share", percent, 5, 95, f"training gets %.0f %%{now}", clamp)
+        changed, percent = imgui.slider_float(f"{label}###share", percent, 5, 95, "", clamp)
         ui.mark("training.share")
-        imgui.set_item_tooltip("share of the time that training keeps while a preview is being drawn")
+        now = f"; now it has {100 * snapshot.train_share:.0f} %" if snapshot.status == "training" else ""
+        imgui.set_item_tooltip(
+            f"of the time while the picture sharpens at rest{now}. "
+            "Pixels that a moving camera waits for always come first."
+        )
         if changed:
             self._share = percent / 100
         if imgui.is_item_deactivated_after_edit() and self._share is not None:
@@ -97,10 +103,12 @@ class TrainingPanel:
         if button(ui, SAVE, "training.save", enabled=bool(path), tip="all that training needs to go on (Ctrl+S)"):
             yield SaveCheckpoint(Path(path).expanduser())
         same_line_if_fits(LOAD)
-        pressed = button(ui, LOAD, "training.load", enabled=bool(path), tip="go on from this checkpoint")
-        self._load.asking = self._load.asking or (pressed and unsaved > 0)
+        tip = "" if self._load.asking else "go on from this checkpoint"
+        pressed = button(ui, LOAD, "training.load", enabled=bool(path), tip=tip)
+        self._load.asking = self._load.asking or pressed
         question = f"Loading forgets {unsaved:,} unsaved training steps."
-        if self._load.draw(ui, question, "Load", "training.load") or (pressed and unsaved == 0):
+        agreed = self._load.draw(ui, question, "Forget them and load", "training.load", needed=unsaved > 0)
+        if agreed or (pressed and unsaved == 0):
             yield LoadCheckpoint(Path(path).expanduser())
 
 

@@ -13,7 +13,7 @@ from viewer.panels import PANELS, Ui
 from viewer.state import Action, AppState, FocusOn, FrameScene, ResetView
 from viewer.widgets import Row, button, figures, hint, number, same_line_if_fits, vector
 
-FRAME, RESET = f"{icons.ICON_FA_EXPAND}  Frame", f"{icons.ICON_FA_HOUSE}  Reset"
+FRAME, HOME = f"{icons.ICON_FA_EXPAND}  Frame", f"{icons.ICON_FA_HOUSE}  Home"
 FOCUS, HELP = f"{icons.ICON_FA_CROSSHAIRS}  Focus", f"{icons.ICON_FA_KEYBOARD}  Keys"
 
 
@@ -38,8 +38,8 @@ class ViewPanel:
         opened = state.snapshot.scene is not None
         if button(ui, FRAME, "view.frame", enabled=opened, tip="see the whole scene (F)"):
             yield FrameScene()
-        same_line_if_fits(RESET)
-        if button(ui, RESET, "view.reset", enabled=opened, tip="back to where the scene was first seen from (R)"):
+        same_line_if_fits(HOME)
+        if button(ui, HOME, "view.reset", enabled=opened, tip="back to where the scene was first seen from (R)"):
             yield ResetView()
         same_line_if_fits(FOCUS)
         tip = "orbit the inspected point; in the viewport: double click"
@@ -63,10 +63,7 @@ def _preview_state(ui: Ui, state: AppState) -> tuple[str, ImVec4]:
     if not same_view(preview.camera, state.camera.camera(*state.viewport)):
         return "The last picture, warped: the next one is being drawn.", ui.theme.warning
     network = ", coarse network" if preview.quality == "coarse" else ""
-    if preview.stride > 1:
-        return f"1/{preview.stride} resolution{network}: sharpening", muted
-    if not preview.complete:
-        return f"Up to full resolution{network}: sharpening", muted
-    if preview.step < state.snapshot.step:
-        return f"Full resolution{network}, of step {preview.step:,}: refreshing", muted
-    return f"Full resolution{network}", ui.theme.good
+    if preview.complete and preview.step == state.snapshot.step:
+        return f"Full resolution{network}", ui.theme.good
+    sharp = f"1/{preview.stride} resolution" if preview.stride > 1 else "Full resolution"
+    return f"{sharp}{network}, as of step {preview.step:,}: {'refreshing' if preview.complete else 'sharpening'}", muted
