@@ -196,7 +196,9 @@ def test_offscreen_with_nothing_asked_for_leaves_a_picture_an_orbit_and_a_ray(tm
     """As the first command of the README does on a machine without a display, but with less training."""
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
     command = [sys.executable, "-m", "viewer.cli", *TINY, "--headless", "--steps", "5"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=200, cwd=tmp_path, env=environment, check=False)
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=200, cwd=tmp_path, env=environment, check=False
+    )
     assert done.returncode == 0, done.stderr
     (folder,) = tmp_path.iterdir()
     assert str(folder) in done.stdout
@@ -239,8 +241,6 @@ def test_gl_and_training_live_in_one_process() -> None:
 def test_real_scenes_open_and_train(scenes: Path, name: str, options: list[str], tmp_path: Path) -> None:
     shot = tmp_path / "shot.png"
     done = viewer(
-        str(scenes / name), *without(TINY, options), *options, "--headless", "--steps", "20", "--screenshot", str(shot)
-    )
         str(scenes / name), *without(TINY, options), *options, "--headless", "--steps", "20", "--screenshot", str(shot)
     )
     assert done.returncode == 0, done.stderr
