@@ -15,6 +15,7 @@ from torch import Tensor
 
 from nerf_core.types import Rays
 
+Lens = float | np.ndarray
 UNDISTORT_STEPS = 10  # Newton converges quadratically: lenses that fold nowhere in the image need 3 to 5
 
 
@@ -64,8 +65,8 @@ class Camera:
         return np.stack([x * self.fx + self.cx, y * self.fy + self.cy], -1), z
 
 
-def distort(xy: np.ndarray, k1: float, k2: float, k3: float, p1: float, p2: float) -> np.ndarray:
-    """Ideal image-plane points (P, 2), y down → where the lens puts them (OpenCV's model)."""
+def distort(xy: np.ndarray, k1: Lens, k2: Lens, k3: Lens, p1: Lens, p2: Lens) -> np.ndarray:
+    """Ideal image-plane points (P, 2), y down → where the lens puts them (OpenCV's model); one lens, or P of them."""
     x, y = xy[..., 0], xy[..., 1]
     r2 = x * x + y * y
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))

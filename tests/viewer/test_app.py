@@ -275,6 +275,44 @@ def test_tab_hides_all_but_the_viewport_and_brings_it_back(start: Start) -> None
     assert app.state.viewport == small
 
 
+def test_tab_leaves_the_tabs_as_they_were(start: Start) -> None:
+    app, _ = start((1280, 800))
+    for title in ("View", "Export"):
+        app.state.raise_panel = title
+        app.settle()
+        front = app._host.in_front
+        assert title in front
+        app.hand.key(imgui.Key.tab)
+        app.settle()
+        app.hand.key(imgui.Key.tab)
+        app.settle(5)
+        assert app._host.in_front == front
+
+
+def test_ctrl_e_shows_where_the_export_can_be_watched(start: Start) -> None:
+    app, _ = start((1280, 800))
+    app.state.orbit.file = "turn"
+    assert "Export" not in app._host.in_front
+    app.hand.key(imgui.Key.e, ctrl=True)
+    app.settle()
+    assert "Export" in app._host.in_front
+
+
+@pytest.mark.parametrize("letter_first", [True, False])
+def test_a_chord_that_is_over_before_the_next_frame_counts(start: Start, letter_first: bool) -> None:
+    """Both keys go down and up between two frames, as from a script or under a slow machine's load."""
+    app, worker = start()
+    io, place = imgui.get_io(), app.state.camera.c2w().copy()
+    up = [imgui.Key.s, imgui.Key.left_ctrl, imgui.Key.mod_ctrl]
+    for key in (imgui.Key.left_ctrl, imgui.Key.mod_ctrl, imgui.Key.s):
+        io.add_key_event(key, True)
+    for key in up if letter_first else reversed(up):
+        io.add_key_event(key, False)
+    app.settle(6)
+    assert [type(c) for c in worker.sent] == [SaveCheckpoint]
+    np.testing.assert_array_equal(app.state.camera.c2w(), place)
+
+
 def test_ctrl_s_and_ctrl_e_save_and_export(start: Start) -> None:
     app, worker = start()
     app.state.checkpoint_file = "kept.safetensors"

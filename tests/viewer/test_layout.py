@@ -10,7 +10,7 @@ import pytest
 import scripted
 
 from viewer.app import App
-from viewer.layout import HEADER
+from viewer.layout import HEADER, _checksum
 from viewer.window import Window
 
 Offscreen = Callable[..., Window]
@@ -62,6 +62,20 @@ def test_the_layout_survives_a_restart(opened: Open, tmp_path: Path) -> None:
     assert viewport_of(again) == pytest.approx(moved, abs=2)
     assert not again.state.notices
     again.close()
+
+
+def test_a_layout_that_lacks_a_panel_gives_way_to_the_default(opened: Open, tmp_path: Path) -> None:
+    """As one of an older version does; the new panel would float over the others."""
+    file = tmp_path / "layout.ini"
+    app = opened(file)
+    default = viewport_of(app)
+    move_the_divider(app)
+    app.close()
+    body = file.read_text("utf-8").partition("\n")[2].replace("[Window][Radiance]", "[Window][Something else]")
+    file.write_text(f"{HEADER}{_checksum(body)}\n{body}", "utf-8")
+    again = opened(file)
+    assert viewport_of(again) == pytest.approx(default, abs=2)
+    assert not again.state.notices
 
 
 @pytest.mark.parametrize("damage", ["cut", "binary", "foreign", "edited"])

@@ -30,6 +30,7 @@ from viewer.state import (
     FocusOn,
     FrameScene,
     GoToView,
+    OrbitForm,
     ResetView,
     SetPointDepth,
     StartOrbitExport,
@@ -246,14 +247,32 @@ def test_export_starts_and_cancels(screen: Screen) -> None:
 
 
 def test_the_export_tells_its_time_before_it_starts() -> None:
-    from viewer.panels.export import estimate
+    from viewer.panels.export import OwnPath, estimate
 
-    state = make_state(make_snapshot())  # 60 frames of 200 × 150 at 9,000 rays/s
-    assert estimate(state.orbit, state.snapshot) == (
+    form, own = OrbitForm(), OwnPath(200, 150, 4.0)
+    assert estimate(form, own, speed=9000.0) == (
         "60 frames of 200 × 150, 2.0 s of video; takes about 3 min 20 s, longer while training"
     )
-    unknown = replace(state.snapshot, preview_rays_per_second=0.0)
-    assert estimate(state.orbit, unknown).endswith("not measured yet")
+    assert estimate(form, own, speed=0.0).endswith("not measured yet")
+
+
+def test_training_cameras_that_have_the_point_in_their_frame_are_told_from_the_others() -> None:
+    """Against the cameras' own projection, lens and all; some look away from the point, one stands in it."""
+    from viewer.panels.radiance import TrainingCameras
+
+    scene, rng = make_snapshot().scene, np.random.default_rng(3)
+    assert scene is not None
+    bent = tuple(replace(view, camera=replace(view.camera, k1=0.3, p1=0.02)) for view in scene.views)
+    cameras = TrainingCameras(replace(scene, views=bent))
+    for point in [*rng.normal(scale=1.5, size=(20, 3)), bent[scene.split("train")[0]].camera.c2w[:, 3]]:
+        framed = []
+        for i in scene.split("train"):
+            camera = bent[i].camera
+            (pixel,), (depth,) = camera.project(point[None])
+            framed.append(depth > 0 and 0 <= pixel[0] < camera.width and 0 <= pixel[1] < camera.height)
+        views = cameras.look_at(point)
+        assert views.framed.tolist() == framed
+        assert np.isfinite(views.directions).all()
 
 
 # ---- the ray and its point --------------------------------------------------------------------------------------

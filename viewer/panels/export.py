@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Literal
 
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from nerf_core.messages import CancelExport, Export, Snapshot
+from nerf_core.messages import CancelExport, Export
 from nerf_core.paths import capture_distance, training_size
+from nerf_core.scene import Scene
 from viewer.panels import PANELS, Ui
 from viewer.state import Action, AppState, OrbitForm, StartOrbitExport
 from viewer.widgets import button, duration, field_beside, field_width, hint, number, path_line, same_line_if_fits
@@ -20,59 +22,68 @@ PNG = "PNG frames"
 LONGEST = "elevation"  # of the labels: all fields end where it starts
 
 
+@dataclass(frozen=True)
+class OwnPath:
+    """An orbit as it is by itself, in pixels and scene units; found once, as there may be thousands of photos."""
+
+    width: int
+    height: int
+    radius: float
+
+    @staticmethod
+    def of(scene: Scene) -> OwnPath:
+        return OwnPath(*training_size(scene), capture_distance(scene))
+
+
 @PANELS.register("export")
 class ExportPanel:
     title = "Export"
     dock: Literal["right"] = "right"
     order = 3
 
+    def __init__(self) -> None:
+        self._scene: Scene | None = None
+        self._own = OwnPath(0, 0, 0.0)
+
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
         snapshot, form = state.snapshot, state.orbit
         if snapshot.scene is None:
             hint(ui, "Open a scene first: then an orbit around it can be written as a video.")
             return
+        if snapshot.scene is not self._scene:
+            self._scene, self._own = snapshot.scene, OwnPath.of(snapshot.scene)
         running = snapshot.export is not None and snapshot.export.state == "running"
         if snapshot.export is not None:
             _progress(ui, snapshot.export)
         if running and button(ui, CANCEL, "export.cancel", tip="stop and leave no file"):
             yield CancelExport()
         imgui.begin_disabled(running)
-        _form(ui, form, snapshot)
+        _form(ui, form, self._own)
         imgui.end_disabled()
         if running:
             return
-        hint(ui, estimate(form, snapshot))
+        hint(ui, estimate(form, self._own, snapshot.preview_rays_per_second))
         if button(ui, START, "export.start", enabled=bool(form.file.strip()), tip="training goes on (Ctrl+E)"):
             yield StartOrbitExport()
 
 
-def estimate(form: OrbitForm, snapshot: Snapshot) -> str:
-    """What the video will be and how long it takes at the measured speed of drawing."""
-    assert snapshot.scene is not None, "an orbit needs a scene"
-    width, height = _size(form, snapshot)
+def estimate(form: OrbitForm, own: OwnPath, speed: float) -> str:
+    """What the video will be and how long it takes at the measured speed of drawing, in rays a second."""
+    width, height = form.width or own.width, form.height or own.height
     film = f"{form.frames:,} frames of {width:,} × {height:,}, {form.frames / form.fps:.1f} s of video"
-    speed = snapshot.preview_rays_per_second
     if speed <= 0:
         return f"{film}; the time it takes is not measured yet"
     return f"{film}; takes about {duration(form.frames * width * height / speed)}, longer while training"
 
 
-def _size(form: OrbitForm, snapshot: Snapshot) -> tuple[int, int]:
-    assert snapshot.scene is not None, "an orbit needs a scene"
-    own = training_size(snapshot.scene)
-    return form.width or own[0], form.height or own[1]
-
-
-def _form(ui: Ui, form: OrbitForm, snapshot: Snapshot) -> None:
-    assert snapshot.scene is not None, "an orbit needs a scene"
-    width, height = training_size(snapshot.scene)
-    own = number(capture_distance(snapshot.scene), 3)
+def _form(ui: Ui, form: OrbitForm, own: OwnPath) -> None:
     if imgui.begin_table("form", 2, imgui.TableFlags_.sizing_stretch_same | imgui.TableFlags_.no_pad_outer_x):
         form.frames = round(_number(ui, "frames", form.frames, (1, MAX_FRAMES), "%.0f"))
         form.fps = _number(ui, "fps", form.fps, (1, MAX_FPS), "%.4g")
         form.elevation_degrees = _number(ui, "elevation", form.elevation_degrees, (-90, 90), "%.1f°")
-        form.radius = _number(ui, "radius", form.radius, (0, MAX_RADIUS), "%.4g" if form.radius else f"auto, {own}")
-        for side, photos in (("width", width), ("height", height)):
+        radius = "%.4g" if form.radius else f"auto, {number(own.radius, 3)}"
+        form.radius = _number(ui, "radius", form.radius, (0, MAX_RADIUS), radius)
+        for side, photos in (("width", own.width), ("height", own.height)):
             value: int = getattr(form, side)
             shown = "%.0f px" if value else f"auto, {photos:,}"
             setattr(form, side, round(_number(ui, side, value, (0, MAX_SIDE), shown)))

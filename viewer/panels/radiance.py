@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
 
+from nerf_core.cameras import distort
 from nerf_core.probe import DISC_SIZE, SPHERE_COLUMNS, SPHERE_ROWS, RadianceProbe, disc_grid
 from nerf_core.scene import Scene
 from viewer.panels import PANELS, Ui
@@ -39,19 +40,29 @@ class Pictures:
 class TrainingViews:
     """Directions (C, 3) from the point to the training cameras, and which of them (C,) have it in their frame."""
 
-    probe: RadianceProbe
     directions: np.ndarray
     framed: np.ndarray
 
-    @staticmethod
-    def of(probe: RadianceProbe, scene: Scene | None) -> TrainingViews:
+
+class TrainingCameras:
+    """A capture's training cameras side by side: there may be thousands, and a point asks all of them at once."""
+
+    def __init__(self, scene: Scene | None) -> None:
+        self.scene = scene
         cameras = [scene.views[i].camera for i in scene.split("train")] if scene is not None else []
-        centres = np.array([c.c2w[:, 3] for c in cameras]).reshape(-1, 3)
-        framed = np.zeros(len(cameras), bool)
-        for i, camera in enumerate(cameras):
-            (pixel,), (depth,) = camera.project(probe.point[None].astype(np.float64))
-            framed[i] = depth > 0 and bool((pixel >= 0).all()) and pixel[0] < camera.width and pixel[1] < camera.height
-        return TrainingViews(probe, _unit(centres - probe.point), framed)
+        self._c2w = np.array([c.c2w for c in cameras], np.float64).reshape(-1, 3, 4)
+        self._intrinsics = np.array([c.intrinsics() for c in cameras], np.float64).reshape(-1, 11)
+
+    def look_at(self, point: np.ndarray) -> TrainingViews:
+        offsets = point - self._c2w[:, :, 3]
+        local = np.einsum("cij,ci->cj", self._c2w[:, :, :3], offsets)
+        depth = -local[:, 2]
+        plane = np.stack([local[:, 0], -local[:, 1]], -1) / np.maximum(depth, 1e-12)[:, None]  # behind: not framed
+        width, height, fx, fy, cx, cy, *lens = self._intrinsics.T
+        x, y = distort(plane, *lens).T
+        x, y = x * fx + cx, y * fy + cy
+        framed = (depth > 0) & (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        return TrainingViews(_unit(-offsets), framed)
 
 
 @PANELS.register("radiance")
@@ -63,7 +74,8 @@ class RadiancePanel:
     def __init__(self) -> None:
         self.hovered: tuple[np.ndarray, np.ndarray] | None = None  # direction and colour under the mouse
         self._pictures: Pictures | None = None
-        self._views: TrainingViews | None = None
+        self._cameras = TrainingCameras(None)
+        self._views = self._cameras.look_at(np.zeros(3))
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
         probe = state.snapshot.radiance
@@ -72,8 +84,9 @@ class RadiancePanel:
             return
         if self._pictures is None or self._pictures.probe is not probe:
             self._pictures = Pictures.of(probe)
-            self._views = TrainingViews.of(probe, state.snapshot.scene)
-        assert self._views is not None  # made with the pictures
+            if self._cameras.scene is not state.snapshot.scene:
+                self._cameras = TrainingCameras(state.snapshot.scene)
+            self._views = self._cameras.look_at(probe.point)
         yield from self._draw(ui, state, self._pictures, self._views)
         if self.hovered is not None:
             _tooltip(ui, *self.hovered)
