@@ -30,10 +30,11 @@ class ViewRequest:
 
 @dataclass(frozen=True)
 class OpenScene:
-    """Load a capture (None: the demo scene) and build a fresh model for it."""
+    """Load a capture (None: the demo scene) and build a fresh model for it; then train it, if `train`."""
 
     path: Path | None
     options: object  # nerf_core.settings.RunSettings; `object` keeps this module free of the trainer
+    train: bool = False
 
 
 @dataclass(frozen=True)

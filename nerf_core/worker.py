@@ -158,8 +158,10 @@ class Worker:
 
     def _obey(self, command: Command) -> None:  # noqa: PLR0912  one branch a message
         match command:
-            case messages.OpenScene(path, options):
+            case messages.OpenScene(path, options, train):
                 self._open(path, options if isinstance(options, RunSettings) else self.settings)
+                if train:
+                    self._start_training(None, None)
             case messages.Train(steps, seconds):
                 self._start_training(steps, seconds)
             case messages.Pause():

@@ -39,6 +39,8 @@ class Session:
         self.worker = Worker(self.settings, wake=self.window.wake)
         layout = Path(platformdirs.user_config_dir(APP)) / "layout.ini" if self.window.has_display else None
         self.app = App(self.window, self.worker, layout_file=layout)
+        # --format is about the capture it was given with; another is recognised by its content
+        self.app.state.settings = replace(self.settings, load=replace(self.settings.load, format="auto"))
         self.worker.start()
         self.signals.be_polite()
 

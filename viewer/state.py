@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from nerf_core.messages import Command, Inspect, Notice, Snapshot
+from nerf_core.settings import RunSettings
 from viewer.camera_control import CameraControl
 
 # ---- what a panel may ask of the app, besides the worker's commands -------------------------------------------
@@ -92,6 +93,7 @@ class AppState:
     orbit: OrbitForm = field(default_factory=OrbitForm)  # *
     checkpoint_file: str = ""  # *
     open_path: str = ""  # *
+    settings: RunSettings = field(default_factory=RunSettings)  # * what the next capture is opened with
     focus_open: bool = False  # * give the scene panel's path field the keyboard in the next frame
     raise_panel: str = ""  # * title of the panel whose tab is to come to the front in the next frame
     show_cameras: bool = False  # * training cameras in the viewport

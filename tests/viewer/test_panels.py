@@ -11,6 +11,7 @@ import pytest
 from imgui_bundle import ImVec2, imgui, implot
 from panel_states import make_ray, make_snapshot, make_state, states
 
+from nerf_core.datasets import LoadOptions
 from nerf_core.messages import (
     CancelExport,
     LoadCheckpoint,
@@ -23,6 +24,7 @@ from nerf_core.messages import (
     Status,
     Train,
 )
+from nerf_core.settings import RunSettings
 from viewer.panels import PANELS, Panel
 from viewer.state import (
     Action,
@@ -166,7 +168,7 @@ def test_a_finished_training_does_not_start_again(screen: Screen, widget: str) -
     [
         ("training", "training.reset", Reset()),
         ("training", "training.load", LoadCheckpoint(Path("run/last.safetensors"))),
-        ("scene", "scene.demo", OpenScene(None, None)),
+        ("scene", "scene.demo", OpenScene(None, RunSettings(), train=True)),
     ],
 )
 def test_what_forgets_steps_asks_first(screen: Screen, panel: str, widget: str, action: Action) -> None:
@@ -204,7 +206,19 @@ def test_the_share_is_sent_once_when_the_slider_is_let_go(screen: Screen) -> Non
 def test_opening_a_folder_keeps_the_options(screen: Screen) -> None:
     state = make_state(Snapshot())
     state.open_path = " captures/fox "
-    assert screen.click(PANELS.get("scene")(), state, "scene.open") == [OpenScene(Path("captures/fox"), None)]
+    state.settings = RunSettings(LoadOptions(downscale=4), seed=3)
+    opened = OpenScene(Path("captures/fox"), state.settings, train=True)
+    assert screen.click(PANELS.get("scene")(), state, "scene.open") == [opened]
+
+
+def test_the_next_capture_is_opened_at_the_size_that_was_chosen(screen: Screen) -> None:
+    panel, state = PANELS.get("scene")(), make_state(Snapshot())
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    left, top, _, bottom = screen.widgets["scene.downscale"]
+    y = (top + bottom) / 2
+    screen.drag(panel, state, (left + 3, y), (left + 60, y), (left + 120, y))
+    assert 1 < state.settings.load.downscale <= 64
 
 
 def test_photos_go_round_the_training_split(screen: Screen) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -26,6 +27,7 @@ from viewer.widgets import (
     unsaved_steps,
 )
 
+DOWNSCALE, MOST = "downscale", 64
 OPEN, DEMO = f"{icons.ICON_FA_FOLDER_OPEN}  Open", "Demo"
 
 
@@ -51,6 +53,8 @@ class ScenePanel:
             for note in scene.notes:
                 hint(ui, f"{icons.ICON_FA_TRIANGLE_EXCLAMATION}  {note}", ui.theme.warning)
             yield from _photos(ui, state, scene)
+            same_line_if_fits(f"{DOWNSCALE}  00")
+        _downscale(ui, state)
 
     def _open(self, ui: Ui, state: AppState) -> Iterator[Action]:
         if state.focus_open:
@@ -70,13 +74,13 @@ class ScenePanel:
         unsaved = unsaved_steps(state.snapshot)
         question = f"Opening another scene forgets {unsaved:,} unsaved training steps."
         if self._confirmation.draw(ui, question, "Forget them and open", "scene.open", needed=unsaved > 0):
-            yield OpenScene(self._wanted, None)
+            yield OpenScene(self._wanted, state.settings, train=True)
 
     def _ask(self, state: AppState, path: Path | None) -> Iterator[Action]:
         self._wanted = path
         self._confirmation.asking = unsaved_steps(state.snapshot) > 0
         if not self._confirmation.asking:
-            yield OpenScene(path, None)
+            yield OpenScene(path, state.settings, train=True)
 
 
 def _rows(scene: Scene) -> list[Row]:
@@ -92,6 +96,15 @@ def _rows(scene: Scene) -> list[Row]:
         ("size", f"{size} px" if sizes else "–"),
         ("near … far", f"{number(scene.near)} … {number(scene.far)} units"),
     ]
+
+
+def _downscale(ui: Ui, state: AppState) -> None:
+    load = state.settings.load
+    imgui.set_next_item_width(2.6 * ui.em)
+    _, value = imgui.drag_int(DOWNSCALE, load.downscale, 0.05, 1, MOST, "%d", imgui.SliderFlags_.always_clamp)
+    ui.mark("scene.downscale")
+    imgui.set_item_tooltip("of the capture that is opened next: its photos are averaged over so many pixels a side")
+    state.settings = replace(state.settings, load=replace(load, downscale=value))
 
 
 def _photos(ui: Ui, state: AppState, scene: Scene) -> Iterator[Action]:
