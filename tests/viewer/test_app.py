@@ -463,7 +463,7 @@ def test_a_new_scene_closes_the_ray_and_moves_the_camera(start: Start) -> None:
     app, worker = start()
     home = app.state.camera.c2w()
     app.hand.click(*middle(app))
-    app.perform(GoToView(3))
+    app.perform(GoToView(1))
     app.settle(30)
     assert not np.allclose(app.state.camera.c2w(), home)
     worker.current = replace(worker.current, loaded=2, ray=None, radiance=None)
