@@ -6,6 +6,7 @@ import time
 
 from nerf_core.cameras import camera_rays
 from nerf_core.messages import Inspect, Preview, ViewRequest
+from nerf_core.methods import Method
 from nerf_core.preview import Refinement, first_stride
 from nerf_core.probe import RadianceProbe, RayProbe, open_radiance, open_ray
 from nerf_core.trainer import Trainer
@@ -29,6 +30,10 @@ class Artist:
         self._opened_step = -1
         self._opened_time = 0.0
         self._picture: Refinement | None = None
+        self._model: Method | None = None  # what draws the level under way, and
+        self._model_step = 0
+        self._copy: Method | None = None
+        self._copy_step = -1
         self._moving = False
         self._rates: dict[str, float] = {}
 
@@ -39,7 +44,7 @@ class Artist:
 
     def forget_pictures(self) -> None:
         """The model was exchanged: everything is to be drawn again."""
-        self._picture, self._opened = None, None
+        self._picture = self._opened = self._model = self._copy = None
 
     @property
     def fresh(self) -> bool:
@@ -69,19 +74,29 @@ class Artist:
         picture = self._current(view)
         if not picture.advance(trainer.step_count):
             return False
-        cells = picture.take(trainer.method.tile)
+        if picture.begins or self._model is None:
+            self._model_step = trainer.step_count
+            # A new view's first level is done before the next step; later ones take many.
+            self._model = self._frozen(trainer) if picture.first_level_done else trainer.method
+        cells = picture.take(self._model.tile)
         rays = camera_rays(picture.camera, trainer.scene.near, trainer.scene.far, picture.pixels(cells))
         begin = time.perf_counter()
-        drawn = trainer.method.render(rays, picture.quality)
+        drawn = self._model.render(rays, picture.quality)
         color, depth = drawn.color.cpu().numpy(), drawn.depth.cpu()
         seconds = time.perf_counter() - begin
         # distance along the ray → depth along the optical axis: `far`, never 0, is that axis' bound on every ray
         z = depth * trainer.scene.far / rays.far
-        picture.write(cells, color, z.numpy(), trainer.step_count)
-        if len(cells) == trainer.method.tile:  # a padded tile would be counted as slower than it is
+        picture.write(cells, color, z.numpy(), self._model_step)
+        if len(cells) == self._model.tile:  # a padded tile would be counted as slower than it is
             rate = len(cells) / max(seconds, 1e-6)
             self._rates[picture.quality] = 0.8 * self._rates.get(picture.quality, rate) + 0.2 * rate
         return True
+
+    def _frozen(self, trainer: Trainer) -> Method:
+        """The model of now, which stays as it is while training goes on."""
+        if self._copy is None or self._copy_step != trainer.step_count:
+            self._copy, self._copy_step = trainer.frozen_method(), trainer.step_count
+        return self._copy
 
     def _current(self, view: ViewRequest) -> Refinement:
         """The picture to work on: the newest view's, but a moving camera's few pixels are finished first.

@@ -2,8 +2,9 @@
 
 A picture starts as a coarse grid of pixels (stride 32, say) and is refined by halving the stride. Every grid contains
 the coarser one: its pixels are kept if the weights are still those that drew them. Within a level, pixels come from the
-centre outwards. Young weights change faster than a fine level can be drawn: then the level stays as coarse as one that
-is done before they have, since half of one picture and half of another is none.
+centre outwards. All of a level is to be drawn with the weights of its beginning, whatever training does meanwhile:
+where half of the pixels are one step older than the others, one sees the seam. Young weights are others before a fine
+level is done; then the picture stays as coarse as it must for what is shown to be of now.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from nerf_core.messages import Preview
 from nerf_core.render import to_bytes
 
 COARSEST = 64
-COHERENT = 0.75  # pixels drawn after this share of the newest pixels' steps show the same model to the eye
+YOUNG = 0.75  # weights of this share of today's steps still tell what the model looks like
 
 
 def first_stride(width: int, height: int, affordable: float) -> int:
@@ -54,7 +55,7 @@ class Refinement:
             return True
         oldest = int(self._step.min())
         passed = step - oldest
-        if self.stride > 1 and oldest + passed >= COHERENT * (oldest + 5 * passed):
+        if self.stride > 1 and oldest + passed >= YOUNG * (oldest + 5 * passed):
             self._refine(step)
             self._next = 0
             return self.advance(step)  # a picture of one texel gains none by halving
@@ -65,8 +66,13 @@ class Refinement:
         return True
 
     def coherent(self) -> bool:
-        """Whether all its pixels show the same model, or as good as."""
-        return int(self._step.min()) >= COHERENT * int(self._step.max())
+        """Whether all its pixels show the same weights."""
+        return int(self._step.min()) == int(self._step.max())
+
+    @property
+    def begins(self) -> bool:
+        """Whether nothing of the level has been drawn yet."""
+        return self._next == 0
 
     def take(self, count: int) -> np.ndarray:
         """The next at most `count` cells (K, 2) to compute."""

@@ -196,7 +196,7 @@ class CameraControl:
         """Start at a training photo, level; without one, on a pleasant orbit. At once: nothing to ease from.
 
         Of a synthetic object, seen from all around, that is the first; of a place the one that is most like the
-        others, as its content is what most of them show. A portrait photo is cut to the height of a square as large.
+        others, as its content is what most of them show.
         """
         self.scene = scene
         self._up = np.asarray(scene.up, np.float64) / np.linalg.norm(scene.up)
@@ -207,10 +207,7 @@ class CameraControl:
             cameras = [scene.views[i].camera for i in train]
             camera = cameras[0] if scene.synthetic else cameras[_most_central(cameras, scene.center)]
             photo = self._photo(camera)
-            # Windows are wide: a portrait photo that fitted into one would have unseen space around it.
-            sides = camera.width / camera.fx, camera.height / camera.fy
-            fov = math.degrees(2 * math.atan(min(sides[1], math.sqrt(sides[0] * sides[1])) / 2))
-            self._home = replace(photo, rotation=level(photo.rotation, self._up), fov_y_degrees=fov)
+            self._home = replace(photo, rotation=level(photo.rotation, self._up))
         else:
             self._home = _pleasant(np.asarray(scene.center, np.float64), self._up, 3 * self._unit)
         self._ease = None

@@ -33,7 +33,7 @@ class Curve:
 
 
 LOSS = Curve("loss", "training.loss", (1e-4, 1.0), log=True, figure=".3g", ticks=(1.0, 1e-2, 1e-4))
-PSNR = Curve("PSNR (dB)", "training.psnr", (5.0, 40.0), log=False, figure=".2f", ticks=(10.0, 20.0, 30.0))
+PSNR = Curve("PSNR (dB)", "training.psnr", (5.0, 40.0), log=False, figure=".2f", ticks=(10.0, 30.0))
 
 
 class HistoryPlots:

@@ -132,7 +132,7 @@ class RayPlots:
         for steps in passes[-1:]:
             line = implot.Spec(line_color=ui.theme.transmittance, line_weight=0.12 * ui.em)
             implot.plot_line("transmittance", steps.edges, steps.transmittance, line)
-        axis_name(ui, "w / largest w, T")
+        axis_name(ui, "w / largest w, T", right=True)
         self._depth_marks(ui, opened.ray, glyphs=True)
         result = self._drag_point(ui, opened.point_t), self._read(ui, passes)
         implot.end_plot()

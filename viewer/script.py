@@ -22,6 +22,7 @@ from nerf_core.messages import (
     OpenScene,
     Pause,
     SaveCheckpoint,
+    SetShare,
     Snapshot,
     Train,
 )
@@ -33,7 +34,8 @@ from viewer.app import App
 from viewer.state import StartOrbitExport
 
 FRAME_SECONDS = 0.25  # how often an offscreen interface is drawn while it waits: drawing takes time from training
-SHARPEN_SECONDS = 30.0  # how long a screenshot waits for the preview to reach full resolution
+SHARPEN_SECONDS = 180.0  # how long a screenshot waits for the preview to reach full resolution
+UNWATCHED_SHARE = 0.95  # of the time goes to training where nobody watches the pictures
 SHORT_FRAMES, SHORT_FPS = 40, 20.0  # of an orbit that is to take only so long
 SLOWEST, SMALLEST = 100.0, 32  # rays a second, where none was timed; pixels: what is smaller shows nothing
 
@@ -140,6 +142,9 @@ class Script:
         if left == 0:
             self.say(f"no training: step {start.step:,} is past --steps {steps:,} already")
             return
+        share = start.wanted_share
+        if not self.app.state.has_display:
+            self.worker.send(SetShare(UNWATCHED_SHARE))
         self.worker.send(Train(left, seconds))
         rate = 0.0
         with Display("training") as bar:
@@ -161,6 +166,7 @@ class Script:
             except Closed:
                 self.worker.send(Pause())
                 raise
+        self.worker.send(SetShare(share))
         s = self._snapshot()
         trained = s.seconds - start.seconds
         self.say(f"trained to step {s.step:,} in {trained:.1f} s of training, {rate:,.0f} rays/s")
@@ -223,12 +229,17 @@ class Script:
 
     def _sharpen(self) -> None:
         limit = time.monotonic() + SHARPEN_SECONDS
+        with Display("sharpening the picture") as bar:
 
-        def sharp(s: Snapshot) -> bool:
-            current = s.preview is not None and s.preview.complete and s.preview.step == s.step and not self.app.stale
-            return current or time.monotonic() > limit
+            def sharp(s: Snapshot) -> bool:
+                preview = s.preview
+                if preview is not None and preview.step == s.step and not self.app.stale:
+                    if preview.complete:
+                        return True
+                    bar.show(1 / preview.stride**2, f"1/{preview.stride} resolution")
+                return time.monotonic() > limit
 
-        self._wait(sharp)
+            self._wait(sharp)
         preview = self._snapshot().preview
         if preview is not None and not preview.complete:
             self.say(f"screenshot: the preview reached 1/{preview.stride} resolution in {SHARPEN_SECONDS:.0f} s")

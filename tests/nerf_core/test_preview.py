@@ -121,7 +121,7 @@ def test_a_level_is_refined_only_if_the_finer_one_is_done_before_the_weights_are
         assert len(picture.take(100)) == {4: 4, 2: 16}[stride]
 
 
-def test_a_picture_is_shown_while_its_pixels_are_of_about_one_age() -> None:
+def test_a_picture_is_shown_while_its_pixels_are_of_one_step() -> None:
     picture = Refinement(camera(8, 8), 1, 4, "fine")
     picture.advance(10)
     work(picture, 10, 4)
@@ -131,8 +131,9 @@ def test_a_picture_is_shown_while_its_pixels_are_of_about_one_age() -> None:
     assert not picture.coherent()
     work(picture, 20, 2)
     assert picture.coherent()
-    picture.advance(26)  # the level was of 20: drawn again
-    work(picture, 26, 2)
+    picture.advance(20)  # the weights did not change: a finer level shows as it comes
+    work(picture, 20, 2)
+    assert picture.stride == 2
     assert picture.coherent()
 
 

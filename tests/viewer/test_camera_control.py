@@ -104,13 +104,6 @@ def test_starts_in_a_place_at_its_most_central_photo() -> None:
     np.testing.assert_allclose(control(scene).c2w()[:, 3], views[2].c2w[:, 3], atol=1e-12)
 
 
-def test_a_portrait_photo_is_cut_to_the_height_of_a_square_as_large() -> None:
-    tall = Camera(60, 80, 65.0, 70.0, 30.0, 40.0, photo(0.3, 0.2, 0.0).c2w)
-    scene = replace(make_scene(), views=(View("tall", tall),), splits={"train": (0,)})
-    height = math.sqrt(60 / 65 * 80 / 70)
-    assert control(scene).fov_y_degrees == pytest.approx(2 * math.degrees(math.atan(height / 2)))
-
-
 def test_starts_on_an_orbit_where_nothing_was_trained_on() -> None:
     camera = control(replace(make_scene(), splits={}))
     np.testing.assert_allclose(pixel(camera, CENTER), [WIDTH / 2, HEIGHT / 2])
