@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
@@ -25,6 +26,7 @@ SPARSE_BELOW = 0.6
 # Their number is rounded up to a multiple of this: oneDNN compiles a kernel for every number of rows it has not seen,
 # which takes longer than to run it.
 BLOCK = 256
+TILE_PRODUCTS = 2.5e9  # multiplications of one tile on a CPU: some 10 ms on two cores that are fast at bfloat16
 
 
 class _Parametrised(NamedTuple):
@@ -67,12 +69,12 @@ class Nerf:
         self.config, self.device = config, device
         self.ndc, self.disparity = scene.ndc, scene.disparity
         self.background = torch.tensor(scene.background, device=device)
-        self.tile = config.tile or (32 if device.type == "cpu" else 4096)
         self.generator = torch.Generator(device).manual_seed(seed)
         start = torch.Generator().manual_seed(seed)
         self.networks = {"coarse": self._network(start)}
         if config.fine_samples:
             self.networks["fine"] = self._network(start)
+        self.tile = config.tile or self._fitting_tile()
         # Adam's fused form reads and writes each parameter once; the equations are the same.
         self.optimizer = torch.optim.Adam(
             self.parameters(), lr=config.learning_rate, eps=config.adam_epsilon, fused=True
@@ -90,6 +92,14 @@ class Nerf:
         )  # fmt: skip
         field.initialise(start)
         return field.to(self.device)
+
+    def _fitting_tile(self) -> int:
+        """As many rays as make products large enough for the device to be fast, and small enough to be done soon."""
+        if self.device.type != "cpu":
+            return 4096
+        # a sample takes about as many multiplications as its network has weights
+        ray = sum(self._samples(name) * sum(p.numel() for p in net.parameters()) for name, net in self.networks.items())
+        return 2 ** int(min(max(math.log2(TILE_PRODUCTS / ray), 3), 9))
 
     # ---- sampling -------------------------------------------------------------------------------------------------
 

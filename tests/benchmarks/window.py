@@ -21,7 +21,7 @@ from nerf_core.worker import Worker
 from viewer.app import App
 from viewer.window import Window
 
-RAYS = 32  # a step, as the quick preset has
+RAYS = 64  # a step, as the quick preset has
 
 
 def main() -> None:
