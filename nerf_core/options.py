@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from nerf_core.datasets import LoadOptions
+from nerf_core.datasets import LoadOptions, check_options
 from nerf_core.errors import UserError, shorten
 from nerf_core.settings import RunSettings
 from nerf_core.training import Goal
@@ -59,8 +59,10 @@ class TrainOptions:
             raise UserError(
                 f"--threads {shorten(self.threads)}: give a whole number from 1 to 1024, or 0 for all cores"
             )
+        load = LoadOptions(self.format, self.downscale, self.max_size, self.ndc, self.background, self.memory_gb)
+        check_options(load)
         return RunSettings(
-            load=LoadOptions(self.format, self.downscale, self.max_size, self.ndc, self.background, self.memory_gb),
+            load=load,
             method=self.method,
             preset=self.preset,
             changes=self._changes(),

@@ -5,6 +5,6 @@ blender 0, transforms 1, colmap 2, llff 3.
 """
 
 from nerf_core.datasets.capture import DATASETS, Capture, Dataset, LoadOptions, Photo
-from nerf_core.datasets.loading import load_scene
+from nerf_core.datasets.loading import check_options, load_scene
 
-__all__ = ["DATASETS", "Capture", "Dataset", "LoadOptions", "Photo", "load_scene"]
+__all__ = ["DATASETS", "Capture", "Dataset", "LoadOptions", "Photo", "check_options", "load_scene"]

@@ -33,7 +33,7 @@ def load_scene(path: Path | None, options: LoadOptions, progress: Progress | Non
     progress: called as (photos done, photos in all) from this thread; it may raise to cancel. What is odd but
     harmless is told in `Scene.notes`. Raises UserError naming file, field and remedy.
     """
-    _check(options)
+    check_options(options)
     try:
         source, name, notes = recognise(path, options.format)
         capture = DATASETS.get(name).read(source, options)
@@ -71,7 +71,8 @@ def load_scene(path: Path | None, options: LoadOptions, progress: Progress | Non
     )
 
 
-def _check(options: LoadOptions) -> None:
+def check_options(options: LoadOptions) -> None:
+    """Raises UserError for numbers that mean nothing."""
     if not 1 <= options.downscale <= LARGEST_SIDE:
         raise UserError(f"--downscale is {shorten(options.downscale)}: give a whole number from 1 to {LARGEST_SIDE:,}")
     if not 0 <= options.max_size <= LARGEST_SIDE:

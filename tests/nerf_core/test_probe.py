@@ -181,3 +181,9 @@ def test_frames_are_right_handed_also_when_the_camera_looks_along_the_axis(scene
         np.testing.assert_allclose(radiance.up, [0, 0, 1])
         assert radiance.up @ radiance.azimuth0 == pytest.approx(0, abs=1e-12)
         assert np.isfinite(radiance.directions).all()
+
+
+def test_the_disc_is_the_whole_circle_and_nothing_but_it() -> None:
+    x, y, inside = disc_grid()
+    assert inside.mean() == pytest.approx(np.pi / 4, rel=0.01)
+    assert np.array_equal(inside, np.hypot(x, y) < 1)

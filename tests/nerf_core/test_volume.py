@@ -117,3 +117,11 @@ def test_expected_depth_is_a_mean_over_the_weights_and_nothing_where_nothing_was
     assert float(depth[0]) == pytest.approx((0.1 + 0.4 + 1.2) / 0.6)
     assert depth[1:3].isnan().all()
     assert float(depth[3]) == pytest.approx(2.0)
+
+
+def test_a_faint_haze_still_has_a_depth() -> None:
+    """Half of a level of 8 bits is what one could see of it: less than that counts as nothing, more does not."""
+    t = torch.tensor([[1.0, 2.0]]).expand(2, 2)
+    depth = expected_depth(torch.tensor([[0.5 / 256 * 1.01, 0.0], [0.5 / 256 * 0.99, 0.0]]), t)
+    assert float(depth[0]) == pytest.approx(1.0)
+    assert depth[1].isnan()

@@ -197,6 +197,16 @@ def test_bounds_come_from_what_is_known() -> None:
     assert 10 < known.far < 11.2
 
 
+def test_of_a_hundred_points_one_counts_and_of_a_thousand_none() -> None:
+    """The bounds are the half percentiles: what 1 % of the points lie at is content, what 0.1 % lie at is an outlier."""
+    depth = np.concatenate([np.full(1000, 6.0), np.full(10, 3.0), np.full(10, 20.0), [1.0], [200.0]])
+    points = np.stack([np.zeros_like(depth), depth, np.zeros_like(depth)], 1)
+    known = known_depths(capture(wall(1), points=points))
+    assert known is not None
+    assert (known.closest, known.middle) == (3, 6)
+    assert known.far == pytest.approx(20 / 0.9)
+
+
 def test_a_far_background_is_bounded() -> None:
     given_ = capture(ring(), near=1.0, far=1000.0)
     done = normalise(given_, AUTO)
