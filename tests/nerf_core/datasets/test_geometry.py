@@ -198,7 +198,7 @@ def test_bounds_come_from_what_is_known() -> None:
 
 
 def test_of_a_hundred_points_one_counts_and_of_a_thousand_none() -> None:
-    """The bounds are the half percentiles: what 1 % of the points lie at is content, what 0.1 % lie at is an outlier."""
+    """The bounds are the half percentiles: where 1 % of the points lie is content, 0.1 % are outliers."""
     depth = np.concatenate([np.full(1000, 6.0), np.full(10, 3.0), np.full(10, 20.0), [1.0], [200.0]])
     points = np.stack([np.zeros_like(depth), depth, np.zeros_like(depth)], 1)
     known = known_depths(capture(wall(1), points=points))
