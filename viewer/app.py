@@ -178,7 +178,7 @@ class App:
         bars.draw_status(ui, state)
         self._wishes()
         if state.show_panels:
-            self._layout.dock(self._host.panels, ui.em)
+            self._layout.dock(self._host.panels, ui.em, self._host.in_front)
         viewport.draw(ui, state, alone=not state.show_panels)
         if state.show_panels:
             front = self._host.in_front

@@ -13,6 +13,7 @@ from viewer.panels import Panel
 
 VIEWPORT = "Viewport"
 HEADER = "; nerf-viewer layout 1 "
+FRONT = "; in front: "  # imgui takes it for a comment
 RIGHT_EM, BOTTOM_EM, BOTTOM_RIGHT_EM = 23.0, 17.5, 23.0
 BOTTOM_SHARE = 0.34  # of the height, at least: a tall window has taller plots, not only a taller picture
 MIDDLE_EM = 23.9  # the second panel of the right column holds plots and buttons of fixed height
@@ -26,7 +27,9 @@ class Layout:
         self._file = file
         self._build_next = True
         self._raise_next: tuple[str, ...] = ()  # windows whose tabs come to the front
+        self._raise_soon: tuple[str, ...] = ()  # and those for which that must wait until the windows are there
         self._remembered = ""
+        self._front: tuple[str, ...] = ()  # the panels that lie before others, as they were last drawn
 
     def load(self) -> str | None:
         """Hand the remembered layout to imgui, before its first frame; a warning when the file is no good."""
@@ -61,7 +64,7 @@ class Layout:
         """Write the layout now; a warning when that fails."""
         if self._file is None:
             return None
-        body = imgui.save_ini_settings_to_memory()
+        body = f"{FRONT}{'|'.join(self._front)}\n{imgui.save_ini_settings_to_memory()}"
         try:
             self._file.parent.mkdir(parents=True, exist_ok=True)
             part = self._file.with_suffix(f".{os.getpid()}.part")
@@ -76,14 +79,22 @@ class Layout:
         """Show the default from the next frame on."""
         self._build_next = True
 
-    def dock(self, panels: Sequence[Panel], em: float) -> None:
-        """The dock space over what the bars leave of the window; call before the panels' windows."""
+    def dock(self, panels: Sequence[Panel], em: float, front: tuple[str, ...]) -> None:
+        """The dock space over what the bars leave of the window; call before the panels' windows.
+
+        front: the titles of those that were not behind another's tab in the last frame.
+        """
+        self._front = front or self._front
         area = imgui.get_main_viewport()
         space = imgui.get_id("docks")
         if self._remembered:  # of another version, perhaps: a panel without a place would float over the others
             places = {panel.title for panel in panels if panel.dock != "overlay"} | {VIEWPORT}
             self._build_next = not all(f"[Window][{title}]\n" in self._remembered for title in places)
-            self._remembered = ""
+            first = self._remembered.partition("\n")[0]
+            self._front = tuple(first.removeprefix(FRONT).split("|")) if first.startswith(FRONT) else ()
+            self._raise_soon, self._remembered = self._front, ""
+        elif self._raise_soon:  # imgui shows the last tab that is submitted, not the one that was in front
+            self._raise_next, self._raise_soon = self._raise_soon, ()
         if self._build_next and area.work_size.x > 0 and area.work_size.y > 0:
             self._build_next = False
             self._raise_next = (_build(space, panels, area.work_size, em),)

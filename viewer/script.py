@@ -236,7 +236,8 @@ class Script:
                 if preview is not None and preview.step == s.step and not self.app.stale:
                     if preview.complete:
                         return True
-                    bar.show(1 / preview.stride**2, f"1/{preview.stride} resolution")
+                    coarser = 2 * preview.stride  # the level before the one under way is what is done for certain
+                    bar.show(1 / coarser**2, f"on to 1/{preview.stride} resolution")
                 return time.monotonic() > limit
 
             self._wait(sharp)

@@ -76,7 +76,7 @@ class Session:
         path = asked or Path(platformdirs.user_data_dir(APP)) / "autosave" / name
         self.worker.send(SaveCheckpoint(path))
         self.worker.stop(SAVE_SECONDS)
-        if self.worker.snapshot().saved_step == 0 or not path.is_file():
+        if self.worker.snapshot().saved_step < snapshot.step or not path.is_file():
             print(f"{APP}: step {snapshot.step:,} could not be saved in time", file=sys.stderr)
         else:
             self.say(f"saved to {path}; continue with --load {path}")

@@ -64,6 +64,18 @@ def test_the_layout_survives_a_restart(opened: Open, tmp_path: Path) -> None:
     again.close()
 
 
+@pytest.mark.parametrize("title", ["View", "Export"])
+def test_the_tab_in_front_is_in_front_again(opened: Open, tmp_path: Path, title: str) -> None:
+    file = tmp_path / "layout.ini"
+    app = opened(file)
+    app.state.raise_panel = title
+    app.settle(5)
+    app.close()
+    again = opened(file)
+    again.settle(5)
+    assert title in again._host.in_front
+
+
 def test_a_layout_that_lacks_a_panel_gives_way_to_the_default(opened: Open, tmp_path: Path) -> None:
     """As one of an older version does; the new panel would float over the others."""
     file = tmp_path / "layout.ini"
