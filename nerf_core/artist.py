@@ -34,6 +34,8 @@ class Artist:
         self._model_step = 0
         self._copy: Method | None = None
         self._copy_step = -1
+        self._ready: Preview | None = None  # the newest picture that may be shown, and
+        self._shown: Preview | None = None  # the one that was handed out last
         self._moving = False
         self._rates: dict[str, float] = {}
 
@@ -44,18 +46,19 @@ class Artist:
 
     def forget_pictures(self) -> None:
         """The model was exchanged: everything is to be drawn again."""
-        self._picture = self._opened = self._model = self._copy = None
+        self._picture = self._opened = self._model = self._copy = self._ready = self._shown = None
 
     @property
     def fresh(self) -> bool:
-        return self._picture is not None and self._picture.fresh
+        return self._ready is not self._shown or (self._picture is not None and self._picture.fresh)
 
     def preview(self, previous: Preview | None) -> Preview | None:
         """The newest picture that may be shown; the previous one until a new camera's first level is complete."""
         picture = self._picture
         if picture is not None and picture.fresh and picture.first_level_done and picture.coherent():
-            return picture.image()
-        return previous
+            self._ready = picture.image()
+        self._shown = self._ready
+        return previous if self._ready is None else self._ready
 
     def rays_per_second(self, quality: str) -> float:
         return self._rates.get(quality, 0.0)
@@ -65,14 +68,16 @@ class Artist:
         picture = self._picture
         return view is not None and (picture is None or picture.stamp != view.stamp or not picture.first_level_done)
 
-    def draw(self, trainer: Trainer, view: ViewRequest | None) -> bool:
-        """One piece; whether there was any to do."""
+    def draw(self, trainer: Trainer, view: ViewRequest | None, training: bool) -> bool:
+        """One piece; whether there was any to do. training: whether more steps are on their way."""
         if self._open_probe(trainer):
             return True
         if view is None:
             return False
         picture = self._current(view)
-        if not picture.advance(trainer.step_count):
+        if not training and self._model_step != trainer.step_count and not picture.begins:
+            picture.begin_again()  # what is under way shows a model of before the pause
+        if not picture.advance(trainer.step_count, training):
             return False
         if picture.begins or self._model is None:
             self._model_step = trainer.step_count
@@ -87,6 +92,8 @@ class Artist:
         # distance along the ray → depth along the optical axis: `far`, never 0, is that axis' bound on every ray
         z = depth * trainer.scene.far / rays.far
         picture.write(cells, color, z.numpy(), self._model_step)
+        if picture.level_done and picture.coherent():  # the next piece may be of the next level, with other weights
+            self._ready = picture.image()
         if len(cells) == self._model.tile:  # a padded tile would be counted as slower than it is
             rate = len(cells) / max(seconds, 1e-6)
             self._rates[picture.quality] = 0.8 * self._rates.get(picture.quality, rate) + 0.2 * rate

@@ -29,7 +29,7 @@ def parse(kind: Any, prog: str, arguments: Sequence[str] | None) -> Any:
     Raises UserError naming the option, SystemExit(0) after --help.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
-    options = [a.partition("=")[0] for a in arguments if a.startswith("--")]
+    options = [a.partition("=")[0].replace("_", "-") for a in arguments if a.startswith("--")]
     for option in options:
         if options.count(option) > 1 and option not in REPEATABLE:
             raise UserError(f"{option}: given {options.count(option)} times; once is enough")

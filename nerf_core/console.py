@@ -6,7 +6,7 @@ import sys
 import time
 from types import TracebackType
 
-LINE_SECONDS, LINES_GROW = 5.0, 1.3  # long work may be looked at less and less often
+LINE_SECONDS, LINES_GROW, LONGEST_SECONDS = 5.0, 1.3, 60.0  # long work is looked at less and less often
 FRAME_SECONDS = 0.1
 
 
@@ -50,7 +50,7 @@ class Display:
         if seconds_left is not None:
             text += f", {duration(seconds_left)} left"
         if self._bar is None:
-            self._every *= LINES_GROW
+            self._every = min(self._every * LINES_GROW, LONGEST_SECONDS)
             print(f"{self._title}: {fraction:.0%}, {text}", flush=True)
         else:
             self._bar.update(self._task, completed=fraction, text=text)

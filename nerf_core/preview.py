@@ -4,7 +4,7 @@ A picture starts as a coarse grid of pixels (stride 32, say) and is refined by h
 the coarser one: its pixels are kept if the weights are still those that drew them. Within a level, pixels come from the
 centre outwards. All of a level is to be drawn with the weights of its beginning, whatever training does meanwhile:
 where half of the pixels are one step older than the others, one sees the seam. Young weights are others before a fine
-level is done; then the picture stays as coarse as it must for what is shown to be of now.
+level is done; then the picture stays at a level that can be drawn in time.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Refinement:
         self.camera, self.stamp, self.quality = camera, stamp, quality
         self.stride = stride
         self.fresh = False  # whether anything was written since `image` was last called
-        self.first_level_done = False
+        self.first_level_done = self._drawn_again = False
         shape = (-(-camera.height // stride), -(-camera.width // stride))
         self._color = np.zeros((*shape, 3), np.float32)
         self._depth = np.full(shape, np.nan, np.float32)
@@ -45,25 +45,35 @@ class Refinement:
         self._queue = _ordered(~self._known)
         self._next = 0
 
-    def advance(self, step: int) -> bool:
+    def advance(self, step: int, training: bool = False) -> bool:
         """When a level is complete: go to the next if that can be drawn before the weights are others, else draw it
         again; False: all done.
 
-        The next has four times the pixels: four times as many steps will pass as did during this one.
+        The next has four times the pixels: four times as many steps will pass as did during this one. The first level
+        is drawn in one go, so while `training` it is drawn once more to see how many those are.
         """
-        if self._next < len(self._queue):
+        if not self.level_done:
             return True
         oldest = int(self._step.min())
         passed = step - oldest
-        if self.stride > 1 and oldest + passed >= YOUNG * (oldest + 5 * passed):
+        timed = bool(passed) or self._drawn_again or not training
+        if self.stride > 1 and timed and oldest + passed >= YOUNG * (oldest + 5 * passed):
             self._refine(step)
-            self._next = 0
-            return self.advance(step)  # a picture of one texel gains none by halving
-        if not passed:
+            return self.advance(step, training)  # a picture of one texel gains none by halving
+        if timed and not passed:
             return False
+        self.begin_again()
+        return True
+
+    def begin_again(self) -> None:
+        """Draw all of this level anew."""
+        self._drawn_again = True
         self._queue = _ordered(np.ones_like(self._known))
         self._next = 0
-        return True
+
+    @property
+    def level_done(self) -> bool:
+        return self._next >= len(self._queue)
 
     def coherent(self) -> bool:
         """Whether all its pixels show the same weights."""
@@ -88,7 +98,7 @@ class Refinement:
         self._color[rows, columns], self._depth[rows, columns] = color, depth
         self._step[rows, columns], self._known[rows, columns] = step, True
         self._next += len(cells)
-        self.first_level_done |= self._next >= len(self._queue)
+        self.first_level_done |= self.level_done
         self.fresh = True
 
     def _refine(self, step: int) -> None:
@@ -102,6 +112,7 @@ class Refinement:
         self._known, self.stride = known, stride
         # Older texels between newer ones would show as a grid of dots: while training goes on all are drawn again.
         self._queue = _ordered(~known | (self._step < step))
+        self._next = 0
 
     def complete(self) -> bool:
         return self.stride == 1 and bool(self._known.all())

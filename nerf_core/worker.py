@@ -286,6 +286,7 @@ class Worker:
         if self._good is not None:
             self._good.restore(trainer)
             self._history.rewind(trainer.step_count)
+            self._saved_step = min(self._saved_step, trainer.step_count)
         self._artist.forget_pictures()
         self._notices.put(Notice("error", f"{error}; back at step {trainer.step_count:,}, paused"))
 
@@ -324,7 +325,7 @@ class Worker:
         if trainer is None:
             return False
         begin = time.perf_counter()
-        turns = [self._draw_export, lambda: self._artist.draw(trainer, view)]
+        turns = [self._draw_export, lambda: self._artist.draw(trainer, view, self._training_until is not None)]
         if self._artist.urgent(view) or self._budget.artist_is_next():
             turns.reverse()
         did = any(turn() for turn in turns)

@@ -8,7 +8,15 @@ from pathlib import Path
 
 from nerf_core.cameras import Camera
 from nerf_core.errors import UserError
-from nerf_core.messages import ExportPath, Inspect, Notice, OpenScene, StopInspecting
+from nerf_core.messages import (
+    ExportPath,
+    Inspect,
+    LoadCheckpoint,
+    Notice,
+    OpenScene,
+    SaveCheckpoint,
+    StopInspecting,
+)
 from nerf_core.paths import orbit
 from nerf_core.scene import Scene
 from viewer.link import Link
@@ -60,7 +68,12 @@ class Actions:
             case Inspect():
                 state.inspect = action
                 self._link.send(action)
-            case StopInspecting() | OpenScene():
+            case OpenScene(path):
+                state.inspect = None
+                self._link.send(action if path is None else replace(action, path=own_path(path)))
+            case SaveCheckpoint(path) | LoadCheckpoint(path):
+                self._link.send(replace(action, path=own_path(path)))
+            case StopInspecting():
                 state.inspect = None
                 self._link.send(action)
             case _:
@@ -82,11 +95,20 @@ class Actions:
                 state.camera.frame()
 
 
+def own_path(path: Path) -> Path:
+    """`~` and `~name` as a shell has them. Raises UserError for somebody who is not known here."""
+    try:
+        return path.expanduser()
+    except RuntimeError:
+        raise UserError(f"{path}: there is no such user's folder") from None
+
+
 def orbit_export(scene: Scene, form: OrbitForm) -> ExportPath:
     """The command that the export form describes. Raises UserError for values that give no film."""
     if not (math.isfinite(form.fps) and form.fps > 0):
         raise UserError(f"an orbit of {form.fps:g} frames a second is none: take a positive number")
-    if not form.file.strip():
+    file = own_path(Path(form.file.strip()))
+    if not file.name:
         raise UserError("the orbit has no file name: give one that ends in .mp4")
     cameras: tuple[Camera, ...] = orbit(
         scene,
@@ -96,5 +118,4 @@ def orbit_export(scene: Scene, form: OrbitForm) -> ExportPath:
         elevation_degrees=form.elevation_degrees,
         radius=form.radius or None,
     )
-    file = Path(form.file.strip()).expanduser()
     return ExportPath(cameras, form.fps, file if file.suffix else file.with_suffix(".mp4"), form.png_frames)

@@ -206,7 +206,7 @@ class App:
     def _wishes(self) -> None:
         """What menus and keys ask of the window itself."""
         bars = self._bars
-        if self.state.raise_panel:
+        if self.state.raise_panel and not (self._hidden or self._layout.raising):  # those come first, or would cover it
             imgui.set_window_focus(self.state.raise_panel)
             self.state.raise_panel = ""
         if bars.reset_layout_wanted:

@@ -25,7 +25,7 @@ MAX_ELEVATION = math.radians(89.0)  # at 90° dragging sideways would spin the p
 ROLL_FADE = 0.1  # radians of orbiting in which the roll of a photo's camera falls to 1/e
 FLY_SPEED, FLY_FAST = 0.6, 5.0  # scene radii a second; times this with Shift
 FLY_LONGEST = 0.1  # seconds: after a hitch the camera must not leap
-SAMPLED = 200  # with how many, at most twice that, each of thousands of cameras is compared
+SAMPLED = 100  # with how many each of thousands of cameras is compared
 NEAREST, FARTHEST = 1e-3, 100.0  # scene radii between eye and pivot that the wheel may reach
 
 
@@ -76,7 +76,7 @@ def _most_central(cameras: Sequence[Camera], center: np.ndarray) -> int:
     poses = np.stack([np.asarray(camera.c2w, np.float64) for camera in cameras])
     size = np.linalg.norm(poses[:, :, 3] - center, axis=1).mean() or 1.0
     features = np.concatenate([(poses[:, :, 3] - center) / size, poses[:, :, 2]], 1)
-    others = features[:: max(1, len(features) // SAMPLED)]
+    others = features[np.linspace(0, len(features) - 1, min(SAMPLED, len(features))).astype(int)]
     return int(np.linalg.norm(features[:, None] - others, axis=-1).sum(1).argmin())
 
 

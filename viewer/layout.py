@@ -104,6 +104,11 @@ class Layout:
             self._raise_next = ()
         imgui.dock_space_over_viewport(space, area)
 
+    @property
+    def raising(self) -> bool:
+        """Whether the next frame brings tabs to the front."""
+        return bool(self._raise_next or self._raise_soon)
+
     def bring_forward(self, titles: Sequence[str]) -> None:
         """From the next frame on these are the tabs in front; docks that return show their last ones otherwise."""
         self._raise_next = tuple(titles)

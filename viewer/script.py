@@ -142,8 +142,11 @@ class Script:
         if left == 0:
             self.say(f"no training: step {start.step:,} is past --steps {steps:,} already")
             return
-        share = start.wanted_share
-        if not self.app.state.has_display:
+        if steps is None and start.step >= start.total_steps:
+            self.say(f"no training: all {start.total_steps:,} steps of the schedule are done")
+            return
+        share, watched = start.wanted_share, self.app.state.has_display
+        if not watched:
             self.worker.send(SetShare(UNWATCHED_SHARE))
         self.worker.send(Train(left, seconds))
         rate = 0.0
@@ -166,7 +169,8 @@ class Script:
             except Closed:
                 self.worker.send(Pause())
                 raise
-        self.worker.send(SetShare(share))
+        if not watched:
+            self.worker.send(SetShare(share))
         s = self._snapshot()
         trained = s.seconds - start.seconds
         self.say(f"trained to step {s.step:,} in {trained:.1f} s of training, {rate:,.0f} rays/s")
@@ -241,9 +245,12 @@ class Script:
                 return time.monotonic() > limit
 
             self._wait(sharp)
-        preview = self._snapshot().preview
-        if preview is not None and not preview.complete:
-            self.say(f"screenshot: the preview reached 1/{preview.stride} resolution in {SHARPEN_SECONDS:.0f} s")
+        s = self._snapshot()
+        if s.preview is None or self.app.stale:
+            self.say(f"screenshot: there was no picture of this view after {SHARPEN_SECONDS:.0f} s")
+        elif not s.preview.complete or s.preview.step != s.step:
+            sharp_to = f"1/{s.preview.stride} resolution at step {s.preview.step:,}"
+            self.say(f"screenshot: the picture came to {sharp_to} in {SHARPEN_SECONDS:.0f} s")
 
     # ---- waiting --------------------------------------------------------------------------------------------------
 

@@ -18,6 +18,7 @@ from nerf_core.signals import Signals
 from nerf_core.worker import Worker
 from viewer.app import App
 from viewer.script import Closed, Script, Wishes
+from viewer.widgets import unsaved_steps
 from viewer.window import Window
 
 APP = "nerf-viewer"
@@ -56,6 +57,9 @@ class Session:
         except Closed:
             self._save_unsaved(wishes.save)
             return 128 + (self.signals.received or signal.SIGINT)
+        except Exception:  # a fault of ours or a full disk must not cost what was trained
+            self._save_unsaved(wishes.save)
+            raise
         if not wishes.any_file():
             self._save_unsaved(wishes.save)
         return 128 + self.signals.received if self.signals.received else 0
@@ -70,7 +74,7 @@ class Session:
     def _save_unsaved(self, asked: Path | None) -> None:
         """Weights are hours of work: a closing session leaves them where it was told to, else with the user's data."""
         snapshot = self.worker.snapshot()
-        if snapshot.scene is None or snapshot.step in (0, snapshot.saved_step):
+        if snapshot.scene is None or not unsaved_steps(snapshot):
             return
         name = f"{snapshot.scene.name}-{snapshot.scene.identity()[:8]}.safetensors"
         path = asked or Path(platformdirs.user_data_dir(APP)) / "autosave" / name

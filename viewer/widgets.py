@@ -206,7 +206,7 @@ def path_line(ui: Ui, path: Path, mark: str) -> None:
     imgui.text_wrapped(str(path))
 
 
-def axis_name(ui: Ui, text: str, *, right: bool = False, bottom: bool = False, color: ImVec4 | None = None) -> None:
+def axis_name(ui: Ui, text: str, *, right: bool = False, bottom: bool = False) -> None:
     """Name an axis within the plot's corner, where it costs no room and reads level; call between plot and end."""
     at, size, extent = implot.get_plot_pos(), implot.get_plot_size(), imgui.calc_text_size(text)
     gap = 0.25 * ui.em
@@ -216,7 +216,7 @@ def axis_name(ui: Ui, text: str, *, right: bool = False, bottom: bool = False, c
     implot.push_plot_clip_rect()
     plate = faded(implot.get_style().color_(implot.Col_.plot_bg), 0.75)
     draw.add_rect_filled(ImVec2(x - gap, y), ImVec2(x + extent.x + gap, y + extent.y), packed(plate))
-    draw.add_text(ImVec2(x, y), packed(color or ui.theme.muted), text)
+    draw.add_text(ImVec2(x, y), packed(ui.theme.muted), text)
     implot.pop_plot_clip_rect()
 
 

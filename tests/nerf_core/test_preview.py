@@ -121,6 +121,17 @@ def test_a_level_is_refined_only_if_the_finer_one_is_done_before_the_weights_are
         assert len(picture.take(100)) == {4: 4, 2: 16}[stride]
 
 
+def test_while_training_the_first_level_is_drawn_again_to_see_how_fast_the_weights_change() -> None:
+    """Once: where a step takes minutes, drawing the same again shows nothing new."""
+    picture = Refinement(camera(8, 8), 1, 4, "fine")
+    for _ in range(2):
+        assert picture.advance(5, training=True)
+        assert picture.stride == 4
+        work(picture, 5, 4)
+    assert picture.advance(5, training=True)
+    assert picture.stride == 2
+
+
 def test_a_picture_is_shown_while_its_pixels_are_of_one_step() -> None:
     picture = Refinement(camera(8, 8), 1, 4, "fine")
     picture.advance(10)

@@ -12,6 +12,7 @@ import torch
 from desk import Desk, orbit, view_of
 
 from nerf_core import checkpoint
+from nerf_core.artist import Artist
 from nerf_core.datasets import load_scene
 from nerf_core.messages import (
     CancelExport,
@@ -22,6 +23,7 @@ from nerf_core.messages import (
     SetShare,
     StopInspecting,
     Train,
+    ViewRequest,
 )
 from nerf_core.render import render_camera, to_bytes
 from nerf_core.scene import Scene
@@ -168,3 +170,39 @@ def test_a_cancelled_film_leaves_nothing(open_desk: OpenDesk, tmp_path: Path) ->
     assert list(tmp_path.iterdir()) == []
     desk.send(ExportPath(orbit(scene, 1), 30.0, tmp_path / "second.mp4"))
     desk.until(lambda s: s.export is not None and s.export.state == "done")
+
+
+def test_a_picture_that_training_overtakes_is_shown_whole(make_trainer: Callable[..., Trainer], scene: Scene) -> None:
+    """A step passes with every tile: the picture is in the colours of the step at which it began, and it is there
+    although the next one has begun before anybody looked."""
+    trainer, artist = make_trainer(tile=16), Artist()
+    view, tiles = ViewRequest(1, scene.views[5].camera, moving=False), 16 * 16 // 16
+    for _ in range(tiles):
+        assert artist.draw(trainer, view, training=True)
+    trainer.step()
+    began, frozen = trainer.step_count, trainer.frozen_method()
+    for _ in range(tiles + 1):
+        assert artist.draw(trainer, view, training=True)
+        trainer.step()
+    picture = artist.preview(None)
+    assert picture is not None
+    assert (picture.step, picture.complete) == (began, True)
+    color, _ = render_camera(frozen, view.camera, scene)
+    assert np.abs(picture.rgba[..., :3].astype(int) - to_bytes(color)).max() <= 1
+
+
+def test_a_pause_drops_what_shows_an_older_model(make_trainer: Callable[..., Trainer], scene: Scene) -> None:
+    trainer, artist = make_trainer(tile=16), Artist()
+    view, tiles = ViewRequest(1, scene.views[5].camera, moving=False), 16 * 16 // 16
+    for _ in range(tiles):
+        artist.draw(trainer, view, training=True)
+    trainer.step()
+    artist.draw(trainer, view, training=True)
+    trainer.step()
+    drawn = 0
+    while artist.draw(trainer, view, training=False):
+        drawn += 1
+    assert drawn == tiles
+    picture = artist.preview(None)
+    assert picture is not None
+    assert picture.step == trainer.step_count

@@ -289,13 +289,36 @@ def test_tab_leaves_the_tabs_as_they_were(start: Start) -> None:
         assert app._host.in_front == front
 
 
-def test_ctrl_e_shows_where_the_export_can_be_watched(start: Start) -> None:
+@pytest.mark.parametrize("hidden", [False, True])
+def test_ctrl_e_shows_where_the_export_can_be_watched(start: Start, hidden: bool) -> None:
     app, _ = start((1280, 800))
     app.state.orbit.file = "turn"
     assert "Export" not in app._host.in_front
+    if hidden:
+        app.hand.key(imgui.Key.tab)
+    app.hand.key(imgui.Key.e, ctrl=True)
+    app.settle(5)
+    assert "Export" in app._host.in_front
+
+
+def test_ctrl_o_finds_the_path_field_although_the_panels_are_hidden(start: Start) -> None:
+    app, _ = start((1280, 800))
+    app.hand.key(imgui.Key.tab)
+    app.hand.key(imgui.Key.o, ctrl=True)
+    app.settle(5)
+    assert imgui.get_io().want_text_input
+    app.hand.type_text("/data")
+    assert app.state.open_path == "/data"
+
+
+@pytest.mark.parametrize("name", [".", "/", "~nobody-of-this-name/x.mp4"])
+def test_a_name_that_is_no_file_is_told(start: Start, name: str) -> None:
+    app, worker = start()
+    app.state.orbit.file = name
     app.hand.key(imgui.Key.e, ctrl=True)
     app.settle()
-    assert "Export" in app._host.in_front
+    assert not worker.sent
+    assert [n.notice.level for n in app.state.notices] == ["error"]
 
 
 @pytest.mark.parametrize("letter_first", [True, False])

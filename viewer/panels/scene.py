@@ -57,7 +57,7 @@ class ScenePanel:
         _downscale(ui, state)
 
     def _open(self, ui: Ui, state: AppState) -> Iterator[Action]:
-        if state.focus_open:
+        if state.focus_open and not state.raise_panel:
             imgui.set_keyboard_focus_here()
             state.focus_open = False
         field_beside(ui, OPEN, DEMO)
@@ -67,7 +67,7 @@ class ScenePanel:
         same_line_if_fits(OPEN)
         path = state.open_path.strip()
         if (button(ui, OPEN, "scene.open", enabled=bool(path)) or entered) and path:
-            yield from self._ask(state, Path(path).expanduser())
+            yield from self._ask(state, Path(path))
         same_line_if_fits(DEMO)
         if button(ui, DEMO, "scene.demo", tip="" if self._confirmation.asking else "open the demo scene"):
             yield from self._ask(state, None)

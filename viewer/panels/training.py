@@ -101,7 +101,7 @@ class TrainingPanel:
         path, unsaved = state.checkpoint_file.strip(), unsaved_steps(state.snapshot)
         same_line_if_fits(SAVE)
         if button(ui, SAVE, "training.save", enabled=bool(path), tip="all that training needs to go on (Ctrl+S)"):
-            yield SaveCheckpoint(Path(path).expanduser())
+            yield SaveCheckpoint(Path(path))
         same_line_if_fits(LOAD)
         tip = "" if self._load.asking else "go on from this checkpoint"
         pressed = button(ui, LOAD, "training.load", enabled=bool(path), tip=tip)
@@ -109,7 +109,7 @@ class TrainingPanel:
         question = f"Loading forgets {unsaved:,} unsaved training steps."
         agreed = self._load.draw(ui, question, "Forget them and load", "training.load", needed=unsaved > 0)
         if agreed or (pressed and unsaved == 0):
-            yield LoadCheckpoint(Path(path).expanduser())
+            yield LoadCheckpoint(Path(path))
 
 
 def _progress(ui: Ui, s: Snapshot) -> tuple[str, ImVec4]:
