@@ -57,8 +57,8 @@ class Session:
         except Closed:
             self._save_unsaved(wishes.save)
             return 128 + (self.signals.received or signal.SIGINT)
-        except Exception:  # a fault of ours or a full disk must not cost what was trained
-            self._save_unsaved(wishes.save)
+        except Exception:  # a fault of ours, or a file that cannot be written, must not cost what was trained
+            self._save_unsaved(None)
             raise
         if not wishes.any_file():
             self._save_unsaved(wishes.save)

@@ -149,6 +149,16 @@ def test_a_mistake_is_one_line_and_status_2(arguments: list[str], words: str, tm
     assert not list(tmp_path.iterdir())
 
 
+def test_what_was_trained_outlives_a_file_that_cannot_be_written(data_home: Path, tmp_path: Path) -> None:
+    for old in data_home.rglob("*.safetensors"):
+        old.unlink()
+    done = viewer(*TINY, "--headless", "--steps", "3", "--click", "5000", "5", "--inspect", str(tmp_path / "x.json"))
+    assert done.returncode == 2
+    assert "--click 5000" in done.stderr
+    (file,) = data_home.rglob("*.safetensors")
+    assert str(file) in done.stdout
+
+
 def test_a_window_does_the_same(display: str, tmp_path: Path) -> None:
     shot = tmp_path / "window.png"
     home = {"DISPLAY": display, "XDG_CONFIG_HOME": str(tmp_path / "config"), "XDG_DATA_HOME": str(tmp_path / "data")}
