@@ -231,7 +231,7 @@ class Worker:
         for note in trainer.notes(description):
             self._notices.put(Notice("warning", note))
         self._saved_step = description["step"]
-        self._notices.put(Notice("info", f"loaded {path.name}: step {description['step']:,}", path))
+        self._notices.put(Notice("info", f"loaded {path.name}: step {description['step']:,}, paused", path))
 
     def _save(self, path: Path) -> None:
         trainer = self._need_trainer()

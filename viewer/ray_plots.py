@@ -86,6 +86,8 @@ class RayPlots:
     def draw(self, ui: Ui, opened: Opened, size: ImVec2) -> float | None:
         """Draw everything into `size`. Returns the t to which the user drags the radiance point, else None."""
         ray, passes = opened.ray, opened.passes
+        if max((float(p.sigma.max()) for p in passes), default=0.0) > self._sigma_limits[1]:
+            self.scale_density(passes)  # training has lifted it past what could be seen
         pad = 0.25 * ui.em
         implot.push_style_var(implot.StyleVar_.plot_min_size, ImVec2(ui.em, ui.em))
         implot.push_style_var(implot.StyleVar_.plot_padding, ImVec2(pad, pad))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import glob
 import signal
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,6 +15,7 @@ import platformdirs
 
 from nerf_core.errors import UserError
 from nerf_core.messages import SaveCheckpoint, Train
+from nerf_core.scene import Scene
 from nerf_core.settings import RunSettings
 from nerf_core.signals import Signals
 from nerf_core.worker import Worker
@@ -24,6 +27,7 @@ from viewer.window import Window
 APP = "nerf-viewer"
 UNATTENDED_SECONDS = 60.0  # how long an offscreen run trains when nobody said how long
 UNATTENDED_ORBIT_SECONDS = 120.0  # and about how long it draws an orbit that nobody named
+KEPT = 10  # autosaves of one scene
 SAVE_SECONDS = 4.0  # what a closing session may spend on saving; whoever sent SIGTERM soon sends SIGKILL
 
 
@@ -76,8 +80,7 @@ class Session:
         snapshot = self.worker.snapshot()
         if snapshot.scene is None or not unsaved_steps(snapshot):
             return
-        name = f"{snapshot.scene.name}-{snapshot.scene.identity()[:8]}.safetensors"
-        path = asked or Path(platformdirs.user_data_dir(APP)) / "autosave" / name
+        path = asked or autosave_path(snapshot.scene)
         self.worker.send(SaveCheckpoint(path))
         self.worker.stop(SAVE_SECONDS)
         if self.worker.snapshot().saved_step < snapshot.step or not path.is_file():
@@ -90,6 +93,16 @@ class Session:
         self.worker.stop(SAVE_SECONDS)
         self.app.close()
         self.window.close()
+
+
+def autosave_path(scene: Scene) -> Path:
+    """A file that no earlier session's weights lie in; of those, the newest few of each scene are kept."""
+    folder = Path(platformdirs.user_data_dir(APP)) / "autosave"
+    name = f"{scene.name}-{scene.identity()[:8]}"
+    with suppress(OSError):
+        for old in sorted(folder.glob(f"{glob.escape(name)}-*.safetensors"))[: 1 - KEPT]:  # names sort by time
+            old.unlink()
+    return folder / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}.safetensors"
 
 
 def unattended(wishes: Wishes) -> Wishes:

@@ -17,6 +17,7 @@ from viewer.layout import VIEWPORT
 from viewer.panel_host import PanelUi
 from viewer.state import AppState
 from viewer.theme import GREEN, SKY, VERMILION
+from viewer.widgets import faded
 
 FRUSTUM_DEPTH = 0.12  # of the scene's radius: visible beside the scene, not in its way
 SHADE = ImVec4(0.0, 0.0, 0.0, 0.6)  # under bright lines and words, so that they read on any picture
@@ -91,6 +92,7 @@ class ViewportPanel:
             for indices, color in ((train, theme.text), (set(range(len(scene.views))) - train, theme.muted)):
                 cameras = [scene.views[k].camera for k in sorted(indices)]
                 if cameras:
+                    overlay.lines(*frusta(cameras, depth), faded(SHADE, 0.5), 2.5 * thin)  # for a white ground
                     overlay.lines(*frusta(cameras, depth), ImVec4(color.x, color.y, color.z, 0.55), thin)
         ray = state.snapshot.ray
         if not state.show_samples or ray is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -75,6 +76,11 @@ def faded(color: ImVec4, alpha: float) -> ImVec4:
 def packed(color: ImVec4) -> int:
     """The colour as draw lists take it."""
     return imgui.color_convert_float4_to_u32(color)
+
+
+def exists(path: Path) -> bool:
+    """Whether there is something at a path as a user types it."""
+    return os.path.exists(os.path.expanduser(path))
 
 
 def unsaved_steps(snapshot: Snapshot) -> int:
@@ -224,16 +230,20 @@ class Confirmation:
     """Asks in place, without a dialog, before something that cannot be undone."""
 
     def __init__(self) -> None:
-        self.asking = False
+        self.asking = self._shown = False
 
     def draw(self, ui: Ui, question: str, answer: str, mark: str, needed: bool) -> bool:
         """Show the question while it is asked and `needed`; True in the frame in which it is answered with yes."""
-        self.asking = self.asking and needed
+        self.asking = self.asking and needed and not imgui.is_key_pressed(imgui.Key.escape, False)
         if not self.asking:
+            self._shown = False
             return False
         hint(ui, question, ui.theme.warning)
         yes = button(ui, answer, f"{mark}_confirm")
         same_line_if_fits("Keep")
         if button(ui, "Keep", f"{mark}_keep") or yes:
             self.asking = False
+        if not self._shown:  # it may lie below what the panel shows
+            imgui.set_scroll_here_y(1.0)
+            self._shown = True
         return yes

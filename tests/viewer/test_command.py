@@ -17,6 +17,7 @@ import pytest
 
 from nerf_core.cameras import Camera, camera_rays
 from nerf_core.datasets import LoadOptions, load_scene
+from viewer.session import autosave_path
 
 TINY = [
     "--device", "cpu", "--threads", "1", "--downscale", "8", "--set", "rays=16", "--set", "coarse_samples=8",
@@ -157,6 +158,22 @@ def test_what_was_trained_outlives_a_file_that_cannot_be_written(data_home: Path
     assert "--click 5000" in done.stderr
     (file,) = data_home.rglob("*.safetensors")
     assert str(file) in done.stdout
+
+
+def test_an_autosave_never_replaces_an_older_one(data_home: Path) -> None:
+    scene = load_scene(None, LoadOptions(downscale=8))
+    folder = data_home / "nerf-viewer" / "autosave"
+    folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.iterdir():  # of other tests
+        old.unlink()
+    prefix = f"{scene.name}-{scene.identity()[:8]}"
+    for k in range(12):
+        (folder / f"{prefix}-20200101-0000{k:02}.safetensors").touch()
+    path = autosave_path(scene)
+    assert not path.exists()
+    kept = sorted(folder.glob(f"{prefix}-2020*"))
+    assert len(kept) == 9  # with the one that is to be written, ten
+    assert kept[0].name.endswith("000003.safetensors")
 
 
 def test_a_window_does_the_same(display: str, tmp_path: Path) -> None:

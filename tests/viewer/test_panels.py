@@ -171,7 +171,12 @@ def test_a_finished_training_does_not_start_again(screen: Screen, widget: str) -
         ("scene", "scene.demo", OpenScene(None, RunSettings(), train=True)),
     ],
 )
-def test_what_forgets_steps_asks_first(screen: Screen, panel: str, widget: str, action: Action) -> None:
+def test_what_forgets_steps_asks_first(
+    screen: Screen, panel: str, widget: str, action: Action, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "last.safetensors").touch()
+    monkeypatch.chdir(tmp_path)
     drawn, state = PANELS.get(panel)(), make_state(make_snapshot("paused"))
     asked = "scene.open" if panel == "scene" else widget
     assert screen.click(drawn, state, widget) == []
@@ -180,6 +185,12 @@ def test_what_forgets_steps_asks_first(screen: Screen, panel: str, widget: str, 
     assert screen.click(drawn, state, widget) == []
     assert screen.click(drawn, state, f"{asked}_confirm") == [action]
     assert f"{asked}_confirm" not in screen.widgets
+
+
+def test_what_is_not_there_forgets_nothing(screen: Screen) -> None:
+    state = make_state(make_snapshot("paused"))
+    path = Path("run/last.safetensors")
+    assert screen.click(PANELS.get("training")(), state, "training.load") == [LoadCheckpoint(path)]
 
 
 def test_saved_steps_are_replaced_without_a_question(screen: Screen) -> None:
@@ -264,10 +275,10 @@ def test_the_export_tells_its_time_before_it_starts() -> None:
     from viewer.panels.export import OwnPath, estimate
 
     form, own = OrbitForm(), OwnPath(200, 150, 4.0)
-    assert estimate(form, own, speed=9000.0) == (
-        "60 frames of 200 × 150, 2.0 s of video; takes about 3 min 20 s, longer while training"
+    assert estimate(form, own, speed=9000.0, share=0.6) == (
+        "60 frames of 200 × 150, 2.0 s of video; takes about 3 min 20 s, while training up to 16 min 40 s"
     )
-    assert estimate(form, own, speed=0.0).endswith("not measured yet")
+    assert estimate(form, own, speed=0.0, share=0.6).endswith("not measured yet")
 
 
 def test_training_cameras_that_have_the_point_in_their_frame_are_told_from_the_others() -> None:

@@ -62,18 +62,22 @@ class ExportPanel:
         imgui.end_disabled()
         if running:
             return
-        hint(ui, estimate(form, self._own, snapshot.preview_rays_per_second))
+        hint(ui, estimate(form, self._own, snapshot.preview_rays_per_second, snapshot.wanted_share))
         if button(ui, START, "export.start", enabled=bool(form.file.strip()), tip="training goes on (Ctrl+E)"):
             yield StartOrbitExport()
 
 
-def estimate(form: OrbitForm, own: OwnPath, speed: float) -> str:
-    """What the video will be and how long it takes at the measured speed of drawing, in rays a second."""
+def estimate(form: OrbitForm, own: OwnPath, speed: float, share: float) -> str:
+    """What the video will be and how long it takes at the measured speed of drawing, in rays a second.
+
+    While training goes on with its `share`, export and preview take turns in what is left of the time.
+    """
     width, height = form.width or own.width, form.height or own.height
     film = f"{form.frames:,} frames of {width:,} × {height:,}, {form.frames / form.fps:.1f} s of video"
     if speed <= 0:
         return f"{film}; the time it takes is not measured yet"
-    return f"{film}; takes about {duration(form.frames * width * height / speed)}, longer while training"
+    alone = form.frames * width * height / speed
+    return f"{film}; takes about {duration(alone)}, while training up to {duration(2 * alone / (1 - share))}"
 
 
 def _form(ui: Ui, form: OrbitForm, own: OwnPath) -> None:

@@ -19,6 +19,7 @@ from viewer.widgets import (
     Confirmation,
     Row,
     button,
+    exists,
     field_beside,
     figures,
     hint,
@@ -78,7 +79,8 @@ class ScenePanel:
 
     def _ask(self, state: AppState, path: Path | None) -> Iterator[Action]:
         self._wanted = path
-        self._confirmation.asking = unsaved_steps(state.snapshot) > 0
+        there = path is None or exists(path)  # else nothing will be forgotten: the worker says what is wrong
+        self._confirmation.asking = there and unsaved_steps(state.snapshot) > 0
         if not self._confirmation.asking:
             yield OpenScene(path, state.settings, train=True)
 

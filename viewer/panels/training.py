@@ -18,6 +18,7 @@ from viewer.widgets import (
     Row,
     button,
     duration,
+    exists,
     field_beside,
     field_width,
     figures,
@@ -105,6 +106,8 @@ class TrainingPanel:
         same_line_if_fits(LOAD)
         tip = "" if self._load.asking else "go on from this checkpoint"
         pressed = button(ui, LOAD, "training.load", enabled=bool(path), tip=tip)
+        if pressed and not exists(Path(path)):
+            unsaved = 0  # nothing will be forgotten: the worker says what is wrong
         self._load.asking = self._load.asking or pressed
         question = f"Loading forgets {unsaved:,} unsaved training steps."
         agreed = self._load.draw(ui, question, "Forget them and load", "training.load", needed=unsaved > 0)
