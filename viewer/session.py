@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import os
 import signal
 import sys
 import time
@@ -102,7 +103,7 @@ def autosave_path(scene: Scene) -> Path:
     with suppress(OSError):
         for old in sorted(folder.glob(f"{glob.escape(name)}-*.safetensors"))[: 1 - KEPT]:  # names sort by time
             old.unlink()
-    return folder / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}.safetensors"
+    return folder / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}.safetensors"
 
 
 def unattended(wishes: Wishes) -> Wishes:
