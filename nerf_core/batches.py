@@ -3,31 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Protocol
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from nerf_core.cameras import Cameras
+from nerf_core.cameras import Camera, Cameras
 from nerf_core.errors import UserError
+from nerf_core.kernels.rays import photo_colors
 from nerf_core.scene import Scene
 from nerf_core.types import Rays
 
 
-class BatchConfig(Protocol):
-    """The part of a method's configuration that says how rays are drawn."""
+class Draw(NamedTuple):
+    """What a step asks for: so many rays, all of one photo or of any, from the middle `crop` of it, of photos that are
+    averaged over `shrink` × `shrink` pixels."""
 
-    @property
-    def rays(self) -> int: ...
-    @property
-    def one_image(self) -> bool: ...
-    @property
-    def precrop_steps(self) -> int: ...
-    @property
-    def precrop(self) -> float: ...
-    @property
-    def train_images(self) -> int: ...
+    rays: int
+    one_image: bool = False
+    crop: float = 1.0
+    shrink: int = 1
+
+
+class _Photos:
+    """The training photos at one size."""
+
+    def __init__(self, images: list[np.ndarray], cameras: list[Camera], scene: Scene) -> None:
+        self.cameras = Cameras(cameras, scene.near, scene.far)
+        self.sizes = torch.tensor([(image.shape[1], image.shape[0]) for image in images])
+        counts = self.sizes.prod(-1)
+        self.offsets = torch.cat([torch.zeros(1, dtype=torch.long), counts.cumsum(0)])
+        self.pixels, self.starts = flattened(images)
 
 
 class PixelSampler:
@@ -35,47 +43,47 @@ class PixelSampler:
 
     Pixels are drawn with replacement (the official code draws without; a batch that repeats one of its 1,024 among
     640,000 pixels is rare). Photos may differ in size: a photo is drawn in proportion to its pixels.
+    train_images: only so many photos, evenly spread (0: all).
     """
 
-    def __init__(self, scene: Scene, config: BatchConfig, device: torch.device, seed: int) -> None:
+    def __init__(self, scene: Scene, train_images: int, device: torch.device, seed: int) -> None:
         views = list(scene.split("train"))
         if not views:
             raise UserError(f"{scene.name}: no training photos: every photo is held out")
-        if 0 < config.train_images < len(views):
-            kept = np.linspace(0, len(views) - 1, config.train_images).round().astype(int)
+        if 0 < train_images < len(views):
+            kept = np.linspace(0, len(views) - 1, train_images).round().astype(int)
             views = [views[i] for i in kept]
-        self.config, self.device = config, device
+        self.scene, self.views, self.device = scene, views, device
         self.generator = torch.Generator().manual_seed(seed)
-        self.cameras = Cameras([scene.views[i].camera for i in views], scene.near, scene.far)
-        self.images = [scene.images[i] for i in views]
-        self.sizes = torch.tensor([(image.shape[1], image.shape[0]) for image in self.images])
-        counts = self.sizes.prod(-1)
-        self.offsets = torch.cat([torch.zeros(1, dtype=torch.long), counts.cumsum(0)])
+        self._photos: dict[int, _Photos] = {}
 
-    def draw(self, step: int) -> tuple[Rays, Tensor]:
-        """The rays of training step `step` and their true colours (R, 3) float32."""
-        count = self.config.rays
-        if self.config.one_image:
-            index = self._integers(len(self.sizes), 1).expand(count)
+    def draw(self, wanted: Draw) -> tuple[Rays, Tensor]:
+        """Rays and their true colours (R, 3) float32."""
+        count, photos = wanted.rays, self._at(wanted.shrink)
+        if wanted.one_image:
+            index = self._integers(len(photos.sizes), 1).expand(count)
         else:
-            index = torch.searchsorted(self.offsets, self._integers(int(self.offsets[-1]), count), right=True) - 1
-        size = self.sizes[index]
+            index = torch.searchsorted(photos.offsets, self._integers(int(photos.offsets[-1]), count), right=True) - 1
+        size = photos.sizes[index]
         window = size
-        if step < self.config.precrop_steps:
-            window = (size * self.config.precrop).long().clamp(min=1)
+        if wanted.crop < 1:
+            window = (size * wanted.crop).long().clamp(min=1)
         where = torch.rand(count, 2, generator=self.generator, dtype=torch.float64)
         # a product of a float below 1 and an integer can still round up to the integer
         pixel = (size - window) // 2 + torch.minimum((where * window).long(), window - 1)
-        return self.cameras.rays(index, pixel + 0.5).to(self.device), self._colors(index, pixel).to(self.device)
+        colors = photo_colors(index, pixel, photos.sizes[:, 0], photos.starts, photos.pixels)
+        return photos.cameras.rays(index, pixel + 0.5).to(self.device), colors.to(self.device)
 
-    def _colors(self, index: Tensor, pixel: Tensor) -> Tensor:
-        """What pixels (R, 2) of photos `index` (R,) show, (R, 3) float32; one gather a photo, since sizes differ."""
-        photo, (column, row) = index.numpy(), pixel.numpy().T
-        order = np.argsort(photo, kind="stable")
-        colors = np.empty((len(photo), 3), np.uint16)
-        for same in np.split(order, np.flatnonzero(np.diff(photo[order])) + 1):
-            colors[same] = self.images[photo[same[0]]][row[same], column[same]]
-        return torch.from_numpy(colors.astype(np.float32) / 65535)
+    def _at(self, shrink: int) -> _Photos:
+        """The photos at 1/shrink of their size. Those of one size are kept; a later level has no use for an earlier."""
+        if shrink not in self._photos:
+            images, cameras = [], []
+            for i in self.views:
+                image, camera = shrunk(self.scene.images[i], self.scene.views[i].camera, shrink)
+                images.append(image)
+                cameras.append(camera)
+            self._photos = {shrink: _Photos(images, cameras, self.scene)}
+        return self._photos[shrink]
 
     def _integers(self, below: int, count: int) -> Tensor:
         return torch.randint(below, (count,), generator=self.generator)
@@ -85,3 +93,31 @@ class PixelSampler:
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         self.generator.set_state(state["generator"])
+
+
+def shrunk(image: np.ndarray, camera: Camera, factor: int) -> tuple[np.ndarray, Camera]:
+    """uint16 (H, W, 3) averaged over blocks of factor × factor pixels, and its camera.
+
+    What is left over at the far edges is dropped. A photo with less than one block a side is averaged less.
+    """
+    factor = min(factor, *image.shape[:2])
+    if factor == 1:
+        return image, camera
+    height, width = (n // factor for n in image.shape[:2])
+    blocks = image[: height * factor, : width * factor].reshape(height, factor, width, factor, 3)
+    small = (blocks.mean((1, 3), dtype=np.float32) + np.float32(0.5)).astype(np.uint16)
+    return small, replace(camera, width=width * factor, height=height * factor).resized(width, height)
+
+
+def flattened(images: list[np.ndarray]) -> tuple[np.ndarray, Tensor]:
+    """Pixels (P, 3) uint16 and where in them each photo begins (N,): without a copy where one array holds all photos.
+
+    That array may hold more than these, as `nerf_core.datasets` makes it for all splits.
+    """
+    whole = images[0].base
+    if whole is not None and all(image.base is whole and image.flags.c_contiguous for image in images):
+        flat = np.asarray(whole).reshape(-1, 3)
+        bytes_before = [i.__array_interface__["data"][0] - flat.__array_interface__["data"][0] for i in images]
+        return flat, torch.tensor(bytes_before) // flat.strides[0]
+    counts = torch.tensor([0, *(image.shape[0] * image.shape[1] for image in images)])
+    return np.concatenate([np.ascontiguousarray(image).reshape(-1, 3) for image in images]), counts.cumsum(0)[:-1]

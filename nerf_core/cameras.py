@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from nerf_core.kernels.rays import fast_rays
 from nerf_core.types import Rays
 
 Lens = float | np.ndarray
@@ -119,6 +120,13 @@ class Cameras:
         A pixel's direction is ((i − cx)/fx, −(j − cy)/fy, −1) after undoing the lens, rotated by c2w and made
         unit; near and far are z-depths, so along the ray they grow by the length of that vector.
         """
+        done = fast_rays(
+            index, pixels, self.focal, self.principal, self.lens, self.c2w, float(self.near), float(self.far)
+        )
+        return Rays(*done) if done is not None else self.plain_rays(index, pixels)
+
+    def plain_rays(self, index: Tensor, pixels: Tensor) -> Rays:
+        """`rays` in torch operations."""
         plane = (pixels.double() - self.principal[index]) / self.focal[index]
         if self._distorted:
             plane = undistort(plane, self.lens[index])

@@ -17,7 +17,7 @@ from nerf_core.checkpoint import write_atomically
 from nerf_core.command_line import parse
 from nerf_core.console import Display, duration
 from nerf_core.datasets import load_scene
-from nerf_core.device import describe
+from nerf_core.device import describe, pick_device
 from nerf_core.errors import UserError, shorten
 from nerf_core.evaluate import evaluate, select
 from nerf_core.export import FilmJob
@@ -52,7 +52,9 @@ class Train:
         settings = self.training.settings()
         if not self.save_every > 0:
             raise UserError(f"--save-every {self.save_every}: give a number above 0")
-        run = RunFolder(self.out or Path("runs") / run_name(self.data, method_name(settings.method)))
+        run = RunFolder(
+            self.out or Path("runs") / run_name(self.data, method_name(settings.method, pick_device(settings.device)))
+        )
         if self.resume:
             must_agree(settings, run)
         began = time.monotonic()

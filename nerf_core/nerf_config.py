@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
-from typing import Any, get_type_hints
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import torch
 
+from nerf_core.constants import changed, check_ranges, restored
 from nerf_core.device import fast_precision
 from nerf_core.errors import UserError, shorten
 from nerf_core.scene import Scene
@@ -69,15 +69,7 @@ class NerfConfig:
             "total_steps": 1,
             "chunk_rays": 1,
         }
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if isinstance(value, (bool, str)):
-                continue
-            low, high = least.get(f.name, 0), MOST.get(f.name, sys.float_info.max)
-            if not value >= low:
-                raise UserError(f"--set {f.name}={value}: must be at least {low}")
-            if value > high:
-                raise UserError(f"--set {f.name}={shorten(value)}: must be at most {high}")
+        check_ranges(self, least, MOST)
         if self.precision not in PRECISIONS:
             raise UserError(f"--set precision={shorten(self.precision)}: choose {' or '.join(PRECISIONS)}")
         if not 0 < self.precrop <= 1:
@@ -97,20 +89,11 @@ class NerfConfig:
         if device.type == "cuda":
             config = replace(config, chunk_rays=4096)
         config = replace(config, precision=fast_precision(device))
-        return replace(config, **(PRESETS[preset_name(preset, device)] | _parse(changes)))
+        return changed(replace(config, **PRESETS[preset_name(preset, device)]), changes, "nerf")
 
     @staticmethod
     def restore(config: Mapping[str, Any]) -> NerfConfig:
-        names = {f.name for f in fields(NerfConfig)}
-        if set(config) != names:
-            odd = sorted(set(config) ^ names)
-            raise UserError(f"the checkpoint's nerf configuration differs in {', '.join(odd)}: made by another version")
-        for name, kind in get_type_hints(NerfConfig).items():
-            if not (type(config[name]) is kind or (kind is float and type(config[name]) is int)):
-                raise UserError(
-                    f"the checkpoint's {name} is {shorten(config[name])}, no {kind.__name__}: made by another version"
-                )
-        return NerfConfig(**config)
+        return restored(NerfConfig, config, "nerf")
 
     def to_json(self) -> dict[str, Any]:
         return asdict(self)
@@ -147,21 +130,3 @@ def preset_name(preset: str, device: torch.device) -> str:
     if preset not in PRESETS:
         raise UserError(f"--preset {shorten(preset)}: choose one of auto, {', '.join(PRESETS)}")
     return preset
-
-
-def _parse(changes: Mapping[str, str]) -> dict[str, Any]:
-    kinds = get_type_hints(NerfConfig)
-    values: dict[str, Any] = {}
-    for name, text in changes.items():
-        if name not in kinds:
-            raise UserError(f"--set {shorten(name)}: method nerf has no such constant; it has {', '.join(kinds)}")
-        kind = kinds[name]
-        try:
-            if kind is bool:
-                values[name] = {"true": True, "false": False}[text.lower()]
-            else:
-                values[name] = kind(text)
-        except (ValueError, KeyError):
-            wanted = {bool: "true or false", int: "a whole number", float: "a number", str: "a word"}[kind]
-            raise UserError(f"--set {name}={shorten(text)}: expected {wanted}") from None
-    return values

@@ -51,7 +51,7 @@ class Trainer:
 
     def __init__(self, scene: Scene, settings: RunSettings) -> None:
         self.device = pick_device(settings.device)
-        name = method_name(settings.method)
+        name = method_name(settings.method, self.device)
         config = METHODS.get(name).configure(scene, settings.preset, settings.changes, self.device)
         self._build(scene, name, config, settings.steps, settings.seed, settings.threads or usable_cores())
 
@@ -89,7 +89,7 @@ class Trainer:
         self.steps, self.seed, self.threads = steps, seed, max(threads, 1)
         self.total_steps: int = steps or config.total_steps
         self.method: Method = METHODS.get(name)(scene, config, self.device, seed)
-        self.batches = PixelSampler(scene, config, self.device, seed)
+        self.batches = PixelSampler(scene, config.train_images, self.device, seed)
         self.step_count = 0
         self.seconds = 0.0
 
@@ -115,7 +115,7 @@ class Trainer:
 
         start = time.perf_counter()
         drawn, note = self.batches.state(), ""
-        rays, truth = self.batches.draw(self.step_count)
+        rays, truth = self.batches.draw(self.method.draw(self.step_count))
         while True:
             try:
                 loss = self.method.train(rays, truth, self.step_count, self.steps or None, timed_pump)
@@ -140,9 +140,7 @@ class Trainer:
 
     def frozen_method(self) -> Method:
         """The model as it is now, with weights of its own: training on does not change it."""
-        method = METHODS.get(self.method_name)(self.scene, self.config, self.device, self.seed)
-        method.load_state({name: value.clone() for name, value in self.method.state().items()})
-        return method
+        return self.method.frozen()
 
     def describe(self) -> dict[str, Any]:
         """What a checkpoint stores beside the tensors, as JSON values."""
@@ -182,9 +180,9 @@ class Trainer:
             owner.load_state({key.removeprefix(part): v for key, v in state.items() if key.startswith(part)})
 
 
-def method_name(asked: str) -> str:
-    """The name in METHODS of what an option asks for; "auto" is the default."""
-    return "nerf" if asked == "auto" else asked
+def method_name(asked: str, device: torch.device) -> str:
+    """The name in METHODS of what an option asks for; "auto" takes what is fast on the device."""
+    return asked if asked != "auto" else "voxels" if device.type == "cpu" else "nerf"
 
 
 def psnr_of(mse: float) -> float:

@@ -141,9 +141,15 @@ def _images(
 ) -> tuple[list[np.ndarray | None], list[str]]:
     """The photos, None where one turned out to be damaged, and what was wrong with those."""
 
+    sizes = [(photo.camera.width, photo.camera.height) for photo in capture.photos]
+    ends = np.cumsum([width * height for width, height in sizes])
+    flat = np.empty((int(ends[-1]), 3), np.uint16)  # one array for all: training draws pixels from any photo at once
+
     def read(i: int) -> np.ndarray:
-        photo = capture.photos[i]
-        return read_photo(photo.path, (photo.camera.width, photo.camera.height), background, upright[i])
+        pixels = read_photo(capture.photos[i].path, sizes[i], background, upright[i])
+        image = flat[ends[i] - pixels.shape[0] * pixels.shape[1] : ends[i]].reshape(pixels.shape)
+        image[:] = pixels
+        return image
 
     found = _map(read, range(len(capture.photos)), progress)
     damaged = [str(v) for v in found if isinstance(v, UnreadableError)]

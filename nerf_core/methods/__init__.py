@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, Self
 
 import torch
 from torch import Tensor
 
+from nerf_core.batches import Draw
 from nerf_core.registry import Registry
 from nerf_core.scene import Scene
 from nerf_core.types import Rays, Rendering, Trace
@@ -44,6 +45,10 @@ class Method(Protocol):
         """
         ...
 
+    def draw(self, step: int) -> Draw:
+        """Which pixels training step `step` wants; those it is given to `train` are drawn like that."""
+        ...
+
     def halve(self) -> bool:
         """Use half the memory in `train` from now on, at the price of speed; False where that cannot be."""
         ...
@@ -58,6 +63,10 @@ class Method(Protocol):
 
     def radiance(self, point: Tensor, directions: Tensor) -> Tensor:
         """Colours (K, 3) that the world point (3,) emits against the ray directions (K, 3), camera to point."""
+        ...
+
+    def frozen(self) -> Self:
+        """The model as it is now, for pictures alone: training this one on does not change it."""
         ...
 
     def state(self) -> dict[str, Tensor]:

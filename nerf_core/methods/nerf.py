@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from copy import deepcopy
 from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
 
@@ -11,6 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from nerf_core.batches import Draw
 from nerf_core.fields.mlp import MlpField
 from nerf_core.methods import METHODS
 from nerf_core.nerf_config import NerfConfig
@@ -150,6 +152,10 @@ class Nerf:
 
     # ---- training -------------------------------------------------------------------------------------------------
 
+    def draw(self, step: int) -> Draw:
+        c = self.config
+        return Draw(c.rays, c.one_image, c.precrop if step < c.precrop_steps else 1.0)
+
     def train(self, rays: Rays, truth: Tensor, step: int, steps: int | None, pump: Callable[[], None]) -> float:
         """Loss: MSE of the coarse colour plus MSE of the fine one; Adam under an exponential decay."""
         rate = self.config.learning_rate * self.config.decay ** (step / (steps or self.config.decay_steps))
@@ -269,6 +275,12 @@ class Nerf:
         return network.color(trunk.expand(len(encoded), -1), encoded)
 
     # ---- state ----------------------------------------------------------------------------------------------------
+
+    def frozen(self) -> Nerf:
+        copy = object.__new__(Nerf)
+        copy.__dict__ |= self.__dict__
+        copy.networks = {name: deepcopy(net) for name, net in self.networks.items()}
+        return copy
 
     def parameters(self) -> list[Tensor]:
         return [p for net in self.networks.values() for p in net.parameters()]

@@ -93,8 +93,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=300.0, help="of training")
     parser.add_argument("--downscale", type=int, default=2)
+    parser.add_argument("--method", default="auto")
     args = parser.parse_args()
-    trainer = Trainer(load_scene(None, LoadOptions(downscale=args.downscale)), RunSettings())
+    trainer = Trainer(load_scene(None, LoadOptions(downscale=args.downscale)), RunSettings(method=args.method))
     for goal in (0.0, args.seconds / 4, args.seconds):
         while trainer.seconds < goal:
             trainer.step()

@@ -21,7 +21,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from nerf_core.batches import PixelSampler
+from nerf_core.batches import Draw, PixelSampler
 from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.device import describe, fast_precision, usable_cores
 from nerf_core.methods.nerf import Nerf
@@ -118,19 +118,19 @@ def main() -> None:
     device = torch.device("cpu")
     scene = load_scene(None, LoadOptions())
     method = Nerf(scene, NerfConfig(rays=args.rays, one_image=False, precision=fast_precision(device)), device, 0)
-    warm = PixelSampler(scene, NerfConfig(rays=64, one_image=False, precrop_steps=200), device, 1)
-    batches = PixelSampler(scene, method.config, device, 2)
+    warm = PixelSampler(scene, 0, device, 1)
+    batches = PixelSampler(scene, 0, device, 2)
     peer = PlainNerf(torch.tensor(scene.background))
     precision = method.networks["coarse"].precision
     print(f"{describe(device)}, {precision}, {args.rays} rays × (64 + 192) samples")
     print("OpenMP:", os.environ["OMP_WAIT_POLICY"], "| torch", torch.__version__)
     for label, steps in (("fresh weights", 0), (f"after {args.warm} steps of 64 rays", args.warm)):
         for step in range(steps):
-            method.train(*warm.draw(step), step, None, nothing)
+            method.train(*warm.draw(Draw(64, crop=0.5 if step < 200 else 1.0)), step, None, nothing)
         peer.load(method)
         ours, plain = [], []
         for _ in range(args.rounds + 1):  # the first warms up
-            batch = batches.draw(10**6)
+            batch = batches.draw(Draw(args.rays))
             ours.append(seconds(lambda batch=batch: method.train(*batch, 10**6, None, nothing)))
             plain.append(seconds(lambda batch=batch: peer.train(*batch)))
         ratios = [p / o for p, o in zip(plain[1:], ours[1:], strict=True)]

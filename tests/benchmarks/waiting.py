@@ -25,7 +25,7 @@ def train() -> None:
     from nerf_core.settings import RunSettings
     from nerf_core.trainer import Trainer
 
-    trainer = Trainer(load_scene(None, LoadOptions(downscale=4)), RunSettings(preset="quick"))
+    trainer = Trainer(load_scene(None, LoadOptions(downscale=4)), RunSettings(method="nerf", preset="quick"))
     for _ in range(WARM):
         trainer.step()
     begin = time.perf_counter()

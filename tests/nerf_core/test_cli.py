@@ -94,7 +94,7 @@ def test_the_demo_scene_needs_no_name(
     [
         (["--steps", "0"], "--steps 0"),
         (["--set", "rays"], "--set 'rays': write NAME=VALUE"),
-        (["--set", "wings=2"], "--set 'wings': method nerf has no such constant"),
+        (["--set", "wings=2"], "--set 'wings': method voxels has no such constant"),
         (["--method", "magic"], "unknown method 'magic': choose one of"),
         (["--format", "doc"], "unknown dataset format 'doc': choose one of"),
         (["--downscale", "0"], "--downscale is 0"),

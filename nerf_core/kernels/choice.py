@@ -1,0 +1,26 @@
+"""Which implementation of the hot loops runs here, and why not a faster one."""
+
+from __future__ import annotations
+
+import torch
+
+from nerf_core.kernels.numba_here import numba_obstacle
+from nerf_core.kernels.voxel_kernels import VoxelKernels
+
+
+def voxel_kernels(device: torch.device) -> VoxelKernels:
+    """On a CPU numba's loops, as many at once as torch has threads; elsewhere, and without numba, torch's operations."""
+    if device.type == "cpu" and not numba_obstacle():
+        from nerf_core.kernels.cpu_voxels import CpuVoxels
+
+        return CpuVoxels(torch.get_num_threads())
+    from nerf_core.kernels.torch_voxels import TorchVoxels
+
+    return TorchVoxels()
+
+
+def note(device: torch.device) -> str:
+    """What is to be told of the choice: nothing where it is the fast one."""
+    if device.type == "cpu" and numba_obstacle():
+        return f"{numba_obstacle()}: training runs on plain torch operations, some ten times slower"
+    return ""

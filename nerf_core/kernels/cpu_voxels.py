@@ -1,0 +1,161 @@
+"""The voxel grid on a CPU: numba's loops over a fixed number of shards, each with gradients of its own.
+
+Rays are shared out by position and gradients added up in the order of the shards: the same seed and thread count give the
+same weights, bit for bit.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nerf_core.fields.voxel_grid import ROWS, WIDTH, VoxelGrid
+from nerf_core.kernels import numba_voxels as loops
+from nerf_core.kernels.shards import each_shard, split
+from nerf_core.kernels.voxel_kernels import Adam, March, Traced
+from nerf_core.spaces import BoxRays
+
+PIECE = 2048  # rays a shard works on before it looks whether all is done: shards that are fast take more of a picture
+
+
+class _Rays(NamedTuple):
+    origins: np.ndarray
+    directions: np.ndarray
+    views: np.ndarray
+    near: np.ndarray
+    far: np.ndarray
+    offsets: np.ndarray
+
+
+class _Scratch(NamedTuple):
+    corners: np.ndarray
+    weights: np.ndarray
+    values: np.ndarray
+    notes: np.ndarray
+
+
+class CpuVoxels:
+    """`VoxelKernels` through numba."""
+
+    name = "numba"
+
+    def __init__(self, shards: int) -> None:
+        self.shards = shards
+        self._grid: VoxelGrid | None = None  # what the buffers below fit
+        self._gradient = np.zeros((shards, 0), np.float32)
+        self._touched = np.zeros((shards, 0), np.uint64)
+        self._visible = self._touched
+        self._scratch: list[_Scratch] = []
+
+    def render(self, grid: VoxelGrid, rays: BoxRays, march: March) -> Tensor:
+        arrays, given, scratch = grid.arrays(), _arrays(rays, march), self._buffers(grid, march)
+        pixel = torch.empty(len(rays), 5)
+        out, rows, background = pixel.numpy(), grid.rows.numpy().ravel(), march.background.numpy()
+
+        def work(s: int) -> None:
+            first, last = split(len(rays), self.shards, s)
+            loops.render(
+                arrays, given, first, last, np.float32(march.step), np.float32(march.bias), rows, background, scratch[s],
+                out,
+            )  # fmt: skip
+
+        each_shard(self.shards, work)
+        return pixel
+
+    def trace(self, grid: VoxelGrid, rays: BoxRays, march: March) -> list[Traced]:
+        arrays, given, scratch = grid.arrays(), _arrays(rays, march), self._buffers(grid, march)[0]
+        pixel = np.empty((len(rays), 5), np.float32)
+        found = []
+        for r in range(len(rays)):
+            n = loops.trace(
+                arrays, given, r, np.float32(march.step), np.float32(march.bias), grid.rows.numpy().ravel(),
+                march.background.numpy(), scratch, pixel,
+            )  # fmt: skip
+            notes = torch.from_numpy(scratch.notes[: n * loops.NOTES].reshape(n, loops.NOTES).copy())
+            found.append(
+                Traced(
+                    t=notes[:, loops.DISTANCE], width=notes[:, loops.WIDTH], raw=notes[:, loops.RAW],
+                    alpha=notes[:, loops.ALPHA], light=notes[:, loops.LIGHT], rgb=notes[:, loops.RED : loops.RED + 3],
+                    pixel=torch.from_numpy(pixel[r].copy()),
+                )
+            )  # fmt: skip
+        return found
+
+    def accumulate(self, grid: VoxelGrid, rays: BoxRays, truth: Tensor, march: March) -> tuple[float, int]:
+        arrays, given, scratch = grid.arrays(), _arrays(rays, march), self._buffers(grid, march)
+        self._fit(grid)
+        rows, background, colors = grid.rows.numpy().ravel(), march.background.numpy(), truth.numpy()
+        pixel = np.empty((len(rays), 5), np.float32)
+        sums = [(0.0, 0)] * self.shards
+
+        def work(s: int) -> None:
+            first, last = split(len(rays), self.shards, s)
+            sums[s] = loops.gradients(
+                arrays, given, colors, first, last, np.float32(march.step), np.float32(march.bias), rows, background,
+                scratch[s], pixel, self._gradient[s], self._touched[s], self._visible[s], np.float32(march.threshold),
+                np.float32(march.smoothness),
+            )  # fmt: skip
+
+        each_shard(self.shards, work)
+        return sum(error for error, _ in sums), sum(samples for _, samples in sums)
+
+    def forget(self) -> None:
+        self._gradient[:] = 0
+        self._touched[:] = 0
+
+    def gradient(self, grid: VoxelGrid) -> Tensor:
+        self._fit(grid)
+        return torch.from_numpy(self._gradient.sum(0)).view(-1, WIDTH)
+
+    def seen(self, grid: VoxelGrid) -> Tensor:
+        self._fit(grid)
+        bits = np.unpackbits(np.bitwise_or.reduce(self._visible).view(np.uint8), bitorder="little")
+        return torch.from_numpy(bits.astype(bool))
+
+    def see(self, grid: VoxelGrid, seen: Tensor) -> None:
+        self._fit(grid)
+        self._visible[:] = 0
+        self._visible[0] = np.packbits(seen.numpy(), bitorder="little").view(np.uint64)
+
+    def update(self, grid: VoxelGrid, moments: Tensor, adam: Adam) -> None:
+        self._fit(grid)
+        rows, slots = grid.rows.numpy().ravel(), moments.numpy().ravel()
+
+        def work(s: int) -> None:
+            first, last = split(grid.bricks, self.shards, s)
+            loops.adam(first, last, rows, slots, self._gradient, self._touched, *(np.float32(v) for v in adam))
+
+        each_shard(self.shards, work)
+
+    def _fit(self, grid: VoxelGrid) -> None:
+        if self._grid is None or self._grid.rows is not grid.rows:
+            self._gradient = torch.zeros(self.shards, grid.bricks * ROWS * WIDTH).numpy()
+            self._touched = np.zeros((self.shards, grid.bricks), np.uint64)
+            self._visible = np.zeros((self.shards, grid.bricks), np.uint64)
+        self._grid = grid
+
+    def _buffers(self, grid: VoxelGrid, march: March) -> list[_Scratch]:
+        # a ray crosses at most as many cells as the box has along its three sides together; a bent one may take
+        # a little longer
+        capacity = int(1.5 * sum(grid.size) / march.step) + 8
+        if not self._scratch or len(self._scratch[0].corners) < 8 * capacity:
+            self._scratch = [
+                _Scratch(
+                    torch.empty(8 * capacity, dtype=torch.int64).numpy(), torch.empty(8 * capacity).numpy(),
+                    torch.zeros(64).numpy(), torch.empty(loops.NOTES * capacity).numpy(),
+                )
+                for _ in range(self.shards)
+            ]  # fmt: skip
+        return self._scratch
+
+
+def _arrays(rays: BoxRays, march: March) -> _Rays:
+    return _Rays(
+        *(
+            v.contiguous().numpy()
+            for v in (rays.origins, rays.directions, rays.views, rays.near, rays.far, march.offsets)
+        )
+    )

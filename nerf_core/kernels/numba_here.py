@@ -1,0 +1,34 @@
+"""Whether numba can be used, asked before anything imports it: where it keeps compiled loops is read only once."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from functools import lru_cache
+from pathlib import Path
+
+
+@lru_cache
+def numba_obstacle() -> str:
+    """Why numba cannot be used; empty where it can. Tells numba where compiled loops are kept, before it is imported."""
+    if "NUMBA_CACHE_DIR" not in os.environ:
+        os.environ["NUMBA_CACHE_DIR"] = str(_cache_folder())
+    try:
+        import numba  # noqa: F401
+    except ImportError as error:
+        return f"numba cannot be imported ({error})"
+    return ""
+
+
+def _cache_folder() -> Path:
+    """The user's own; where that cannot be written, one that lasts as long as this machine keeps its temporary files."""
+    try:
+        import platformdirs
+
+        folder = platformdirs.user_cache_path("nerf-viewer") / "numba"
+        folder.mkdir(parents=True, exist_ok=True)
+        if os.access(folder, os.W_OK):
+            return folder
+    except (ImportError, OSError):
+        pass
+    return Path(tempfile.gettempdir()) / f"nerf-viewer-numba-{os.getuid() if hasattr(os, 'getuid') else 'user'}"

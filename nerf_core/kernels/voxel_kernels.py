@@ -1,0 +1,90 @@
+"""What a device must be able to do with a voxel grid: one interface, several implementations of the same maths."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+from torch import Tensor
+
+from nerf_core.fields.voxel_grid import VoxelGrid
+from nerf_core.spaces import BoxRays
+
+
+@dataclass(frozen=True)
+class March:
+    """How rays are sampled. step: length of a sample, in cells; density is per cell, so α = 1 − exp(−σ · step).
+
+    offsets: (R,) where the first sample lies in its step, 0 … 1. bias: added to the raw density before softplus.
+    background: (3,). smoothness: weight of ½ Σ (σ_k − mean)² over the 8 corners' raw densities of every sample.
+    """
+
+    step: float
+    bias: float
+    background: Tensor
+    offsets: Tensor
+    smoothness: float = 0.0
+    threshold: float = 1.0
+
+
+class Adam(NamedTuple):
+    """rate_*: learning rates. keep, keep_square: β₁, β₂; warm, warm_square: 1/(1 − βᵗ). epsilon: in units of a ray's
+    gradient."""
+
+    rate_color: float
+    rate_density: float
+    keep: float
+    keep_square: float
+    warm: float
+    warm_square: float
+    epsilon: float
+
+
+@dataclass(frozen=True)
+class Traced:
+    """The S samples that made one pixel: t and width (box rays' parameter), raw density, α, T, colour (S, 3).
+
+    pixel: (5,) colour, opacity, Σ w t.
+    """
+
+    t: Tensor
+    width: Tensor
+    raw: Tensor
+    alpha: Tensor
+    light: Tensor
+    rgb: Tensor
+    pixel: Tensor
+
+
+class VoxelKernels(Protocol):
+    """Gradients add up inside until `update` applies or `forget` drops them."""
+
+    name: str
+
+    def render(self, grid: VoxelGrid, rays: BoxRays, march: March) -> Tensor:
+        """(R, 5): colour over the background, opacity, Σ w t."""
+        ...
+
+    def trace(self, grid: VoxelGrid, rays: BoxRays, march: March) -> list[Traced]: ...
+
+    def accumulate(self, grid: VoxelGrid, rays: BoxRays, truth: Tensor, march: March) -> tuple[float, int]:
+        """Add the gradient of ½ Σ squared error (and of smoothness); returns Σ squared error and the samples used."""
+        ...
+
+    def forget(self) -> None: ...
+
+    def gradient(self, grid: VoxelGrid) -> Tensor:
+        """What has been added up, (M, 16)."""
+        ...
+
+    def seen(self, grid: VoxelGrid) -> Tensor:
+        """(M,) bool, at each cell's lowest vertex: whether a sample in it weighed more than `threshold`, since `see`."""
+        ...
+
+    def see(self, grid: VoxelGrid, seen: Tensor) -> None:
+        """Set what `seen` returns."""
+        ...
+
+    def update(self, grid: VoxelGrid, moments: Tensor, adam: Adam) -> None:
+        """One step of Adam on the rows that have a gradient, which is then forgotten."""
+        ...

@@ -1,0 +1,172 @@
+"""The fast voxel kernels against the plain ones, and the plain ones against the equations."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from nerf_core.fields.voxel_grid import DENSITY, VoxelGrid
+from nerf_core.kernels.cpu_voxels import CpuVoxels
+from nerf_core.kernels.torch_voxels import STOP, TorchVoxels
+from nerf_core.kernels.voxel_kernels import Adam, March
+from nerf_core.spaces import BoxRays
+
+WHITE = torch.ones(3)
+
+
+def some_grid(
+    contracted: bool, seed: int = 0, size: tuple[int, int, int] = (11, 8, 13), dense: float = 0.3
+) -> VoxelGrid:
+    g = torch.Generator().manual_seed(seed)
+    occupied = torch.rand(size, generator=g) < dense
+    half = 2.0 if contracted else 1.0
+    grid = VoxelGrid.over(np.full(3, -half), 2 * half / np.array(size), occupied, contracted)
+    grid.rows[:] = torch.randn(grid.rows.shape, generator=g)
+    grid.rows[:, DENSITY + 1 :] = 0
+    return grid
+
+
+def some_rays(count: int = 200, seed: int = 1, spread: float = 3.0) -> BoxRays:
+    """From outside, from within, along the axes, past the box, and away from it."""
+    g = torch.Generator().manual_seed(seed)
+    origins = spread * (torch.rand(count, 3, generator=g) * 2 - 1)
+    target = torch.rand(count, 3, generator=g) * 2 - 1
+    d = torch.nn.functional.normalize(target - origins, dim=-1)
+    axes = torch.eye(3)
+    d[:6] = torch.cat([axes, -axes])
+    origins[:6] = -2.5 * d[:6] + 0.13 * (1 - d[:6].abs())
+    origins[6:9], d[6:9] = 0.21, axes  # from within, parallel to an axis
+    origins[9], d[9] = torch.tensor([5.0, 0, 0]), torch.tensor([1.0, 0, 0])  # away
+    origins[10], d[10] = torch.tensor([0.0, 4.0, -5.0]), torch.tensor([0.0, 0, 1.0])  # past
+    return BoxRays(origins, d, d, torch.full((count,), 0.05), torch.full((count,), 1e6))
+
+
+def how(count: int, **changes: float) -> March:
+    offsets = torch.rand(count, generator=torch.Generator().manual_seed(5))
+    return replace(March(0.7, -1.0, WHITE, offsets, threshold=0.05), **changes)
+
+
+@pytest.mark.parametrize("contracted", [False, True])
+@pytest.mark.parametrize("shards", [1, 2, 3])
+@pytest.mark.parametrize("dense", [0.02, 0.3, 1.0])
+def test_pictures_and_gradients_agree_with_the_reference(contracted: bool, shards: int, dense: float) -> None:
+    grid, rays = some_grid(contracted, dense=dense), some_rays()
+    truth = torch.rand(len(rays), 3, generator=torch.Generator().manual_seed(2))
+    march = how(len(rays), smoothness=0.1)
+    fast, plain = CpuVoxels(shards), TorchVoxels()
+    a, b = fast.render(grid, rays, march), plain.render(grid, rays, march)
+    # rounding may put a sample that lies on a cell's face on the other side of it
+    for got, expected in ((a[:, :4], b[:, :4]), (a[:, 4:] / (1 + b[:, 4:]), b[:, 4:] / (1 + b[:, 4:]))):
+        assert float((got - expected).abs().amax(-1).sort().values[-3]) < 1e-3
+        assert float((got - expected).abs().mean()) < 1e-4
+    results = [k.accumulate(grid, rays, truth, march) for k in (fast, plain)]
+    assert results[0][0] == pytest.approx(results[1][0], rel=1e-4)
+    assert results[0][1] == pytest.approx(results[1][1], rel=2e-3, abs=2)
+    a, b = fast.gradient(grid), plain.gradient(grid)
+    assert float((a - b).norm()) <= 2e-3 * float(b.norm())
+    assert float((fast.seen(grid) != plain.seen(grid)).float().mean()) < 2e-3
+
+
+@pytest.mark.parametrize("contracted", [False, True])
+def test_the_gradient_is_that_of_finite_differences(contracted: bool) -> None:
+    grid, rays = some_grid(contracted, size=(4, 5, 4), dense=1.0), some_rays(40)
+    grid.rows[:, DENSITY] -= 1.5  # so that no ray is cut off where its light goes out: that is no smooth function
+    truth = torch.rand(40, 3, generator=torch.Generator().manual_seed(2))
+    kernels, march = CpuVoxels(2), how(40)
+
+    def loss() -> float:
+        return float((kernels.render(grid, rays, march)[:, :3] - truth).double().square().sum()) / 2
+
+    assert float(kernels.render(grid, rays, march)[:, 3].max()) < 1 - STOP
+    kernels.accumulate(grid, rays, truth, march)
+    gradient = kernels.gradient(grid)
+    g = torch.Generator().manual_seed(4)
+    for _ in range(4):
+        direction = torch.randn(grid.rows.shape, generator=g)
+        direction[:, DENSITY + 1 :] = 0
+        h = 3e-3
+        grid.rows.add_(h * direction)
+        above = loss()
+        grid.rows.sub_(2 * h * direction)
+        below = loss()
+        grid.rows.add_(h * direction)
+        assert (above - below) / (2 * h) == pytest.approx(float((gradient * direction).sum()), rel=2e-2, abs=1e-3)
+
+
+def test_a_ray_through_one_opaque_cell_has_the_colour_of_its_coefficients() -> None:
+    occupied = torch.zeros(4, 4, 4, dtype=torch.bool)
+    occupied[2, 1, 1] = True
+    grid = VoxelGrid.over(np.full(3, -2.0), np.ones(3), occupied, contracted=False)
+    grid.rows[:, DENSITY] = 50
+    grid.rows[:, 0], grid.rows[:, 4], grid.rows[:, 8] = 4.0, -4.0, 0.0
+    ray = BoxRays(
+        torch.tensor([[-5.0, -0.5, -0.5]]), torch.tensor([[1.0, 0, 0]]), torch.tensor([[1.0, 0, 0]]), torch.zeros(1),
+        torch.full((1,), 100.0),
+    )  # fmt: skip
+    for kernels in (CpuVoxels(1), TorchVoxels()):
+        pixel = kernels.render(grid, ray, March(0.25, 0.0, WHITE, torch.tensor([0.5])))[0]
+        expected = torch.sigmoid(torch.tensor([4.0, -4.0, 0.0]) * 0.28209479)
+        torch.testing.assert_close(pixel[:3], expected, atol=1e-3, rtol=0)
+        assert float(pixel[3]) == pytest.approx(1, abs=1e-3)
+        assert float(pixel[4]) == pytest.approx(5.125, abs=0.3)  # the cell begins at x = 0
+
+
+def test_empty_grids_and_rays_that_miss_show_background_and_have_no_gradient() -> None:
+    grid, rays = some_grid(False, dense=0.0), some_rays()
+    for kernels in (CpuVoxels(2), TorchVoxels()):
+        pixel = kernels.render(grid, rays, how(len(rays)))
+        assert torch.equal(pixel[:, :3], torch.ones(len(rays), 3))
+        assert not pixel[:, 3:].any()
+        assert kernels.accumulate(grid, rays, torch.ones(len(rays), 3), how(len(rays))) == (0, 0)
+
+
+@pytest.mark.parametrize("contracted", [False, True])
+def test_nothing_is_ever_nan(contracted: bool) -> None:
+    grid, rays = some_grid(contracted), some_rays(spread=1.0)
+    grid.rows[:, DENSITY] *= 40  # from perfectly clear to perfectly opaque
+    grid.rows[:, :DENSITY] *= 40
+    for kernels in (CpuVoxels(2), TorchVoxels()):
+        assert kernels.render(grid, rays, how(len(rays))).isfinite().all()
+        kernels.accumulate(grid, rays, torch.rand(len(rays), 3), how(len(rays)))
+        assert kernels.gradient(grid).isfinite().all()
+
+
+def test_adam_agrees_with_the_reference() -> None:
+    truth, rays = torch.rand(200, 3, generator=torch.Generator().manual_seed(2)), some_rays()
+    settings = Adam(0.2, 0.3, 0.9, 0.99, 10.0, 100.0, 1e-4)
+    results: list[tuple[Tensor, Tensor]] = []
+    for kernels in (CpuVoxels(2), TorchVoxels()):
+        grid = some_grid(False)
+        moments = torch.zeros_like(grid.rows)
+        for _ in range(3):
+            kernels.accumulate(grid, rays, truth, how(200))
+            kernels.update(grid, moments, settings)
+        results.append((grid.rows, moments))
+    for fast, plain in zip(*results, strict=True):
+        assert float((fast - plain).norm()) <= 5e-3 * float(plain.norm())
+
+
+def test_the_same_thread_count_gives_the_same_bits() -> None:
+    rays, truth = some_rays(3000), torch.rand(3000, 3, generator=torch.Generator().manual_seed(2))
+    grid = some_grid(True)
+    found = []
+    for _ in range(3):
+        kernels = CpuVoxels(3)
+        kernels.accumulate(grid, rays, truth, how(3000))
+        found.append(kernels.gradient(grid))
+    assert torch.equal(found[0], found[1])
+    assert torch.equal(found[0], found[2])
+
+
+def test_forgotten_gradients_leave_no_trace() -> None:
+    grid, rays, kernels = some_grid(False), some_rays(), CpuVoxels(2)
+    kernels.accumulate(grid, rays, torch.zeros(200, 3), how(200))
+    kernels.forget()
+    before, moments = grid.rows.clone(), torch.zeros_like(grid.rows)
+    kernels.update(grid, moments, Adam(0.2, 0.3, 0.9, 0.99, 10.0, 100.0, 1e-4))
+    assert torch.equal(grid.rows, before)
+    assert not moments.any()
