@@ -52,9 +52,8 @@ class Train:
         settings = self.training.settings()
         if not self.save_every > 0:
             raise UserError(f"--save-every {self.save_every}: give a number above 0")
-        run = RunFolder(
-            self.out or Path("runs") / run_name(self.data, method_name(settings.method, pick_device(settings.device)))
-        )
+        method = method_name(settings.method, pick_device(settings.device))
+        run = RunFolder(self.out or Path("runs") / run_name(self.data, method))
         if self.resume:
             must_agree(settings, run)
         began = time.monotonic()

@@ -32,7 +32,8 @@ class VoxelConfig:
     has `growth` times as many, the last all the rest. most_rows: vertices stored at most (some 250 bytes each).
     step: length of a sample in cells. bias: raw density of a new grid. rate_*: Adam's, falling as 1/(1 + s/slowdown) in
     a level's step s; keep, keep_square: β₁, β₂; epsilon in units of one ray's gradient. smoothness: of density.
-    prune: cells whose every vertex absorbs less than this share of light are empty; looked at every `prune_every` steps.
+    prune: a cell is dropped when no sample near it has weighed as much lately; looked at when a level ends, in the last
+    every `prune_every` steps.
     """
 
     rays: int = 12288

@@ -9,8 +9,8 @@ from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.settings import RunSettings
 from nerf_core.trainer import Trainer
 
-# Preset, steps, and how many times nearer the depth must come: a grid begins as an even fog, whose mean depth is not far
-# off, a network anywhere.
+# Preset, steps, and how many times nearer the depth must come: a grid begins as an even fog, whose mean depth is not
+# far off, a network anywhere.
 CASES = {"nerf": ("quick", 800, 5), "voxels": ("auto", 400, 3)}
 Figures = tuple[str, dict[str, float], dict[str, float]]
 

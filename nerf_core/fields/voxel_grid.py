@@ -1,7 +1,7 @@
 """Rows of parameters at the vertices of the cells that may hold something; empty space has none.
 
-Vertices are stored in bricks of 4 × 4 × 4, z fastest, one row of 16 float32 each: 3 × 4 spherical-harmonic coefficients of
-colour, the raw density, and padding to one cache line. `table` says which brick is stored where.
+Vertices are stored in bricks of 4 × 4 × 4, z fastest, one row of 16 float32 each: 3 × 4 spherical-harmonic coefficients
+of colour, the raw density, and padding to one cache line. `table` says which brick is stored where.
 """
 
 from __future__ import annotations
@@ -38,8 +38,9 @@ class GridArrays(NamedTuple):
 class VoxelGrid:
     """size: cells a side (x, y, z). origin, voxel: (3,) float64, the lower corner and a cell's sides, box coordinates.
 
-    occupied: (x, y, z) bool. table: bricks of vertices (bx, by, bz) int32, −1 where none is stored. leap: blocks of cells,
-    uint8, 0 where a block has an occupied cell, else the distance in blocks to the nearest that has. rows: (M, 16).
+    occupied: (x, y, z) bool. table: bricks of vertices (bx, by, bz) int32, −1 where none is stored. leap: blocks of
+    cells, uint8, 0 where a block has an occupied cell, else the distance in blocks to the nearest that has.
+    rows: (M, 16) float32.
     """
 
     size: tuple[int, int, int]

@@ -9,7 +9,7 @@ from nerf_core.kernels.voxel_kernels import VoxelKernels
 
 
 def voxel_kernels(device: torch.device) -> VoxelKernels:
-    """On a CPU numba's loops, as many at once as torch has threads; elsewhere, and without numba, torch's operations."""
+    """On a CPU numba's loops, as many at once as torch has threads; elsewhere, or without numba, torch operations."""
     if device.type == "cpu" and not numba_obstacle():
         from nerf_core.kernels.cpu_voxels import CpuVoxels
 

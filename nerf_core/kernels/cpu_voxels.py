@@ -1,7 +1,7 @@
 """The voxel grid on a CPU: numba's loops over a fixed number of shards, each with gradients of its own.
 
-Rays are shared out by position and gradients added up in the order of the shards: the same seed and thread count give the
-same weights, bit for bit.
+Rays are shared out by position and gradients added up in the order of the shards: the same seed and thread count give
+the same weights, bit for bit.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ class CpuVoxels:
         def work(s: int) -> None:
             first, last = split(len(rays), self.shards, s)
             loops.render(
-                arrays, given, first, last, np.float32(march.step), np.float32(march.bias), rows, background, scratch[s],
-                out,
+                arrays, given, first, last, np.float32(march.step), np.float32(march.bias), rows, background,
+                scratch[s], out,
             )  # fmt: skip
 
         each_shard(self.shards, work)

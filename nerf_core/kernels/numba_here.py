@@ -10,7 +10,7 @@ from pathlib import Path
 
 @lru_cache
 def numba_obstacle() -> str:
-    """Why numba cannot be used; empty where it can. Tells numba where compiled loops are kept, before it is imported."""
+    """Why numba cannot be used; empty where it can. Before importing it, says where compiled loops are kept."""
     if "NUMBA_CACHE_DIR" not in os.environ:
         os.environ["NUMBA_CACHE_DIR"] = str(_cache_folder())
     try:
@@ -21,7 +21,7 @@ def numba_obstacle() -> str:
 
 
 def _cache_folder() -> Path:
-    """The user's own; where that cannot be written, one that lasts as long as this machine keeps its temporary files."""
+    """The user's own; where that cannot be written, a temporary one."""
     try:
         import platformdirs
 

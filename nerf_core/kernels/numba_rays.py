@@ -16,8 +16,8 @@ SMALL = 1e-13  # of the image plane: Newton's next step is below what float32 di
 
 @jit
 def rays(
-    index: Any, pixels: Any, focal: Any, principal: Any, lens: Any, c2w: Any, near: Any, far: Any, first: Any, last: Any,
-    origins: Any, directions: Any, nears: Any, fars: Any,
+    index: Any, pixels: Any, focal: Any, principal: Any, lens: Any, c2w: Any, near: Any, far: Any, first: Any,
+    last: Any, origins: Any, directions: Any, nears: Any, fars: Any,
 ) -> None:  # fmt: skip
     """Writes the rays first ≤ r < last through `pixels` of the cameras `index`."""
     for r in range(first, last):
@@ -54,7 +54,7 @@ def rays(
 
 @jit
 def colors(index: Any, pixels: Any, widths: Any, starts: Any, flat: Any, first: Any, last: Any, found: Any) -> None:
-    """Writes what integer `pixels` of photos `index` show; flat: all photos' pixels (P, 3) uint16, one after another."""
+    """Writes what integer `pixels` of photos `index` show; photo n begins at starts[n] of `flat` (P, 3) uint16."""
     for r in range(first, last):
         n = index[r]
         at = starts[n] + pixels[r, 1] * widths[n] + pixels[r, 0]

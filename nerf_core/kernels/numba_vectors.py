@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import njit, types
-from numba.extending import intrinsic
+from numba.extending import intrinsic as _intrinsic
 
 FAST = ("fast",)  # sums may be reordered and contracted to fused multiply-adds
 _FLOAT, _I8, _I32, _I64 = ir.FloatType(), ir.IntType(8), ir.IntType(32), ir.IntType(64)
@@ -21,6 +21,11 @@ _ROW = ir.VectorType(_FLOAT, 16)
 def jit(function: Any) -> Any:
     """Compiled once and cached on disk; runs without the GIL; divisions do not ask for zero first."""
     return njit(nogil=True, cache=True, fastmath=True, error_model="numpy")(function)
+
+
+def intrinsic(function: Any) -> Any:
+    """A function of LLVM instructions; callers leave its first argument, numba's typing context, out."""
+    return _intrinsic(function)
 
 
 def _pointer(context: Any, builder: Any, kind: Any, array: Any, offset: Any = None) -> Any:

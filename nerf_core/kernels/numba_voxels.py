@@ -15,15 +15,42 @@ from nerf_core.kernels.numba_vectors import exp, gather, jit, prefetch, scatter,
 F = np.float32
 STOP = F(1e-3)  # transmittance at which nothing behind can still change an 8-bit pixel by one step
 NEVER = F(1e30)
+STRAIGHT = F(0.25)  # of its distance from the centre: so far a contracted ray counts as straight when it leaps
 # What a ray keeps of each sample between its passes, in one row of `notes`: α, T, colour, raw σ, t, Δt.
 ALPHA, LIGHT, RED, GREEN, BLUE, RAW, DISTANCE, WIDTH, NOTES = 0, 1, 2, 3, 4, 5, 6, 7, 8
 SH0, SH1 = F(0.28209479), F(0.48860251)  # 1/√4π, √(3/4π)
 
 
 @jit
-def _exit(o: Any, inverse: Any, low: Any, high: Any) -> Any:
-    """Where o + t/inverse leaves [low, high]: the larger of the two crossings; never, on a ray parallel to it."""
-    return NEVER if inverse == 0 else max((low - o) * inverse, (high - o) * inverse)
+def _gap(x: Any, v: Any, low: Any, high: Any) -> Any:
+    """After how much t a point at x with velocity v leaves [low, high]; never, where it moves along it."""
+    return NEVER if v == 0 else max((low - x) / v, (high - x) / v)
+
+
+@jit
+def _clipped(x: Any, v: Any, side: Any, first: Any, last: Any) -> Any:
+    """[first, last] of t cut to where x + t v lies in [0, side]; empty where it never does."""
+    if v == 0:
+        return (first, last) if 0 <= x <= side else (first, F(-1))
+    a, b = -x / v, (side - x) / v
+    return max(first, min(a, b)), min(last, max(a, b))
+
+
+@jit
+def _bent(wx: Any, wy: Any, wz: Any, dx: Any, dy: Any, dz: Any) -> Any:
+    """Under contraction x → f x with f = (2 − s) s, s = 1/‖x‖∞, its velocity is f d + f′ x: returns f, f′ and ‖x‖∞."""
+    ax, ay, az = abs(wx), abs(wy), abs(wz)
+    norm = max(ax, ay, az)
+    if norm <= 1:
+        return F(1), F(0), norm
+    if ax == norm:
+        slope = dx if wx > 0 else -dx
+    elif ay == norm:
+        slope = dy if wy > 0 else -dy
+    else:
+        slope = dz if wz > 0 else -dz
+    s = F(1) / norm
+    return (F(2) - s) * s, (F(2) * s - F(2)) * s * s * slope, norm
 
 
 @jit
@@ -49,7 +76,21 @@ def _corners(i: Any, j: Any, k: Any, ny: Any, nz: Any, table: Any, corners: Any,
 
 
 @jit
-def _march(grid: Any, rays: Any, r: Any, step: Any, rows: Any, corners: Any, weights: Any, notes: Any) -> Any:
+def _weigh(fx: Any, fy: Any, fz: Any, weights: Any, at: Any) -> None:
+    """Trilinear weights of the 8 corners, z fastest, of a point at (fx, fy, fz) in its cell."""
+    hx, hy, hz = F(1) - fx, F(1) - fy, F(1) - fz
+    weights[at] = hx * hy * hz
+    weights[at + 1] = hx * hy * fz
+    weights[at + 2] = hx * fy * hz
+    weights[at + 3] = hx * fy * fz
+    weights[at + 4] = fx * hy * hz
+    weights[at + 5] = fx * hy * fz
+    weights[at + 6] = fx * fy * hz
+    weights[at + 7] = fx * fy * fz
+
+
+@jit
+def _march(grid: Any, rays: Any, r: Any, step: Any, rows: Any, corners: Any, weights: Any, notes: Any) -> Any:  # noqa: PLR0915  one loop, with everything that it needs in registers
     """Samples of ray r in occupied cells, front to back: their corners, weights, t and Δt; returns how many."""
     nx, ny, nz = grid.size[0], grid.size[1], grid.size[2]
     bricks_y, bricks_z = (ny >> 2) + 1, (nz >> 2) + 1
@@ -58,46 +99,29 @@ def _march(grid: Any, rays: Any, r: Any, step: Any, rows: Any, corners: Any, wei
     bx, by, bz = grid.origin[0], grid.origin[1], grid.origin[2]
     ox, oy, oz = rays.origins[r, 0], rays.origins[r, 1], rays.origins[r, 2]
     dx, dy, dz = rays.directions[r, 0], rays.directions[r, 1], rays.directions[r, 2]
-    bent = grid.contracted
     # position and velocity in cells, where space is not contracted
     gx, gy, gz = (ox - bx) * sx, (oy - by) * sy, (oz - bz) * sz
     vx, vy, vz = dx * sx, dy * sy, dz * sz
-    t, last = rays.near[r], rays.far[r]
-    ix = F(1) / vx if vx != 0 else F(0)
-    iy = F(1) / vy if vy != 0 else F(0)
-    iz = F(1) / vz if vz != 0 else F(0)
-    if not bent:
-        for g, inverse, n in ((gx, ix, nx), (gy, iy, ny), (gz, iz, nz)):
-            if inverse != 0:
-                a, b = -g * inverse, (n - g) * inverse
-                t, last = max(t, min(a, b)), min(last, max(a, b))
-            elif g < 0 or g > n:
-                return 0
-    dt = step / math.sqrt(vx * vx + vy * vy + vz * vz)
-    straight = dt
+    ux, uy, uz = vx, vy, vz
+    t, last, norm = rays.near[r], rays.far[r], F(0)
+    if not grid.contracted:
+        t, last = _clipped(gx, vx, nx, t, last)
+        t, last = _clipped(gy, vy, ny, t, last)
+        t, last = _clipped(gz, vz, nz, t, last)
+    straight = step / math.sqrt(vx * vx + vy * vy + vz * vz)
+    dt = straight
     t += rays.offsets[r] * dt
     capacity = notes.shape[0] // NOTES
     n = 0
     while t < last and n < capacity:
         px, py, pz = gx + t * vx, gy + t * vy, gz + t * vz
-        if bent:
+        if grid.contracted:
             wx, wy, wz = ox + t * dx, oy + t * dy, oz + t * dz
-            ax, ay, az = abs(wx), abs(wy), abs(wz)
-            m = max(ax, ay, az)
-            ux, uy, uz = vx, vy, vz
-            dt = straight
-            if m > 1:
-                # x → (2 − s) s x with s = 1/‖x‖∞; its derivative along the ray
-                s = F(1) / m
-                if ax == m:
-                    slope = dx if wx > 0 else -dx
-                elif ay == m:
-                    slope = dy if wy > 0 else -dy
-                else:
-                    slope = dz if wz > 0 else -dz
-                f, fs = (F(2) - s) * s, (F(2) * s - F(2)) * s * s * slope
+            f, slope, norm = _bent(wx, wy, wz, dx, dy, dz)
+            ux, uy, uz, dt = vx, vy, vz, straight
+            if norm > 1:
                 px, py, pz = (wx * f - bx) * sx, (wy * f - by) * sy, (wz * f - bz) * sz
-                ux, uy, uz = (dx * f + wx * fs) * sx, (dy * f + wy * fs) * sy, (dz * f + wz * fs) * sz
+                ux, uy, uz = (dx * f + wx * slope) * sx, (dy * f + wy * slope) * sy, (dz * f + wz * slope) * sz
                 dt = step / math.sqrt(ux * ux + uy * uy + uz * uz)
         i, j, k = int(px), int(py), int(pz)
         if i < 0 or j < 0 or k < 0 or i >= nx or j >= ny or k >= nz:  # by rounding, on the border
@@ -106,44 +130,22 @@ def _march(grid: Any, rays: Any, r: Any, step: Any, rows: Any, corners: Any, wei
         leap = grid.leap[np.uint64(((i >> 2) * blocks_y + (j >> 2)) * blocks_z + (k >> 2))]
         if leap > 0:  # nothing within leap − 1 blocks of this one: to the far side of that cube
             reach = 4 * (leap - 1)
-            x0, y0, z0 = (i & ~3) - reach, (j & ~3) - reach, (k & ~3) - reach
-            side = 4 + 2 * reach
-            if bent and m > 1:
-                ix, iy, iz = (
-                    F(1) / ux if ux != 0 else F(0),
-                    F(1) / uy if uy != 0 else F(0),
-                    F(1) / uz if uz != 0 else F(0),
-                )
-                gap = min(_exit(px, ix, x0, x0 + side), _exit(py, iy, y0, y0 + side), _exit(pz, iz, z0, z0 + side))
-                gap = min(gap, F(0.25) * m)  # the curve is straight enough over a quarter of its distance
-            else:
-                gap = min(_exit(px, ix, x0, x0 + side), _exit(py, iy, y0, y0 + side), _exit(pz, iz, z0, z0 + side))
+            x, y, z, side = (i & ~3) - reach, (j & ~3) - reach, (k & ~3) - reach, 4 + 2 * reach
+            gap = min(_gap(px, ux, x, x + side), _gap(py, uy, y, y + side), _gap(pz, uz, z, z + side))
+            if norm > 1:
+                gap = min(gap, STRAIGHT * norm)
             t += max(math.floor(gap / dt) + F(1), F(1)) * dt
-            if bent:
-                ix = F(1) / vx if vx != 0 else F(0)
-                iy = F(1) / vy if vy != 0 else F(0)
-                iz = F(1) / vz if vz != 0 else F(0)
-            continue
-        if grid.occupied[np.uint64((i * ny + j) * nz + k)] == 0:
+        elif grid.occupied[np.uint64((i * ny + j) * nz + k)] == 0:
             t += dt
-            continue
-        at = n * 8
-        _corners(i, j, k, bricks_y, bricks_z, grid.table, corners, at)
-        prefetch(rows, corners, at)
-        fx, fy, fz = px - F(i), py - F(j), pz - F(k)
-        hx, hy, hz = F(1) - fx, F(1) - fy, F(1) - fz
-        weights[at] = hx * hy * hz
-        weights[at + 1] = hx * hy * fz
-        weights[at + 2] = hx * fy * hz
-        weights[at + 3] = hx * fy * fz
-        weights[at + 4] = fx * hy * hz
-        weights[at + 5] = fx * hy * fz
-        weights[at + 6] = fx * fy * hz
-        weights[at + 7] = fx * fy * fz
-        notes[at + DISTANCE] = t
-        notes[at + WIDTH] = dt
-        n += 1
-        t += dt
+        else:
+            at = n * 8
+            _corners(i, j, k, bricks_y, bricks_z, grid.table, corners, at)
+            prefetch(rows, corners, at)
+            _weigh(px - F(i), py - F(j), pz - F(k), weights, at)
+            notes[at + DISTANCE] = t
+            notes[at + WIDTH] = dt
+            n += 1
+            t += dt
     return n
 
 
@@ -152,7 +154,7 @@ def _composite(
     n: Any, basis: Any, step: Any, bias: Any, rows: Any, corners: Any, weights: Any, values: Any, notes: Any,
     gradient: Any, train: Any, pixel: Any, r: Any, background: Any,
 ) -> Any:  # fmt: skip
-    """Evaluate n samples until the light is gone; writes colour, opacity and Σwt of pixel r, returns how many counted."""
+    """Evaluate n samples until the light is gone; writes colour, opacity, Σwt of pixel r; returns how many counted."""
     light = F(1)
     red, green, blue, far = F(0), F(0), F(0), F(0)
     y0, y1, y2, y3 = basis[0], basis[1], basis[2], basis[3]
@@ -285,7 +287,7 @@ def adam(
     first: Any, last: Any, rows: Any, moments: Any, gradient: Any, touched: Any, rate_color: Any, rate_density: Any,
     keep: Any, keep_square: Any, warm: Any, warm_square: Any, epsilon: Any,
 ) -> None:  # fmt: skip
-    """Adam on the touched rows of bricks first ≤ b < last, whose gradients (one array a shard) are added up and cleared.
+    """Adam on the touched rows of bricks first ≤ b < last; gradients, one array a shard, are added up and cleared.
 
     A row shares one second moment among its colour coefficients; it lies, with density's, in the moments' padding:
     half the memory, and half the traffic, of a moment for each.

@@ -15,7 +15,7 @@ FEW = 512  # rays: below, handing over to other threads takes longer than comput
 def fast_rays(
     index: Tensor, pixels: Tensor, focal: Tensor, principal: Tensor, lens: Tensor, c2w: Tensor, near: float, far: float
 ) -> tuple[Tensor, Tensor, Tensor, Tensor] | None:
-    """Origins, directions (R, 3), near, far (R,) float32 as `Cameras.rays` explains them; None where numba is missing."""
+    """Origins, directions (R, 3), near, far (R,) float32 as in `Cameras.rays`; None where numba is missing."""
     if index.device.type != "cpu" or numba_obstacle():
         return None
     from nerf_core.kernels.numba_rays import rays

@@ -78,7 +78,7 @@ class VoxelKernels(Protocol):
         ...
 
     def seen(self, grid: VoxelGrid) -> Tensor:
-        """(M,) bool, at each cell's lowest vertex: whether a sample in it weighed more than `threshold`, since `see`."""
+        """(M,) bool, at each cell's lowest vertex: whether since `see` a sample in it weighed more than `threshold`."""
         ...
 
     def see(self, grid: VoxelGrid, seen: Tensor) -> None:

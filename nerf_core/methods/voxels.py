@@ -1,7 +1,7 @@
 """A grid of density and spherical-harmonic colour, trained directly, coarse to fine: fast on a plain CPU.
 
-The deck's "RGBα volume" carried to its end. Every vertex of the occupied cells holds a raw density s and, for each colour
-channel, the four coefficients k of spherical harmonics up to degree 1. Between vertices they are interpolated
+The deck's "RGBα volume" carried to its end. Every vertex of the occupied cells holds a raw density s and, for each
+colour channel, the four coefficients k of spherical harmonics up to degree 1. Between vertices they are interpolated
 trilinearly; then σ = softplus(s + bias), c(d) = sigmoid(Σ_b k_b Y_b(d)), and pixels follow from volume rendering (NeRF
 Eq. 3). There is no network: a sample touches 8 rows, and so does its gradient. Close relatives are Plenoxels
 (arXiv:2112.05131) and DVGO (arXiv:2111.11215).
@@ -92,12 +92,10 @@ class Voxels:
             self._refine()
         since = step - self.levels[self.level].begin
         if self._half_way(since):
-            self.kernels.see(
-                self.grid, torch.zeros(len(self.grid.rows), dtype=torch.bool)
-            )  # in a level's first half much is still fog: it shall not count
+            self._look_anew()  # in a level's first half much is still fog: it shall not count
         elif self.level == len(self.levels) - 1 and since and since % c.prune_every == 0:
             self.grid = self.grid.with_cells(self._filled() & self.grid.occupied)
-            self.kernels.see(self.grid, torch.zeros(len(self.grid.rows), dtype=torch.bool))
+            self._look_anew()
         drawn = self.generator.get_state()
         offsets = torch.rand(len(rays), generator=self.generator)
         error = 0.0
@@ -127,12 +125,15 @@ class Voxels:
     def _march(self, offsets: Tensor, smoothness: float = 0.0, threshold: float = 1.0) -> March:
         return March(self.config.step, self.config.bias, self.background, offsets, smoothness, threshold)
 
-    # ---- coarse to fine -----------------------------------------------------------------------------------------------
+    # ---- coarse to fine ---------------------------------------------------------------------------------------------
 
     def _half_way(self, since: int) -> bool:
         last = self.level == len(self.levels) - 1
         end = self.config.prune_every if last else self.levels[self.level + 1].begin - self.levels[self.level].begin
         return since == end // 2
+
+    def _look_anew(self) -> None:
+        self.kernels.see(self.grid, torch.zeros(len(self.grid.rows), dtype=torch.bool, device=self.device))
 
     def _filled(self) -> Tensor:
         """Cells that were part of some pixel since last asked, and their neighbours."""
@@ -167,7 +168,7 @@ class Voxels:
         grid.rows[:, DENSITY] = sigma + torch.log(-torch.expm1(-sigma)) - self.config.bias  # softplus, inverted
         self.grid, self.moments, self.updates = grid, torch.zeros_like(grid.rows), 0
 
-    # ---- rendering ----------------------------------------------------------------------------------------------------
+    # ---- rendering --------------------------------------------------------------------------------------------------
 
     def render(self, rays: Rays, quality: str = "fine") -> Rendering:
         return Rendering.cat([self._tile(rays[i : i + TILE]) for i in range(0, len(rays), TILE)])
@@ -210,7 +211,7 @@ class Voxels:
         basis = torch.stack([torch.full_like(d[:, 0], SH[0]), SH[1] * d[:, 1], SH[1] * d[:, 2], SH[1] * d[:, 0]], -1)
         return torch.sigmoid(basis @ row[:DENSITY].view(3, 4).T)
 
-    # ---- state --------------------------------------------------------------------------------------------------------
+    # ---- state ------------------------------------------------------------------------------------------------------
 
     def frozen(self) -> Voxels:
         """The same picture, whatever training does meanwhile."""
@@ -277,9 +278,7 @@ def finest_cells(scene: Scene, space: Space, c: VoxelConfig) -> np.ndarray:
 def planned(scene: Scene, space: Space, c: VoxelConfig, finest: np.ndarray) -> list[Level]:
     """From `start` cells to the finest in steps of `growth`, the last one as large as it must be."""
     coarsest = (space.high - space.low).max() / c.start / finest.min()
-    count = max(
-        0, math.ceil(math.log(max(coarsest, 1)) / math.log(c.growth) - math.log(SHORTEST_LEVEL) / math.log(c.growth))
-    )
+    count = max(0, math.ceil(math.log(max(coarsest, 1) / SHORTEST_LEVEL) / math.log(c.growth)))
     levels, begin, steps = [], 0, float(c.level_steps)
     for i in range(count + 1):
         scale = max(coarsest, 1.0) ** (1 - i / count) if count else 1.0

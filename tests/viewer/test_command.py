@@ -20,8 +20,9 @@ from nerf_core.datasets import LoadOptions, load_scene
 from viewer.session import autosave_path
 
 TINY = [
-    "--method", "nerf", "--device", "cpu", "--threads", "1", "--downscale", "8", "--set", "rays=16", "--set", "coarse_samples=8",
-    "--set", "fine_samples=8", "--set", "depth=2", "--set", "width=16", "--size", "640x400",
+    "--method", "nerf", "--device", "cpu", "--threads", "1", "--downscale", "8", "--set", "rays=16",
+    "--set", "coarse_samples=8", "--set", "fine_samples=8", "--set", "depth=2", "--set", "width=16",
+    "--size", "640x400",
 ]  # fmt: skip
 
 

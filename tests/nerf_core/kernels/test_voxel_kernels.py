@@ -18,10 +18,8 @@ from nerf_core.spaces import BoxRays
 WHITE = torch.ones(3)
 
 
-def some_grid(
-    contracted: bool, seed: int = 0, size: tuple[int, int, int] = (11, 8, 13), dense: float = 0.3
-) -> VoxelGrid:
-    g = torch.Generator().manual_seed(seed)
+def some_grid(contracted: bool, size: tuple[int, int, int] = (11, 8, 13), dense: float = 0.3) -> VoxelGrid:
+    g = torch.Generator().manual_seed(0)
     occupied = torch.rand(size, generator=g) < dense
     half = 2.0 if contracted else 1.0
     grid = VoxelGrid.over(np.full(3, -half), 2 * half / np.array(size), occupied, contracted)
