@@ -15,6 +15,7 @@ MOVING_SECONDS = (
     0.05  # the first pixels of a moving camera may cost so much: three frames, well under the eye's patience
 )
 RESTING_SECONDS = 0.3  # and of one that has come to rest
+WHOLE_SECONDS = 0.04  # a level that takes no longer is drawn in one go: copying the weights would take as long
 GUESSED_RATE = 4000.0  # rays a second, until a tile has been timed
 PROBE_SECONDS = 0.4  # an opened ray is opened anew at least twice a second while training goes on
 
@@ -32,6 +33,7 @@ class Artist:
         self._picture: Refinement | None = None
         self._model: Method | None = None  # what draws the level under way, and
         self._model_step = 0
+        self._whole = False  # the level under way is to be done before the next step
         self._copy: Method | None = None
         self._copy_step = -1
         self._ready: Preview | None = None  # the newest picture that may be shown, and
@@ -64,9 +66,14 @@ class Artist:
         return self._rates.get(quality, 0.0)
 
     def urgent(self, view: ViewRequest | None) -> bool:
-        """Whether `view` has nothing to show yet: such pixels come before training."""
+        """Whether `view` has nothing to show yet, or a level that is drawn whole is half done: these come before
+        training."""
         picture = self._picture
-        return view is not None and (picture is None or picture.stamp != view.stamp or not picture.first_level_done)
+        if view is None:
+            return False
+        if picture is None or picture.stamp != view.stamp or not picture.first_level_done:
+            return True
+        return self._whole and not picture.begins and not picture.level_done
 
     def draw(self, trainer: Trainer, view: ViewRequest | None, training: bool) -> bool:
         """One piece; whether there was any to do. training: whether more steps are on their way."""
@@ -81,8 +88,10 @@ class Artist:
             return False
         if picture.begins or self._model is None:
             self._model_step = trainer.step_count
-            # A new view's first level is done before the next step; later ones take many.
-            self._model = self._frozen(trainer) if picture.first_level_done else trainer.method
+            # A new view's first level is done before the next step, and so is any that is soon done.
+            seconds = picture.cells_left / self._rates.get(picture.quality, GUESSED_RATE)
+            self._whole = not picture.first_level_done or seconds < WHOLE_SECONDS
+            self._model = trainer.method if self._whole else self._frozen(trainer)
         cells = picture.take(self._model.tile)
         rays = camera_rays(picture.camera, trainer.scene.near, trainer.scene.far, picture.pixels(cells))
         begin = time.perf_counter()

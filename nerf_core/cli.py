@@ -21,13 +21,14 @@ from nerf_core.device import describe, pick_device
 from nerf_core.errors import UserError, shorten
 from nerf_core.evaluate import evaluate, select
 from nerf_core.export import FilmJob
+from nerf_core.kernels import choice as kernels
 from nerf_core.messages import ExportPath
 from nerf_core.metrics import Lpips
 from nerf_core.options import TrainOptions, run_name
 from nerf_core.paths import PATHS
 from nerf_core.runs import RunFolder, must_agree
 from nerf_core.signals import Interrupted, Signals
-from nerf_core.trainer import Diverged, Trainer, method_name
+from nerf_core.trainer import Diverged, Trainer, choose_method
 from nerf_core.training import Progress, train_run
 
 DATA_HELP = "Folder of the capture (or its .json file); none: the demo scene."
@@ -52,7 +53,7 @@ class Train:
         settings = self.training.settings()
         if not self.save_every > 0:
             raise UserError(f"--save-every {self.save_every}: give a number above 0")
-        method = method_name(settings.method, pick_device(settings.device))
+        method, _ = choose_method(settings.method, pick_device(settings.device))
         run = RunFolder(self.out or Path("runs") / run_name(self.data, method))
         if self.resume:
             must_agree(settings, run)
@@ -68,6 +69,7 @@ class Train:
                     scene = load_scene(self.data, settings.load, progress)
                 _tell(scene.notes)
                 trainer = Trainer(scene, settings)
+                _tell([note for note in (kernels.note(trainer.device),) if note])
                 run.begin(self.data, settings, trainer)
             return self._train(run, trainer, signals, time.monotonic() - began)
 
@@ -79,7 +81,8 @@ class Train:
         signals.be_polite()
         views = len(trainer.scene.split("train"))
         print(
-            f"training {trainer.method_name} on {trainer.scene.name} ({views} photos), {describe(trainer.device)}",
+            f"training {trainer.method_name}{f' ({trainer.reason})' if trainer.reason else ''} on {trainer.scene.name} "
+            f"({views} photos), {describe(trainer.device)}",
             flush=True,
         )
         with Display("training") as display:

@@ -59,6 +59,14 @@ class Reset:
 
 
 @dataclass(frozen=True)
+class UseMethod:
+    """Begin anew on the open scene with another method (a name of METHODS, or auto) and its own constants."""
+
+    name: str
+    train: bool = False
+
+
+@dataclass(frozen=True)
 class SetShare:
     """How much of the worker's time training keeps while a preview is being drawn, 0.05 … 0.95."""
 
@@ -121,8 +129,8 @@ class Quit:
 
 
 Command = (
-    OpenScene | Train | Pause | Reset | SetShare | SaveCheckpoint | LoadCheckpoint | Inspect | StopInspecting
-    | ExportPath | ExportStill | CancelExport | Quit
+    OpenScene | Train | Pause | Reset | UseMethod | SetShare | SaveCheckpoint | LoadCheckpoint | Inspect
+    | StopInspecting | ExportPath | ExportStill | CancelExport | Quit
 )  # fmt: skip
 
 # ---- from the worker -----------------------------------------------------------------------------------------
@@ -195,6 +203,7 @@ class Snapshot:
     loaded: int = 0
     scene: Scene | None = None
     method: str = ""
+    method_reason: str = ""  # why this one
     device: str = ""
     step: int = 0
     saved_step: int = 0  # of the newest checkpoint that was written or loaded

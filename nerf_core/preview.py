@@ -75,6 +75,10 @@ class Refinement:
     def level_done(self) -> bool:
         return self._next >= len(self._queue)
 
+    @property
+    def cells_left(self) -> int:
+        return len(self._queue) - self._next
+
     def coherent(self) -> bool:
         """Whether all its pixels show the same weights."""
         return int(self._step.min()) == int(self._step.max())

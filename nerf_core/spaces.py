@@ -15,7 +15,8 @@ from torch import Tensor
 
 from nerf_core.cameras import Ndc, camera_rays
 from nerf_core.scene import Scene
-from nerf_core.types import Rays
+from nerf_core.types import Rays, Rendering
+from nerf_core.volume import EMPTY
 
 MOST_NDC = 4.0  # a ray that is all but parallel to the image plane would stretch the box without end
 HORIZON = 1e6  # in units of the inner cube: farther than any cell of a grid can tell from infinity
@@ -71,12 +72,28 @@ class Space:
         """t (R, S) of `rays()` → world distance (R, S)."""
         return t if self.ndc is None else self.ndc.world_t(rays.origins, rays.directions, t)
 
+    def rendering(self, rays: Rays, pixel: Tensor) -> Rendering:
+        """Pixels (R, 5), colour, opacity and Σ w t as kernels give them, with their depth in the world."""
+        opacity = pixel[:, 3]
+        nothing = opacity < EMPTY
+        depth = self.world_t(rays, (pixel[:, 4] / torch.where(nothing, 1.0, opacity))[:, None])[:, 0]
+        return Rendering(pixel[:, :3], opacity, torch.where(nothing, torch.nan, depth))
+
     def points(self, world: Tensor) -> Tensor:
         """World points (P, 3) → box coordinates (P, 3), contracted where space is."""
         if self.ndc is not None:
             return self.ndc.point(world)
         x = (world - torch.tensor(self.center, dtype=world.dtype, device=world.device)) / self.extent
         return contract(x) if self.kind == "contracted" else x
+
+
+def pixel_size(scene: Scene, space: Space) -> float:
+    """Side of a training photo's pixel at what the cameras look at, in box coordinates; their median."""
+    cameras = [scene.views[i].camera for i in scene.split("train")]
+    if space.kind == "ndc":
+        return 2 / max(c.width for c in cameras)
+    distances = [np.linalg.norm(c.c2w[:, 3] - scene.center) / c.fx for c in cameras]
+    return float(np.median(distances)) / space.extent
 
 
 def _seen(scene: Scene, ndc: Ndc) -> tuple[np.ndarray, np.ndarray]:

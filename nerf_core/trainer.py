@@ -51,7 +51,7 @@ class Trainer:
 
     def __init__(self, scene: Scene, settings: RunSettings) -> None:
         self.device = pick_device(settings.device)
-        name = method_name(settings.method, self.device)
+        name, self.reason = choose_method(settings.method, self.device)
         config = METHODS.get(name).configure(scene, settings.preset, settings.changes, self.device)
         self._build(scene, name, config, settings.steps, settings.seed, settings.threads or usable_cores())
 
@@ -61,7 +61,7 @@ class Trainer:
     ) -> Trainer:
         """The trainer that `describe()` and `state()` came from. Raises UserError when it cannot be rebuilt here."""
         trainer = cls.__new__(cls)
-        trainer.device = pick_device(device)
+        trainer.device, trainer.reason = pick_device(device), ""
         config = METHODS.get(description["method"]).restore(description["config"])
         # more threads than cores, as a checkpoint of a larger machine asks for, would spin against each other
         threads = min(description["threads"], usable_cores())
@@ -78,7 +78,7 @@ class Trainer:
     def restarted(self) -> Trainer:
         """The same run from its beginning."""
         trainer = Trainer.__new__(Trainer)
-        trainer.device = self.device
+        trainer.device, trainer.reason = self.device, self.reason
         trainer._build(self.scene, self.method_name, self.config, self.steps, self.seed, self.threads)
         return trainer
 
@@ -180,9 +180,13 @@ class Trainer:
             owner.load_state({key.removeprefix(part): v for key, v in state.items() if key.startswith(part)})
 
 
-def method_name(asked: str, device: torch.device) -> str:
-    """The name in METHODS of what an option asks for; "auto" takes what is fast on the device."""
-    return asked if asked != "auto" else "voxels" if device.type == "cpu" else "nerf"
+def choose_method(asked: str, device: torch.device) -> tuple[str, str]:
+    """The name in METHODS of what an option asks for; "auto" takes what is fast on the device, and says why."""
+    if asked != "auto":
+        return asked, ""
+    if device.type == "cpu":
+        return "voxels", "auto: it is the fast one on a CPU"
+    return "hash", "auto: it is the fast one on a GPU"
 
 
 def psnr_of(mse: float) -> float:

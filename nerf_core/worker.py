@@ -24,6 +24,7 @@ from nerf_core.device import describe
 from nerf_core.errors import UserError
 from nerf_core.export import FilmJob, Job, StillJob
 from nerf_core.history import HistoryLog
+from nerf_core.kernels import choice as kernels
 from nerf_core.messages import Command, Notice, Snapshot, ViewRequest
 from nerf_core.recovery import LastGood
 from nerf_core.scene import Scene
@@ -168,6 +169,10 @@ class Worker:
                 self._training_until = None
             case messages.Reset():
                 self._adopt(self._need_trainer().restarted())
+            case messages.UseMethod(name, train):
+                self._use_method(name)
+                if train:
+                    self._start_training(None, None)
             case messages.SetShare(train):
                 self._budget.share = min(max(train, 0.05), 0.95)
             case messages.SaveCheckpoint(path):
@@ -200,14 +205,14 @@ class Worker:
 
         try:
             scene = load_scene(path, settings.load, progress)
-            trainer = Trainer(scene, settings)
+            trainer = self._made(scene, settings)
         finally:
             self._loading = ""
         self._scene, self.settings = scene, settings
         self._loaded += 1
         self._artist = Artist()
         self._adopt(trainer)
-        for note in scene.notes:
+        for note in (*scene.notes, *filter(None, [kernels.note(trainer.device)])):
             self._notices.put(Notice("warning", note))
 
     def _adopt(self, trainer: Trainer) -> None:
@@ -217,6 +222,21 @@ class Worker:
         self._saved_step = 0
         self._history = HistoryLog()
         self._artist.forget_pictures()
+
+    def _use_method(self, name: str) -> None:
+        settings = replace(self.settings, method=name, preset="auto", changes={})
+        trainer = self._made(self._need_scene(), settings)
+        self.settings = settings
+        self._adopt(trainer)
+
+    def _made(self, scene: Scene, settings: RunSettings) -> Trainer:
+        """A new trainer; what makes its step fast may have to be compiled first."""
+        self._loading = "preparing the method (the first time its loops are compiled)"
+        self._publish(force=True)
+        try:
+            return Trainer(scene, settings)
+        finally:
+            self._loading = ""
 
     def _load(self, path: Path) -> None:
         description, state = checkpoint.load(path)
@@ -404,6 +424,7 @@ class Worker:
             common = replace(
                 common,
                 method=trainer.method_name,
+                method_reason=trainer.reason,
                 device=describe(trainer.device),
                 step=trainer.step_count,
                 saved_step=self._saved_step,

@@ -14,61 +14,47 @@ import numpy as np
 import torch
 from torch import Tensor
 
-BRICK = 4  # vertices, and cells of a block, a side
+from nerf_core.cells import Cells, blocks, leaps
+
+BRICK = 4  # vertices a side
 ROWS = BRICK**3
 WIDTH = 16  # floats of a row
 DENSITY = 12  # where a row's raw density lies
-FARTHEST = 12  # blocks: longer leaps than so many save nothing
 CHUNK = 1 << 18  # vertices resampled at once
 
 
 class GridArrays(NamedTuple):
-    """What the kernels read: numpy views of a `VoxelGrid`."""
+    """What the kernels read: numpy views of a `VoxelGrid`; the fields of `CellArrays`, and `table`."""
 
     origin: np.ndarray
     scale: np.ndarray
     size: np.ndarray
-    table: np.ndarray
     leap: np.ndarray
     occupied: np.ndarray
     contracted: bool
+    table: np.ndarray
 
 
 @dataclass(frozen=True)
-class VoxelGrid:
-    """size: cells a side (x, y, z). origin, voxel: (3,) float64, the lower corner and a cell's sides, box coordinates.
+class VoxelGrid(Cells):
+    """table: bricks of vertices (bx, by, bz) int32, −1 where none is stored. rows: (M, 16) float32."""
 
-    occupied: (x, y, z) bool. table: bricks of vertices (bx, by, bz) int32, −1 where none is stored. leap: blocks of
-    cells, uint8, 0 where a block has an occupied cell, else the distance in blocks to the nearest that has.
-    rows: (M, 16) float32.
-    """
-
-    size: tuple[int, int, int]
-    origin: np.ndarray
-    voxel: np.ndarray
-    contracted: bool
-    occupied: Tensor
     table: Tensor
-    leap: Tensor
     rows: Tensor
 
     @staticmethod
     def over(origin: np.ndarray, voxel: np.ndarray, occupied: Tensor, contracted: bool) -> VoxelGrid:
         """A grid of zeros for these cells."""
-        size = occupied.shape
         bricks = bricks_of(occupied)
         table = torch.full(bricks.shape, -1, dtype=torch.int32, device=occupied.device)
         count = int(bricks.sum())
         table[bricks] = torch.arange(count, dtype=torch.int32, device=occupied.device)
         rows = torch.zeros(count * ROWS, WIDTH, device=occupied.device)
-        return VoxelGrid((size[0], size[1], size[2]), origin, voxel, contracted, occupied, table, leaps(occupied), rows)
+        x, y, z = occupied.shape
+        return VoxelGrid((x, y, z), origin, voxel, contracted, occupied, leaps(occupied), table, rows)
 
     def arrays(self) -> GridArrays:
-        return GridArrays(
-            self.origin.astype(np.float32), (1 / self.voxel).astype(np.float32), np.array(self.size, np.int64),
-            self.table.numpy().ravel(), self.leap.numpy().ravel(), self.occupied.view(torch.uint8).numpy().ravel(),
-            self.contracted,
-        )  # fmt: skip
+        return GridArrays(*self.cell_arrays(), self.table.numpy().ravel())
 
     @property
     def bricks(self) -> int:
@@ -90,7 +76,6 @@ class VoxelGrid:
     def vertices(self) -> Tensor:
         """(M, 3) int64: the vertex of each row."""
         brick = (self.table >= 0).nonzero()
-        brick = brick[self.table[self.table >= 0].long().argsort()]
         inside = torch.stack(torch.meshgrid(*[torch.arange(BRICK, device=brick.device)] * 3, indexing="ij"), -1)
         return (BRICK * brick[:, None] + inside.reshape(-1, 3)).reshape(-1, 3)
 
@@ -104,13 +89,6 @@ class VoxelGrid:
         local = v - BRICK * b
         row = brick * ROWS + local[:, 0] * BRICK * BRICK + local[:, 1] * BRICK + local[:, 2]
         return torch.where(inside & (brick >= 0), row, -1)
-
-    def cells_of(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Box coordinates (P, 3) → cell (P, 3) int64 and position within it (P, 3) in [0, 1]; outside: the border's."""
-        origin = torch.from_numpy(self.origin).to(x)
-        at = (x - origin) / torch.from_numpy(self.voxel).to(x)
-        cell = at.floor().long().clamp(min=0).minimum(torch.tensor(self.size, device=x.device) - 1)
-        return cell, (at - cell).clamp(0, 1)
 
     def interpolate(self, cell: Tensor, within: Tensor) -> Tensor:
         """Trilinear rows (P, 16) in cells (P, 3) at `within` (P, 3); vertices that are not stored count as zero."""
@@ -142,7 +120,7 @@ class VoxelGrid:
     def restored(state: Mapping[str, Tensor], contracted: bool) -> VoxelGrid:
         """The grid of `state()`. Raises ValueError where it is not whole: kernels trust table and cells blindly."""
         occupied, bricks, rows = state["occupied"], state["bricks"], state["rows"]
-        origin, voxel = (state[name].numpy().astype(np.float64) for name in ("origin", "voxel"))
+        origin, voxel = (state[name].cpu().numpy().astype(np.float64) for name in ("origin", "voxel"))
         sound = (
             occupied.dtype == bricks.dtype == torch.bool and occupied.ndim == bricks.ndim == 3
             and rows.dtype == torch.float32 and origin.shape == voxel.shape == (3,)
@@ -150,27 +128,17 @@ class VoxelGrid:
         )  # fmt: skip
         if not sound:
             raise ValueError("the voxel grid is not of the kind that is written")
-        grid = VoxelGrid.over(origin, voxel, occupied, contracted)
-        if grid.table.shape != bricks.shape or bool(((grid.table >= 0) & ~bricks).any()):
+        needed = bricks_of(occupied)
+        if needed.shape != bricks.shape or bool((needed & ~bricks).any()):
             raise ValueError("the voxel grid lacks rows for its cells")
-        if rows.shape != (int(bricks.sum()) * ROWS, WIDTH):
+        count = int(bricks.sum())
+        if rows.shape != (count * ROWS, WIDTH):
             raise ValueError("the voxel grid's rows do not fit its bricks")
-        table = torch.full(bricks.shape, -1, dtype=torch.int32)
-        table[bricks] = torch.arange(int(bricks.sum()), dtype=torch.int32)
-        return replace(grid, table=table, rows=torch.empty_like(rows).copy_(rows))
-
-
-def leaps(occupied: Tensor) -> Tensor:
-    """Cells (x, y, z) bool → per block of 4³ cells how many blocks away the nearest occupied one is, uint8."""
-    padded = torch.zeros([BRICK * -(-n // BRICK) for n in occupied.shape], dtype=torch.bool, device=occupied.device)
-    padded[: occupied.shape[0], : occupied.shape[1], : occupied.shape[2]] = occupied
-    reached = _blocks(padded)
-    distance = torch.where(reached, 0, FARTHEST).to(torch.uint8)
-    for d in range(1, FARTHEST):
-        grown = grow(reached)
-        distance[grown & ~reached] = d
-        reached = grown
-    return distance
+        table = torch.full(bricks.shape, -1, dtype=torch.int32, device=rows.device)
+        table[bricks] = torch.arange(count, dtype=torch.int32, device=rows.device)
+        x, y, z = occupied.shape
+        own = torch.empty_like(rows).copy_(rows)  # aligned as kernels need it, and not the caller's
+        return VoxelGrid((x, y, z), origin, voxel, contracted, occupied.clone(), leaps(occupied), table, own)
 
 
 def bricks_of(occupied: Tensor) -> Tensor:
@@ -181,29 +149,4 @@ def bricks_of(occupied: Tensor) -> Tensor:
         for b in (0, 1):
             for c in (0, 1):
                 vertices[a : a + x, b : b + y, c : c + z] |= occupied
-    return _blocks(vertices)
-
-
-def grow(cells: Tensor) -> Tensor:
-    """Cells (x, y, z) bool and their neighbours, those at the edges and corners too."""
-    for axis in range(3):
-        grown = cells.clone()
-        n = cells.shape[axis]
-        grown.narrow(axis, 1, n - 1).logical_or_(cells.narrow(axis, 0, n - 1))
-        grown.narrow(axis, 0, n - 1).logical_or_(cells.narrow(axis, 1, n - 1))
-        cells = grown
-    return cells
-
-
-def cells_between(vertices: Tensor) -> Tensor:
-    """Vertices (x + 1, y + 1, z + 1) bool → cells (x, y, z) with one of them."""
-    for axis in range(3):
-        n = vertices.shape[axis]
-        vertices = vertices.narrow(axis, 1, n - 1) | vertices.narrow(axis, 0, n - 1)
-    return vertices
-
-
-def _blocks(whole: Tensor) -> Tensor:
-    """(4x, 4y, 4z) bool → (x, y, z): whether anything is in the block."""
-    x, y, z = (n // BRICK for n in whole.shape)
-    return whole.view(x, BRICK, y, BRICK, z, BRICK).any(5).any(3).any(1)
+    return blocks(vertices)

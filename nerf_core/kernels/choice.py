@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 
 from nerf_core.kernels.numba_here import numba_obstacle
+from nerf_core.kernels.packed_kernels import PackedKernels
 from nerf_core.kernels.voxel_kernels import VoxelKernels
 
 
@@ -17,6 +18,18 @@ def voxel_kernels(device: torch.device) -> VoxelKernels:
     from nerf_core.kernels.torch_voxels import TorchVoxels
 
     return TorchVoxels()
+
+
+def packed_kernels(device: torch.device) -> PackedKernels:
+    """The same, for packed samples and the hash grid."""
+    if device.type == "cpu" and not numba_obstacle():
+        from nerf_core.kernels.cpu_packed import CpuPacked, compile_loops
+
+        compile_loops()
+        return CpuPacked(torch.get_num_threads())
+    from nerf_core.kernels.torch_packed import TorchPacked
+
+    return TorchPacked()
 
 
 def note(device: torch.device) -> str:

@@ -6,6 +6,7 @@ the same weights, bit for bit.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -13,21 +14,15 @@ import torch
 from torch import Tensor
 
 from nerf_core.fields.voxel_grid import ROWS, WIDTH, VoxelGrid
+from nerf_core.kernels import numba_march as note
 from nerf_core.kernels import numba_voxels as loops
+from nerf_core.kernels.cpu_rays import ray_arrays
+from nerf_core.kernels.rays import fast_rays, photo_colors
 from nerf_core.kernels.shards import each_shard, split
 from nerf_core.kernels.voxel_kernels import Adam, March, Traced
 from nerf_core.spaces import BoxRays
 
 PIECE = 2048  # rays a shard works on before it looks whether all is done: shards that are fast take more of a picture
-
-
-class _Rays(NamedTuple):
-    origins: np.ndarray
-    directions: np.ndarray
-    views: np.ndarray
-    near: np.ndarray
-    far: np.ndarray
-    offsets: np.ndarray
 
 
 class _Scratch(NamedTuple):
@@ -43,6 +38,10 @@ class CpuVoxels:
     name = "numba"
 
     def __init__(self, shards: int) -> None:
+        _compile()
+        self._begin(shards)
+
+    def _begin(self, shards: int) -> None:
         self.shards = shards
         self._grid: VoxelGrid | None = None  # what the buffers below fit
         self._gradient = np.zeros((shards, 0), np.float32)
@@ -50,53 +49,53 @@ class CpuVoxels:
         self._visible = self._touched
         self._scratch: list[_Scratch] = []
 
-    def render(self, grid: VoxelGrid, rays: BoxRays, march: March) -> Tensor:
-        arrays, given, scratch = grid.arrays(), _arrays(rays, march), self._buffers(grid, march)
+    def render(self, grid: VoxelGrid, rays: BoxRays, how: March) -> Tensor:
+        arrays, given, scratch = grid.arrays(), ray_arrays(rays, how.offsets), self._buffers(grid, how)
         pixel = torch.empty(len(rays), 5)
-        out, rows, background = pixel.numpy(), grid.rows.numpy().ravel(), march.background.numpy()
+        out, rows, background = pixel.numpy(), grid.rows.numpy().ravel(), how.background.numpy()
 
         def work(s: int) -> None:
             first, last = split(len(rays), self.shards, s)
             loops.render(
-                arrays, given, first, last, np.float32(march.step), np.float32(march.bias), rows, background,
+                arrays, given, first, last, np.float32(how.step), np.float32(how.bias), rows, background,
                 scratch[s], out,
             )  # fmt: skip
 
         each_shard(self.shards, work)
         return pixel
 
-    def trace(self, grid: VoxelGrid, rays: BoxRays, march: March) -> list[Traced]:
-        arrays, given, scratch = grid.arrays(), _arrays(rays, march), self._buffers(grid, march)[0]
+    def trace(self, grid: VoxelGrid, rays: BoxRays, how: March) -> list[Traced]:
+        arrays, given, scratch = grid.arrays(), ray_arrays(rays, how.offsets), self._buffers(grid, how)[0]
         pixel = np.empty((len(rays), 5), np.float32)
         found = []
         for r in range(len(rays)):
             n = loops.trace(
-                arrays, given, r, np.float32(march.step), np.float32(march.bias), grid.rows.numpy().ravel(),
-                march.background.numpy(), scratch, pixel,
+                arrays, given, r, np.float32(how.step), np.float32(how.bias), grid.rows.numpy().ravel(),
+                how.background.numpy(), scratch, pixel,
             )  # fmt: skip
-            notes = torch.from_numpy(scratch.notes[: n * loops.NOTES].reshape(n, loops.NOTES).copy())
+            notes = torch.from_numpy(scratch.notes[: n * note.NOTES].reshape(n, note.NOTES).copy())
             found.append(
                 Traced(
-                    t=notes[:, loops.DISTANCE], width=notes[:, loops.WIDTH], raw=notes[:, loops.RAW],
-                    alpha=notes[:, loops.ALPHA], light=notes[:, loops.LIGHT], rgb=notes[:, loops.RED : loops.RED + 3],
+                    t=notes[:, note.DISTANCE], width=notes[:, note.WIDTH], raw=notes[:, note.RAW],
+                    alpha=notes[:, note.ALPHA], light=notes[:, note.LIGHT], rgb=notes[:, note.RED : note.RED + 3],
                     pixel=torch.from_numpy(pixel[r].copy()),
                 )
             )  # fmt: skip
         return found
 
-    def accumulate(self, grid: VoxelGrid, rays: BoxRays, truth: Tensor, march: March) -> tuple[float, int]:
-        arrays, given, scratch = grid.arrays(), _arrays(rays, march), self._buffers(grid, march)
+    def accumulate(self, grid: VoxelGrid, rays: BoxRays, truth: Tensor, how: March) -> tuple[float, int]:
+        arrays, given, scratch = grid.arrays(), ray_arrays(rays, how.offsets), self._buffers(grid, how)
         self._fit(grid)
-        rows, background, colors = grid.rows.numpy().ravel(), march.background.numpy(), truth.numpy()
+        rows, background, colors = grid.rows.numpy().ravel(), how.background.numpy(), truth.numpy()
         pixel = np.empty((len(rays), 5), np.float32)
         sums = [(0.0, 0)] * self.shards
 
         def work(s: int) -> None:
             first, last = split(len(rays), self.shards, s)
             sums[s] = loops.gradients(
-                arrays, given, colors, first, last, np.float32(march.step), np.float32(march.bias), rows, background,
-                scratch[s], pixel, self._gradient[s], self._touched[s], self._visible[s], np.float32(march.threshold),
-                np.float32(march.smoothness),
+                arrays, given, colors, first, last, np.float32(how.step), np.float32(how.bias), rows, background,
+                scratch[s], pixel, self._gradient[s], self._touched[s], self._visible[s], np.float32(how.threshold),
+                np.float32(how.smoothness),
             )  # fmt: skip
 
         each_shard(self.shards, work)
@@ -137,25 +136,35 @@ class CpuVoxels:
             self._visible = np.zeros((self.shards, grid.bricks), np.uint64)
         self._grid = grid
 
-    def _buffers(self, grid: VoxelGrid, march: March) -> list[_Scratch]:
+    def _buffers(self, grid: VoxelGrid, how: March) -> list[_Scratch]:
         # a ray crosses at most as many cells as the box has along its three sides together; a bent one may take
         # a little longer
-        capacity = int(1.5 * sum(grid.size) / march.step) + 8
+        capacity = int(1.5 * sum(grid.size) / how.step) + 8
         if not self._scratch or len(self._scratch[0].corners) < 8 * capacity:
             self._scratch = [
                 _Scratch(
                     torch.empty(8 * capacity, dtype=torch.int64).numpy(), torch.empty(8 * capacity).numpy(),
-                    torch.zeros(64).numpy(), torch.empty(loops.NOTES * capacity).numpy(),
+                    torch.zeros(64).numpy(), torch.empty(note.NOTES * capacity).numpy(),
                 )
                 for _ in range(self.shards)
             ]  # fmt: skip
         return self._scratch
 
 
-def _arrays(rays: BoxRays, march: March) -> _Rays:
-    return _Rays(
-        *(
-            v.contiguous().numpy()
-            for v in (rays.origins, rays.directions, rays.views, rays.near, rays.far, march.offsets)
-        )
-    )
+@cache
+def _compile() -> None:
+    """Have every loop compiled, or read from numba's cache, before anything waits for it."""
+    grid = VoxelGrid.over(np.zeros(3), np.ones(3), torch.ones(2, 2, 2, dtype=torch.bool), contracted=False)
+    one = torch.ones(1, 3) / 3**0.5
+    rays = BoxRays(-one, one, one, torch.zeros(1), torch.full((1,), 9.0))
+    march = March(1.0, 0.0, torch.ones(3), torch.zeros(1), smoothness=1.0)
+    kernels = object.__new__(CpuVoxels)
+    kernels._begin(1)
+    kernels.render(grid, rays, march)
+    kernels.trace(grid, rays, march)
+    kernels.accumulate(grid, rays, torch.zeros(1, 3), march)
+    kernels.update(grid, torch.zeros_like(grid.rows), Adam(0.1, 0.1, 0.9, 0.9, 1.0, 1.0, 1e-4))
+    index, pair = torch.zeros(1, dtype=torch.long), torch.ones(1, 2, dtype=torch.float64)
+    lens, c2w = torch.zeros(1, 5, dtype=torch.float64), torch.eye(4, dtype=torch.float64)[None, :3]
+    fast_rays(index, pair, pair, pair, lens, c2w, 1.0, 2.0)
+    photo_colors(index, torch.zeros(1, 2, dtype=torch.long), index + 1, index, np.zeros((1, 3), np.uint16))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import tempfile
 from functools import lru_cache
@@ -21,14 +22,22 @@ def numba_obstacle() -> str:
 
 
 def _cache_folder() -> Path:
-    """The user's own; where that cannot be written, a temporary one."""
+    """The user's own; where that cannot be written, a temporary one.
+
+    Its name tells the loops' sources: numba compiles a function anew when its own file has changed, but not when
+    another one has whose functions it inlines.
+    """
+    digest = hashlib.sha256()
+    for file in sorted(Path(__file__).parent.glob("numba_*.py")):
+        digest.update(file.read_bytes())
+    name = f"numba-{digest.hexdigest()[:12]}"
     try:
         import platformdirs
 
-        folder = platformdirs.user_cache_path("nerf-viewer") / "numba"
+        folder = platformdirs.user_cache_path("nerf-viewer") / name
         folder.mkdir(parents=True, exist_ok=True)
         if os.access(folder, os.W_OK):
             return folder
     except (ImportError, OSError):
         pass
-    return Path(tempfile.gettempdir()) / f"nerf-viewer-numba-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
+    return Path(tempfile.gettempdir()) / f"nerf-viewer-{os.getuid() if hasattr(os, 'getuid') else 'user'}-{name}"

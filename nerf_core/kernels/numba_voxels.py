@@ -10,47 +10,28 @@ from typing import Any
 
 import numpy as np
 
+from nerf_core.kernels.numba_march import (
+    ALPHA,
+    BLUE,
+    CELL_X,
+    CELL_Y,
+    CELL_Z,
+    DISTANCE,
+    GREEN,
+    LIGHT,
+    NOTES,
+    RAW,
+    RED,
+    X,
+    Y,
+    Z,
+    march,
+)  # fmt: skip
 from nerf_core.kernels.numba_vectors import exp, gather, jit, prefetch, scatter, smooth
 
 F = np.float32
 STOP = F(1e-3)  # transmittance at which nothing behind can still change an 8-bit pixel by one step
-NEVER = F(1e30)
-STRAIGHT = F(0.25)  # of its distance from the centre: so far a contracted ray counts as straight when it leaps
-# What a ray keeps of each sample between its passes, in one row of `notes`: α, T, colour, raw σ, t, Δt.
-ALPHA, LIGHT, RED, GREEN, BLUE, RAW, DISTANCE, WIDTH, NOTES = 0, 1, 2, 3, 4, 5, 6, 7, 8
 SH0, SH1 = F(0.28209479), F(0.48860251)  # 1/√4π, √(3/4π)
-
-
-@jit
-def _gap(x: Any, v: Any, low: Any, high: Any) -> Any:
-    """After how much t a point at x with velocity v leaves [low, high]; never, where it moves along it."""
-    return NEVER if v == 0 else max((low - x) / v, (high - x) / v)
-
-
-@jit
-def _clipped(x: Any, v: Any, side: Any, first: Any, last: Any) -> Any:
-    """[first, last] of t cut to where x + t v lies in [0, side]; empty where it never does."""
-    if v == 0:
-        return (first, last) if 0 <= x <= side else (first, F(-1))
-    a, b = -x / v, (side - x) / v
-    return max(first, min(a, b)), min(last, max(a, b))
-
-
-@jit
-def _bent(wx: Any, wy: Any, wz: Any, dx: Any, dy: Any, dz: Any) -> Any:
-    """Under contraction x → f x with f = (2 − s) s, s = 1/‖x‖∞, its velocity is f d + f′ x: returns f, f′ and ‖x‖∞."""
-    ax, ay, az = abs(wx), abs(wy), abs(wz)
-    norm = max(ax, ay, az)
-    if norm <= 1:
-        return F(1), F(0), norm
-    if ax == norm:
-        slope = dx if wx > 0 else -dx
-    elif ay == norm:
-        slope = dy if wy > 0 else -dy
-    else:
-        slope = dz if wz > 0 else -dz
-    s = F(1) / norm
-    return (F(2) - s) * s, (F(2) * s - F(2)) * s * s * slope, norm
 
 
 @jit
@@ -90,63 +71,15 @@ def _weigh(fx: Any, fy: Any, fz: Any, weights: Any, at: Any) -> None:
 
 
 @jit
-def _march(grid: Any, rays: Any, r: Any, step: Any, rows: Any, corners: Any, weights: Any, notes: Any) -> Any:  # noqa: PLR0915  one loop, with everything that it needs in registers
-    """Samples of ray r in occupied cells, front to back: their corners, weights, t and Δt; returns how many."""
-    nx, ny, nz = grid.size[0], grid.size[1], grid.size[2]
-    bricks_y, bricks_z = (ny >> 2) + 1, (nz >> 2) + 1
-    blocks_y, blocks_z = (ny + 3) >> 2, (nz + 3) >> 2
-    sx, sy, sz = grid.scale[0], grid.scale[1], grid.scale[2]
-    bx, by, bz = grid.origin[0], grid.origin[1], grid.origin[2]
-    ox, oy, oz = rays.origins[r, 0], rays.origins[r, 1], rays.origins[r, 2]
-    dx, dy, dz = rays.directions[r, 0], rays.directions[r, 1], rays.directions[r, 2]
-    # position and velocity in cells, where space is not contracted
-    gx, gy, gz = (ox - bx) * sx, (oy - by) * sy, (oz - bz) * sz
-    vx, vy, vz = dx * sx, dy * sy, dz * sz
-    ux, uy, uz = vx, vy, vz
-    t, last, norm = rays.near[r], rays.far[r], F(0)
-    if not grid.contracted:
-        t, last = _clipped(gx, vx, nx, t, last)
-        t, last = _clipped(gy, vy, ny, t, last)
-        t, last = _clipped(gz, vz, nz, t, last)
-    straight = step / math.sqrt(vx * vx + vy * vy + vz * vz)
-    dt = straight
-    t += rays.offsets[r] * dt
-    capacity = notes.shape[0] // NOTES
-    n = 0
-    while t < last and n < capacity:
-        px, py, pz = gx + t * vx, gy + t * vy, gz + t * vz
-        if grid.contracted:
-            wx, wy, wz = ox + t * dx, oy + t * dy, oz + t * dz
-            f, slope, norm = _bent(wx, wy, wz, dx, dy, dz)
-            ux, uy, uz, dt = vx, vy, vz, straight
-            if norm > 1:
-                px, py, pz = (wx * f - bx) * sx, (wy * f - by) * sy, (wz * f - bz) * sz
-                ux, uy, uz = (dx * f + wx * slope) * sx, (dy * f + wy * slope) * sy, (dz * f + wz * slope) * sz
-                dt = step / math.sqrt(ux * ux + uy * uy + uz * uz)
-        i, j, k = int(px), int(py), int(pz)
-        if i < 0 or j < 0 or k < 0 or i >= nx or j >= ny or k >= nz:  # by rounding, on the border
-            t += dt
-            continue
-        leap = grid.leap[np.uint64(((i >> 2) * blocks_y + (j >> 2)) * blocks_z + (k >> 2))]
-        if leap > 0:  # nothing within leap − 1 blocks of this one: to the far side of that cube
-            reach = 4 * (leap - 1)
-            x, y, z, side = (i & ~3) - reach, (j & ~3) - reach, (k & ~3) - reach, 4 + 2 * reach
-            gap = min(_gap(px, ux, x, x + side), _gap(py, uy, y, y + side), _gap(pz, uz, z, z + side))
-            if norm > 1:
-                gap = min(gap, STRAIGHT * norm)
-            t += max(math.floor(gap / dt) + F(1), F(1)) * dt
-        elif grid.occupied[np.uint64((i * ny + j) * nz + k)] == 0:
-            t += dt
-        else:
-            at = n * 8
-            _corners(i, j, k, bricks_y, bricks_z, grid.table, corners, at)
-            prefetch(rows, corners, at)
-            _weigh(px - F(i), py - F(j), pz - F(k), weights, at)
-            notes[at + DISTANCE] = t
-            notes[at + WIDTH] = dt
-            n += 1
-            t += dt
-    return n
+def _place(grid: Any, n: Any, rows: Any, corners: Any, weights: Any, notes: Any) -> None:
+    """Corners and weights of n samples; asks the memory for their rows."""
+    bricks_y, bricks_z = (grid.size[1] >> 2) + 1, (grid.size[2] >> 2) + 1
+    for s in range(n):
+        at = s * NOTES
+        i, j, k = int(notes[at + CELL_X]), int(notes[at + CELL_Y]), int(notes[at + CELL_Z])
+        _corners(i, j, k, bricks_y, bricks_z, grid.table, corners, at)
+        prefetch(rows, corners, at)
+        _weigh(notes[at + X], notes[at + Y], notes[at + Z], weights, at)
 
 
 @jit
@@ -210,7 +143,8 @@ def render(
     """pixel[r] = (colour, opacity, Σwt) for first ≤ r < last."""
     basis = scratch.values[48:52]
     for r in range(first, last):
-        n = _march(grid, rays, r, step, rows, scratch.corners, scratch.weights, scratch.notes)
+        n = march(grid, rays, r, step, scratch.notes)
+        _place(grid, n, rows, scratch.corners, scratch.weights, scratch.notes)
         _basis(rays.views, r, basis)
         _composite(
             n, basis, step, bias, rows, scratch.corners, scratch.weights, scratch.values, scratch.notes, rows, False,
@@ -224,7 +158,8 @@ def trace(
 ) -> Any:
     """`render` of ray r alone; its samples stay in scratch.notes. Returns how many."""
     basis = scratch.values[48:52]
-    n = _march(grid, rays, r, step, rows, scratch.corners, scratch.weights, scratch.notes)
+    n = march(grid, rays, r, step, scratch.notes)
+    _place(grid, n, rows, scratch.corners, scratch.weights, scratch.notes)
     _basis(rays.views, r, basis)
     return _composite(
         n, basis, step, bias, rows, scratch.corners, scratch.weights, scratch.values, scratch.notes, rows, False,
@@ -248,7 +183,8 @@ def gradients(
     error = 0.0
     samples = 0
     for r in range(first, last):
-        n = _march(grid, rays, r, step, rows, corners, weights, notes)
+        n = march(grid, rays, r, step, notes)
+        _place(grid, n, rows, corners, weights, notes)
         _basis(rays.views, r, basis)
         n = _composite(
             n, basis, step, bias, rows, corners, weights, values, notes, gradient, True, pixel, r, background

@@ -61,13 +61,13 @@ class VoxelKernels(Protocol):
 
     name: str
 
-    def render(self, grid: VoxelGrid, rays: BoxRays, march: March) -> Tensor:
+    def render(self, grid: VoxelGrid, rays: BoxRays, how: March) -> Tensor:
         """(R, 5): colour over the background, opacity, Σ w t."""
         ...
 
-    def trace(self, grid: VoxelGrid, rays: BoxRays, march: March) -> list[Traced]: ...
+    def trace(self, grid: VoxelGrid, rays: BoxRays, how: March) -> list[Traced]: ...
 
-    def accumulate(self, grid: VoxelGrid, rays: BoxRays, truth: Tensor, march: March) -> tuple[float, int]:
+    def accumulate(self, grid: VoxelGrid, rays: BoxRays, truth: Tensor, how: March) -> tuple[float, int]:
         """Add the gradient of ½ Σ squared error (and of smoothness); returns Σ squared error and the samples used."""
         ...
 

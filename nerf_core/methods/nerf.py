@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import replace
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
@@ -16,6 +16,7 @@ from nerf_core.batches import Draw
 from nerf_core.fields.mlp import MlpField
 from nerf_core.methods import METHODS
 from nerf_core.nerf_config import NerfConfig
+from nerf_core.optimizers import adam_state, load_adam
 from nerf_core.sampling import inverse_transform, spaced, stratified
 from nerf_core.scene import Scene
 from nerf_core.types import Rays, Rendering, Samples, Trace
@@ -287,8 +288,7 @@ class Nerf:
 
     def state(self) -> dict[str, Tensor]:
         state = {f"{name}.{k}": v for name, net in self.networks.items() for k, v in net.state_dict().items()}
-        for i, slots in self.optimizer.state_dict()["state"].items():
-            state |= {f"adam.{i}.{k}": v for k, v in slots.items()}
+        state |= adam_state(self.optimizer)
         state["generator"] = self.generator.get_state()
         state |= {f"alive.{name}": torch.tensor(share, dtype=torch.float64) for name, share in self._alive.items()}
         return state
@@ -297,19 +297,7 @@ class Nerf:
         for name, net in self.networks.items():
             net.load_state_dict({k: state[f"{name}.{k}"] for k in net.state_dict()})
             self._alive[name] = float(state[f"alive.{name}"])
-        slots: dict[int, dict[str, Any]] = {}
-        for key, value in state.items():
-            if key.startswith("adam."):
-                _, i, slot = key.split(".")
-                slots.setdefault(int(i), {})[slot] = value.clone()  # Adam keeps what it is given and writes into it
-        # Before the first step there are none. The fused kernel trusts them: past the end of one that is too small it
-        # would write all the same.
-        for i, parameter in enumerate(self.parameters() if slots else ()):
-            shapes = {name: (value.shape, value.dtype) for name, value in slots.get(i, {}).items()}
-            moment = (parameter.shape, parameter.dtype)
-            if shapes != {"step": (torch.Size(), torch.float32), "exp_avg": moment, "exp_avg_sq": moment}:
-                raise ValueError(f"the optimiser's state of parameter {i} does not fit")
-        self.optimizer.load_state_dict({**self.optimizer.state_dict(), "state": slots})
+        load_adam(self.optimizer, self.parameters(), state)
         generator = state["generator"].cpu()
         if len(generator) == len(self.generator.get_state()):  # else of another kind of device: draws begin at the seed
             self.generator.set_state(generator)

@@ -23,14 +23,14 @@ from torch import Tensor
 from torch.nn import functional
 
 from nerf_core.batches import Draw
-from nerf_core.fields.voxel_grid import DENSITY, ROWS, VoxelGrid, bricks_of, grow
+from nerf_core.cells import grow
+from nerf_core.fields.voxel_grid import DENSITY, ROWS, VoxelGrid, bricks_of
 from nerf_core.kernels.choice import voxel_kernels
 from nerf_core.kernels.voxel_kernels import Adam, March, Traced
 from nerf_core.methods import METHODS
 from nerf_core.scene import Scene
-from nerf_core.spaces import Space
+from nerf_core.spaces import Space, pixel_size
 from nerf_core.types import Rays, Rendering, Samples, Trace
-from nerf_core.volume import EMPTY
 from nerf_core.voxel_config import VoxelConfig
 
 PIECE = 4096  # rays between two pumps: some 5 ms on two cores
@@ -175,14 +175,7 @@ class Voxels:
 
     def _tile(self, rays: Rays) -> Rendering:
         march = self._march(torch.full((len(rays),), 0.5))
-        return self._rendering(rays, self.kernels.render(self.grid, self.space.rays(rays), march))
-
-    def _rendering(self, rays: Rays, pixel: Tensor) -> Rendering:
-        opacity = pixel[:, 3]
-        nothing = opacity < EMPTY
-        depth = pixel[:, 4] / torch.where(nothing, 1.0, opacity)
-        depth = self.space.world_t(rays, depth[:, None])[:, 0]
-        return Rendering(pixel[:, :3], opacity, torch.where(nothing, torch.nan, depth))
+        return self.space.rendering(rays, self.kernels.render(self.grid, self.space.rays(rays), march))
 
     def trace(self, rays: Rays) -> Trace:
         boxed, march = self.space.rays(rays), self._march(torch.full((len(rays),), 0.5))
@@ -200,7 +193,7 @@ class Voxels:
         sigma = functional.softplus(raw) * self.config.step / delta
         light = _after(light, alpha, found, count)
         return Trace(
-            self._rendering(rays, pixel), (Samples("voxels", t, delta, sigma, alpha, light, alpha * light, rgb),)
+            self.space.rendering(rays, pixel), (Samples("voxels", t, delta, sigma, alpha, light, alpha * light, rgb),)
         )
 
     @torch.no_grad()
@@ -270,8 +263,7 @@ def finest_cells(scene: Scene, space: Space, c: VoxelConfig) -> np.ndarray:
         width, height = (max(getattr(v, side) for v in cameras) for side in ("width", "height"))
         voxel = np.array([2 * c.pixels / width, 2 * c.pixels / height, 2 / c.planes])
     else:
-        pixel = np.median([np.linalg.norm(v.c2w[:, 3] - scene.center) / v.fx for v in cameras])
-        voxel = np.full(3, c.pixels * pixel / space.extent)
+        voxel = np.full(3, c.pixels * pixel_size(scene, space))
     return np.maximum(voxel, (space.high - space.low).max() / c.resolution)
 
 

@@ -87,6 +87,10 @@ def test_the_demo_scene_needs_no_name(
     assert main(["train", *TINY, "--set", "rays=32", "--max-size", "20", "--steps", "1"]) == 0
     assert "training nerf on demo" in capsys.readouterr().out
     assert (tmp_path / "runs" / "demo-nerf" / "config.json").is_file()
+    quick = ["--max-size", "20", "--steps", "1", "--set", "rays=64", "--device", "cpu"]
+    assert main(["train", *quick]) == 0
+    assert "training voxels (auto: it is the fast one on a CPU) on demo" in capsys.readouterr().out
+    assert (tmp_path / "runs" / "demo-voxels" / "config.json").is_file()
 
 
 @pytest.mark.parametrize(

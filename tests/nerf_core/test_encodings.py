@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
-from nerf_core.encodings import frequency, frequency_width
+from nerf_core.encodings import frequency, frequency_width, spherical_harmonics
 
 
 def gamma(p: list[float], frequencies: int, include_input: bool, pi: bool) -> list[float]:
@@ -41,3 +42,15 @@ def test_without_frequencies_the_coordinates_themselves_go_in(include_input: boo
     points = torch.rand(5, 3)
     assert torch.equal(frequency(points, 0, include_input), points)
     assert frequency_width(0, include_input) == 3
+
+
+def test_spherical_harmonics_are_orthonormal() -> None:
+    """∫ Y_a Y_b over the sphere is 1 where a = b, else 0: Gauss–Legendre in z, evenly spaced in azimuth, both exact."""
+    z, weight = np.polynomial.legendre.leggauss(8)
+    azimuth = np.arange(16) / 16 * 2 * np.pi
+    z, azimuth = (v.ravel() for v in np.meshgrid(z, azimuth, indexing="ij"))
+    side = np.sqrt(1 - z * z)
+    d = torch.from_numpy(np.stack([side * np.cos(azimuth), side * np.sin(azimuth), z], -1))
+    basis = spherical_harmonics(d)
+    area = torch.from_numpy(np.repeat(weight, 16) * 2 * np.pi / 16)
+    torch.testing.assert_close((basis * area[:, None]).T @ basis, torch.eye(16, dtype=torch.float64))

@@ -21,6 +21,7 @@ from nerf_core.messages import (
     Reset,
     SaveCheckpoint,
     Train,
+    UseMethod,
 )
 from nerf_core.settings import RunSettings
 from nerf_core.worker import Worker
@@ -89,6 +90,20 @@ def test_a_wrong_path_leaves_the_scene_alive(open_desk: OpenDesk, tmp_path: Path
     shown = desk.until(lambda s: s.loading == "" and s.status == "paused")
     assert (shown.loaded, shown.step) == (1, 1)
     assert desk.trained(1).step == 2
+
+
+def test_another_method_begins_anew_on_the_same_scene(open_desk: OpenDesk) -> None:
+    desk = open_desk()
+    scene = desk.trained(2).scene
+    desk.send(UseMethod("voxels"))
+    begun = desk.until(lambda s: s.method == "voxels" and s.status == "ready")
+    assert begun.step == 0
+    assert begun.scene is scene
+    assert desk.trained(3).step == 3
+    desk.send(UseMethod("wings"))
+    desk.until_told("unknown method 'wings'")
+    assert desk.worker.snapshot().method == "voxels"
+    assert desk.worker.snapshot().step == 3
 
 
 @pytest.mark.parametrize("command", [Train(), Reset(), SaveCheckpoint(Path("x")), LoadCheckpoint(Path("x"))])

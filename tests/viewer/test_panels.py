@@ -23,7 +23,9 @@ from nerf_core.messages import (
     Snapshot,
     Status,
     Train,
+    UseMethod,
 )
+from nerf_core.methods import METHODS
 from nerf_core.settings import RunSettings
 from viewer.panels import PANELS, Panel
 from viewer.state import (
@@ -230,6 +232,34 @@ def test_the_next_capture_is_opened_at_the_size_that_was_chosen(screen: Screen) 
     y = (top + bottom) / 2
     screen.drag(panel, state, (left + 3, y), (left + 60, y), (left + 120, y))
     assert 1 < state.settings.load.downscale <= 64
+
+
+@pytest.mark.parametrize("name", ["auto", *METHODS.names()])
+def test_the_start_panel_offers_every_method(screen: Screen, name: str) -> None:
+    state = make_state(Snapshot())
+    state.settings = RunSettings(method="nerf" if name == "auto" else "auto", changes={"rays": "9"})
+    screen.click(PANELS.get("scene")(), state, f"scene.start.{name}")
+    assert (state.settings.method, state.settings.changes) == (name, {})
+
+
+def test_another_method_begins_anew_after_a_question(screen: Screen) -> None:
+    panel, state = PANELS.get("scene")(), make_state(replace(make_snapshot("paused"), method="nerf"))
+    screen.click(panel, state, "scene.method")
+    assert screen.click(panel, state, "scene.method.voxels") == []
+    assert screen.click(panel, state, "scene.method_keep") == []
+    assert state.settings.method == "auto"
+    screen.click(panel, state, "scene.method")
+    screen.click(panel, state, "scene.method.voxels")
+    assert screen.click(panel, state, "scene.method_confirm") == [UseMethod("voxels", train=True)]
+    assert state.settings.method == "voxels"
+
+
+def test_another_method_asks_nothing_where_nothing_is_lost(screen: Screen) -> None:
+    panel, state = PANELS.get("scene")(), make_state(replace(make_snapshot("paused"), method="nerf", saved_step=12_400))
+    screen.click(panel, state, "scene.method")
+    assert screen.click(panel, state, "scene.method.nerf") == []
+    screen.click(panel, state, "scene.method")
+    assert screen.click(panel, state, "scene.method.voxels") == [UseMethod("voxels", train=True)]
 
 
 def test_photos_go_round_the_training_split(screen: Screen) -> None:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Literal
 
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
-from nerf_core.messages import OpenScene
+from nerf_core.messages import OpenScene, UseMethod
+from nerf_core.methods import METHODS
 from nerf_core.scene import SPLITS, Scene
 from viewer.interaction import next_view
 from viewer.panels import PANELS, Ui
@@ -21,6 +23,7 @@ from viewer.widgets import (
     button,
     exists,
     field_beside,
+    field_width,
     figures,
     hint,
     number,
@@ -39,7 +42,8 @@ class ScenePanel:
     order = 0
 
     def __init__(self) -> None:
-        self._confirmation = Confirmation()
+        self._confirmation, self._change = Confirmation(), Confirmation()
+        self._other = ""  # the method that the second confirmation is about
         self._wanted: Path | None = None  # what the confirmation is about; None: the demo scene
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
@@ -49,6 +53,7 @@ class ScenePanel:
             hint(ui, f"Loading: {snapshot.loading}" if snapshot.loading else "Loading …", ui.theme.accent)
         elif scene is None:
             hint(ui, "No scene is open. Type the folder of a capture, or open the demo scene.")
+            _offer_methods(ui, state)
         if scene is not None:
             figures(ui, "scene", _rows(scene))
             for note in scene.notes:
@@ -56,6 +61,8 @@ class ScenePanel:
             yield from _photos(ui, state, scene)
             same_line_if_fits(f"{DOWNSCALE}  00")
         _downscale(ui, state)
+        if scene is not None:
+            yield from self._method(ui, state)
 
     def _open(self, ui: Ui, state: AppState) -> Iterator[Action]:
         if state.focus_open and not state.raise_panel:
@@ -76,6 +83,29 @@ class ScenePanel:
         question = f"Opening another scene forgets {unsaved:,} unsaved training steps."
         if self._confirmation.draw(ui, question, "Forget them and open", "scene.open", needed=unsaved > 0):
             yield OpenScene(self._wanted, state.settings, train=True)
+
+    def _method(self, ui: Ui, state: AppState) -> Iterator[Action]:
+        """What the open scene is learnt with, and another choice."""
+        snapshot, unsaved = state.snapshot, unsaved_steps(state.snapshot)
+        wanted = ""
+        field_width(ui, "method")
+        if imgui.begin_combo("method", snapshot.method):
+            for name, sentence in method_sentences().items():
+                chosen, _ = imgui.selectable(f"{name}##method", name == snapshot.method)
+                ui.mark(f"scene.method.{name}")
+                imgui.set_item_tooltip(sentence)
+                if chosen and name != snapshot.method:
+                    wanted = self._other = name
+            imgui.end_combo()
+        ui.mark("scene.method")
+        why = f" ({snapshot.method_reason})" if snapshot.method_reason else ""
+        imgui.set_item_tooltip(method_sentences().get(snapshot.method, "") + why)
+        self._change.asking = self._change.asking or (bool(wanted) and unsaved > 0)
+        question = f"Another method forgets {unsaved:,} unsaved training steps."
+        agreed = self._change.draw(ui, question, "Forget them and change", "scene.method", needed=unsaved > 0)
+        if agreed or (wanted and unsaved == 0):
+            state.settings = replace(state.settings, method=self._other, preset="auto", changes={})
+            yield UseMethod(self._other, train=True)
 
     def _ask(self, state: AppState, path: Path | None) -> Iterator[Action]:
         self._wanted = path
@@ -98,6 +128,21 @@ def _rows(scene: Scene) -> list[Row]:
         ("size", f"{size} px" if sizes else "–"),
         ("near … far", f"{number(scene.near)} … {number(scene.far)} units"),
     ]
+
+
+@cache
+def method_sentences() -> dict[str, str]:
+    return {name: METHODS.get(name).summary for name in METHODS.names()}
+
+
+def _offer_methods(ui: Ui, state: AppState) -> None:
+    """The methods with a sentence each, for the capture that is opened next."""
+    offers = {"auto": "The one that is fast on this device."} | method_sentences()
+    for name, sentence in offers.items():
+        if imgui.radio_button(f"{name}##start", state.settings.method == name):
+            state.settings = replace(state.settings, method=name, preset="auto", changes={})
+        ui.mark(f"scene.start.{name}")
+        hint(ui, sentence)
 
 
 def _downscale(ui: Ui, state: AppState) -> None:

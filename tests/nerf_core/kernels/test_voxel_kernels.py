@@ -123,6 +123,20 @@ def test_empty_grids_and_rays_that_miss_show_background_and_have_no_gradient() -
 
 
 @pytest.mark.parametrize("contracted", [False, True])
+def test_no_sample_ever_reads_a_row_that_is_not_there(contracted: bool) -> None:
+    """A point on a cell's face must not be found in one cell and looked up in its neighbour: brick −1 is all NaN."""
+    grid = some_grid(contracted, size=(53, 51, 67), dense=0.02)
+    around = torch.full((len(grid.rows) + 128, 16), torch.nan)
+    around[64:-64] = grid.rows
+    grid = replace(grid, rows=around[64:-64])
+    kernels = CpuVoxels(2)
+    for seed in range(4):
+        rays = some_rays(150_000, seed)
+        offsets = torch.rand(len(rays), generator=torch.Generator().manual_seed(seed))
+        assert kernels.render(grid, rays, March(0.7, -3.0, WHITE, offsets)).isfinite().all()
+
+
+@pytest.mark.parametrize("contracted", [False, True])
 def test_nothing_is_ever_nan(contracted: bool) -> None:
     grid, rays = some_grid(contracted), some_rays(spread=1.0)
     grid.rows[:, DENSITY] *= 40  # from perfectly clear to perfectly opaque

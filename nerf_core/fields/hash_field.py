@@ -1,0 +1,55 @@
+"""A multiresolution hash grid and two small networks: (x, d) → σ, rgb (Müller et al. 2022, arXiv:2201.05989)."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from nerf_core.encodings import spherical_harmonics
+from nerf_core.kernels.packed_kernels import HashLevels, PackedKernels
+
+FEATURES = 16  # of the density network's output; the first is the raw density
+DIRECTIONS = 16  # spherical harmonics up to degree 3
+
+
+class HashField(nn.Module):
+    """table (L, T, F); density: features → 16, of which the first is raw; color: (16, SH of d) → 3."""
+
+    def __init__(self, levels: HashLevels, rows: int, width: int, hidden: int, kernels: PackedKernels) -> None:
+        super().__init__()
+        self.levels, self.kernels = levels, kernels
+        count = len(levels.resolutions)
+        self.table = nn.Parameter(torch.zeros(count, rows, width))
+        self.density = nn.Sequential(nn.Linear(count * width, hidden), nn.ReLU(), nn.Linear(hidden, FEATURES))
+        self.color = nn.Sequential(
+            nn.Linear(FEATURES + DIRECTIONS, hidden), nn.ReLU(), nn.Linear(hidden, hidden), nn.ReLU(),
+            nn.Linear(hidden, 3),
+        )  # fmt: skip
+
+    @torch.no_grad()
+    def initialise(self, generator: torch.Generator) -> None:
+        """The table uniform in ±1e-4, as in the paper; layers as torch initialises its own."""
+        self.table.uniform_(-1e-4, 1e-4, generator=generator)
+        for layer in self.modules():
+            if isinstance(layer, nn.Linear):
+                bound = 1 / math.sqrt(layer.in_features)
+                layer.weight.uniform_(-bound, bound, generator=generator)
+                layer.bias.uniform_(-bound, bound, generator=generator)
+
+    def networks(self) -> list[Tensor]:
+        return [p for name, p in self.named_parameters() if name != "table"]
+
+    def encode(self, x: Tensor) -> Tensor:
+        """Features (M, L · F) at x (M, 3) in [0, 1]; no graph: `encode_gradient` takes their gradient further."""
+        return self.kernels.encode(self.table.detach(), self.levels, x)
+
+    def geometry(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """Raw density (M,) and the vector (M, 16) that the colour network sees."""
+        out = self.density(features)
+        return out[:, 0], out
+
+    def radiance(self, geometry: Tensor, d: Tensor) -> Tensor:
+        """Colours (M, 3) in [0, 1] for unit directions (M, 3)."""
+        return torch.sigmoid(self.color(torch.cat([geometry, spherical_harmonics(d)], -1)))

@@ -1,0 +1,111 @@
+"""Packed samples and the hash grid on a CPU: numba's loops over a fixed number of shards.
+
+Rays, points and levels are shared out by position, and no two shards write to one place: results do not depend on
+timing, nor on how many shards there are.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nerf_core.cells import Cells
+from nerf_core.kernels import numba_packed as loops
+from nerf_core.kernels.cpu_rays import ray_arrays
+from nerf_core.kernels.numba_march import NOTES
+from nerf_core.kernels.packed_kernels import BETA1, BETA2, EPSILON, HashLevels, Samples
+from nerf_core.kernels.shards import each_shard, split
+from nerf_core.spaces import BoxRays
+
+
+class CpuPacked:
+    """`PackedKernels` through numba."""
+
+    name = "numba"
+
+    def __init__(self, shards: int) -> None:
+        self.shards = shards
+        self._average = 32.0  # samples a ray: how much room the next march is given, at first
+
+    def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor) -> Samples:
+        arrays, given = cells.cell_arrays(), ray_arrays(rays, offsets)
+        longest = int(1.5 * sum(cells.size) / step) + 8  # as in `cpu_voxels`
+        counts = torch.zeros(len(rays), dtype=torch.long)
+        parts: list[tuple[Tensor, ...]] = [()] * self.shards
+
+        def work(s: int) -> None:
+            first, last = split(len(rays), self.shards, s)
+            notes = torch.empty(longest * NOTES).numpy()
+            room = int(2 * self._average * (last - first)) + longest
+            while True:
+                x, t, width = torch.empty(room, 3), torch.empty(room), torch.empty(room)
+                found = loops.march_all(
+                    arrays, given, first, last, np.float32(step), notes, x.numpy(), t.numpy(), width.numpy(),
+                    counts.numpy(),
+                )  # fmt: skip
+                if found < room:
+                    break
+                room *= 2
+            parts[s] = x[:found], t[:found], width[:found]
+
+        each_shard(self.shards, work)
+        x, t, width = (torch.cat(v) for v in zip(*parts, strict=True))
+        self._average = max(1.0, len(t) / max(1, len(rays)))
+        return Samples(torch.cat([counts.new_zeros(1), counts.cumsum(0)]), x, t, width)
+
+    def encode(self, table: Tensor, levels: HashLevels, x: Tensor) -> Tensor:
+        features = torch.empty(len(x), table.shape[0] * table.shape[2])
+        given = table.numpy(), np.array(levels.resolutions), x.contiguous().numpy()
+        out = features.numpy()
+        each_shard(self.shards, lambda s: loops.encode(*given, *split(len(x), self.shards, s), out))
+        return features
+
+    def encode_gradient(self, gradient: Tensor, levels: HashLevels, x: Tensor, into: Tensor) -> None:
+        given = gradient.contiguous().numpy(), np.array(levels.resolutions), x.contiguous().numpy()
+        out, count = into.numpy(), len(levels.resolutions)
+        each_shard(self.shards, lambda s: loops.encode_gradient(*given, *split(count, self.shards, s), out))
+
+    def composite(self, tau: Tensor, rgb: Tensor, samples: Samples, background: Tensor) -> Tensor:
+        count = len(samples.ends) - 1
+        pixel = torch.empty(count, 5)
+        given = [v.contiguous().numpy() for v in (tau, rgb, samples.t, samples.ends, background)]
+        out = pixel.numpy()
+        each_shard(self.shards, lambda s: loops.composite(*given, *split(count, self.shards, s), out))
+        return pixel
+
+    def composite_gradient(
+        self, gradient: Tensor, tau: Tensor, rgb: Tensor, samples: Samples, background: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        count = len(samples.ends) - 1
+        by_tau, by_rgb = torch.empty_like(tau), torch.empty_like(rgb)
+        given = [v.contiguous().numpy() for v in (gradient, tau, rgb, samples.ends, background)]
+        out = by_tau.numpy(), by_rgb.numpy()
+        each_shard(self.shards, lambda s: loops.composite_gradient(*given, *split(count, self.shards, s), *out))
+        return by_tau, by_rgb
+
+    def adam(self, table: Tensor, gradient: Tensor, moments: tuple[Tensor, Tensor], rate: float, step: int) -> None:
+        width = table.shape[-1]
+        given = [v.view(-1, width).numpy() for v in (table, gradient, *moments)]
+        numbers = (rate, 1 / (1 - BETA1**step), 1 / (1 - BETA2**step), BETA1, BETA2, EPSILON)
+        count, settings = len(given[0]), [np.float32(v) for v in numbers]
+        each_shard(self.shards, lambda s: loops.adam(*given, *split(count, self.shards, s), *settings))
+
+
+@cache
+def compile_loops() -> None:
+    """Have every loop compiled, or read from numba's cache, before anything waits for it."""
+    cells = Cells.of(np.zeros(3), np.ones(3), torch.ones(2, 2, 2, dtype=torch.bool), contracted=False)
+    one = torch.ones(1, 3) / 3**0.5
+    rays = BoxRays(-one, one, one, torch.zeros(1), torch.full((1,), 9.0))
+    kernels, levels = CpuPacked(1), HashLevels((2, 9))
+    samples = kernels.march(cells, rays, 1.0, torch.zeros(1))
+    table = torch.zeros(2, 64, 4)
+    features = kernels.encode(table, levels, samples.x)
+    kernels.encode_gradient(features, levels, samples.x, table)
+    tau, rgb = torch.ones_like(samples.t), torch.ones(len(samples.t), 3)
+    kernels.composite(tau, rgb, samples, torch.ones(3))
+    kernels.composite_gradient(torch.ones(1, 3), tau, rgb, samples, torch.ones(3))
+    kernels.adam(table, table.clone(), (table.clone(), table.clone()), 1.0, 1)

@@ -1,0 +1,111 @@
+"""How a ray finds its samples on a CPU: steps of equal length through occupied cells, leaps over empty blocks.
+
+`cells` is `nerf_core.cells.CellArrays`; `nerf_core.kernels.torch_march` says the same plainly.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from nerf_core.kernels.numba_vectors import jit
+
+F = np.float32
+NEVER = F(1e30)
+STRAIGHT = F(0.25)  # of its distance from the centre: so far a contracted ray counts as straight when it leaps
+# What a ray keeps of each sample, in one row of `notes`. Its cell and the place in it make way for what is found there.
+# The cell is kept, not found again: rounded once more, a point on a cell's face might be in its empty neighbour.
+ALPHA, LIGHT, RED, GREEN, BLUE, RAW, DISTANCE, WIDTH, NOTES = 0, 1, 2, 3, 4, 5, 6, 7, 8
+CELL_X, CELL_Y, CELL_Z, X, Y, Z = ALPHA, LIGHT, RAW, RED, GREEN, BLUE
+
+
+@jit
+def _gap(x: Any, v: Any, low: Any, high: Any) -> Any:
+    """After how much t a point at x with velocity v leaves [low, high]; never, where it moves along it."""
+    return NEVER if v == 0 else max((low - x) / v, (high - x) / v)
+
+
+@jit
+def _clipped(x: Any, v: Any, side: Any, first: Any, last: Any) -> Any:
+    """[first, last] of t cut to where x + t v lies in [0, side]; empty where it never does."""
+    if v == 0:
+        return (first, last) if 0 <= x <= side else (first, F(-1))
+    a, b = -x / v, (side - x) / v
+    return max(first, min(a, b)), min(last, max(a, b))
+
+
+@jit
+def _bent(wx: Any, wy: Any, wz: Any, dx: Any, dy: Any, dz: Any) -> Any:
+    """Under contraction x → f x with f = (2 − s) s, s = 1/‖x‖∞, its velocity is f d + f′ x: returns f, f′ and ‖x‖∞."""
+    ax, ay, az = abs(wx), abs(wy), abs(wz)
+    norm = max(ax, ay, az)
+    if norm <= 1:
+        return F(1), F(0), norm
+    if ax == norm:
+        slope = dx if wx > 0 else -dx
+    elif ay == norm:
+        slope = dy if wy > 0 else -dy
+    else:
+        slope = dz if wz > 0 else -dz
+    s = F(1) / norm
+    return (F(2) - s) * s, (F(2) * s - F(2)) * s * s * slope, norm
+
+
+@jit
+def march(cells: Any, rays: Any, r: Any, step: Any, notes: Any) -> Any:  # noqa: PLR0915  one loop, with all that it needs in registers
+    """Samples of ray r in occupied cells, front to back: their cell, place in it, t and Δt; returns how many."""
+    nx, ny, nz = cells.size[0], cells.size[1], cells.size[2]
+    blocks_y, blocks_z = (ny + 3) >> 2, (nz + 3) >> 2
+    sx, sy, sz = cells.scale[0], cells.scale[1], cells.scale[2]
+    bx, by, bz = cells.origin[0], cells.origin[1], cells.origin[2]
+    ox, oy, oz = rays.origins[r, 0], rays.origins[r, 1], rays.origins[r, 2]
+    dx, dy, dz = rays.directions[r, 0], rays.directions[r, 1], rays.directions[r, 2]
+    # position and velocity in cells, where space is not contracted
+    gx, gy, gz = (ox - bx) * sx, (oy - by) * sy, (oz - bz) * sz
+    vx, vy, vz = dx * sx, dy * sy, dz * sz
+    ux, uy, uz = vx, vy, vz
+    t, last, norm = rays.near[r], rays.far[r], F(0)
+    if not cells.contracted:
+        t, last = _clipped(gx, vx, nx, t, last)
+        t, last = _clipped(gy, vy, ny, t, last)
+        t, last = _clipped(gz, vz, nz, t, last)
+    straight = step / math.sqrt(vx * vx + vy * vy + vz * vz)
+    dt = straight
+    t += rays.offsets[r] * dt
+    capacity = notes.shape[0] // NOTES
+    n = 0
+    while t < last and n < capacity:
+        px, py, pz = gx + t * vx, gy + t * vy, gz + t * vz
+        if cells.contracted:
+            wx, wy, wz = ox + t * dx, oy + t * dy, oz + t * dz
+            f, slope, norm = _bent(wx, wy, wz, dx, dy, dz)
+            ux, uy, uz, dt = vx, vy, vz, straight
+            if norm > 1:
+                px, py, pz = (wx * f - bx) * sx, (wy * f - by) * sy, (wz * f - bz) * sz
+                ux, uy, uz = (dx * f + wx * slope) * sx, (dy * f + wy * slope) * sy, (dz * f + wz * slope) * sz
+                dt = step / math.sqrt(ux * ux + uy * uy + uz * uz)
+        i, j, k = int(px), int(py), int(pz)
+        if px < 0 or py < 0 or pz < 0 or i >= nx or j >= ny or k >= nz:  # by rounding, on the border
+            t += dt
+            continue
+        leap = cells.leap[np.uint64(((i >> 2) * blocks_y + (j >> 2)) * blocks_z + (k >> 2))]
+        if leap > 0:  # nothing within leap − 1 blocks of this one: to the far side of that cube
+            reach = 4 * (leap - 1)
+            x, y, z, side = (i & ~3) - reach, (j & ~3) - reach, (k & ~3) - reach, 4 + 2 * reach
+            gap = min(_gap(px, ux, x, x + side), _gap(py, uy, y, y + side), _gap(pz, uz, z, z + side))
+            if norm > 1:
+                gap = min(gap, STRAIGHT * norm)
+            t += max(math.floor(gap / dt) + F(1), F(1)) * dt
+        elif cells.occupied[np.uint64((i * ny + j) * nz + k)] == 0:
+            t += dt
+        else:
+            at = n * NOTES
+            notes[at + CELL_X], notes[at + CELL_Y], notes[at + CELL_Z] = F(i), F(j), F(k)
+            notes[at + X], notes[at + Y], notes[at + Z] = px - F(i), py - F(j), pz - F(k)
+            notes[at + DISTANCE] = t
+            notes[at + WIDTH] = dt
+            n += 1
+            t += dt
+    return n

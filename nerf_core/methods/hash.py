@@ -1,0 +1,210 @@
+"""A multiresolution hash grid with two small networks, sampled where an occupancy grid says that something may be.
+
+Müller et al. 2022 ("instant-ngp", arXiv:2201.05989). Features are looked up in L grids of growing resolution whose
+vertices share a table of T rows by a spatial hash; collisions are left to the networks to sort out. Samples of all rays
+lie packed in one list, since rays need different numbers of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from typing import ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nerf_core.batches import Draw
+from nerf_core.cells import Cells
+from nerf_core.fields.hash_field import HashField
+from nerf_core.hash_config import HashConfig
+from nerf_core.kernels.choice import packed_kernels
+from nerf_core.kernels.packed_kernels import HashLevels, Samples
+from nerf_core.methods import METHODS
+from nerf_core.occupancy import Occupancy, softened
+from nerf_core.optimizers import adam_state, load_adam
+from nerf_core.packing import to_trace
+from nerf_core.scene import Scene
+from nerf_core.spaces import Space, pixel_size
+from nerf_core.types import Rays, Rendering, Trace
+
+TILE = 2048
+PIECE = 1 << 13  # samples between two pumps on a CPU: some 10 ms
+STOP = 1e-3  # transmittance behind which no colour is looked up: it could not change an 8-bit pixel by one step
+
+
+@METHODS.register("hash")
+class Hash:
+    """See the module."""
+
+    summary: ClassVar[str] = "Instant-ngp (2022): a hash grid and two small MLPs; the sharpest in minutes on a GPU."
+
+    configure = staticmethod(HashConfig.configure)
+    restore = staticmethod(HashConfig.restore)
+
+    def __init__(self, scene: Scene, config: HashConfig, device: torch.device, seed: int) -> None:
+        self.config, self.device, self.tile = config, device, TILE
+        self.space = Space.of(scene)
+        self.background = torch.tensor(scene.background, device=device)
+        self.generator = torch.Generator().manual_seed(seed)
+        self.kernels = packed_kernels(device)
+        sides = self.space.high - self.space.low
+        voxel = np.full(3, sides.max() / config.cells)
+        size = np.maximum(np.ceil(sides / voxel - 1e-6).astype(int), 1)
+        everything = torch.ones(*size.tolist(), dtype=torch.bool, device=device)
+        cells = Cells.of(self.space.low, voxel, everything, self.space.kind == "contracted")
+        self.occupancy = Occupancy(cells, config.empty, config.decay)
+        pixel = pixel_size(scene, self.space)
+        self.step_cells = float(config.pixels * pixel / voxel[0])
+        self.length = config.pixels * pixel  # of a sample, in box coordinates
+        finest = config.finest or max(config.coarsest, round(float(sides.max()) / pixel))
+        growth = (finest / config.coarsest) ** (1 / max(1, config.levels - 1))
+        resolutions = tuple(int(config.coarsest * growth**i + 1e-6) for i in range(config.levels))
+        self.field = HashField(
+            HashLevels(resolutions), 2**config.log2_rows, config.features, config.hidden, self.kernels
+        )
+        self.field.initialise(torch.Generator().manual_seed(seed))
+        self.field.to(device)
+        self.table_gradient = torch.zeros_like(self.field.table)
+        self.moments = torch.zeros_like(self.field.table), torch.zeros_like(self.field.table)
+        self.optimizer = torch.optim.Adam(
+            self.field.networks(), lr=config.learning_rate, betas=(0.9, 0.99), eps=1e-15, fused=True
+        )
+        for parameter in self.field.networks():
+            parameter.grad = torch.zeros_like(parameter)
+        self.updates = 0
+        self.average = 4.0 * config.cells  # samples a ray needed lately
+
+    # ---- training ---------------------------------------------------------------------------------------------------
+
+    def draw(self, step: int) -> Draw:
+        return Draw(int(min(max(self.config.samples / self.average, 64), self.config.most_rays)))
+
+    def train(self, rays: Rays, truth: Tensor, step: int, steps: int | None, pump: Callable[[], None]) -> float:
+        drawn = self.generator.get_state()
+        offsets = torch.rand(len(rays), generator=self.generator).to(self.device)
+        self.optimizer.zero_grad(set_to_none=False)
+        error, found, start = 0.0, 0, 0
+        piece = max(1, int(PIECE / self.average)) if self.device.type == "cpu" else len(rays)
+        try:
+            while start < len(rays):
+                part = slice(start, start + piece)
+                one, samples = self._accumulate(rays[part], offsets[part], truth[part], 2 / truth.numel())
+                error, found, start = error + one, found + samples, start + piece
+                pump()
+        except BaseException:
+            self.generator.set_state(drawn)
+            self.table_gradient.zero_()
+            raise
+        self.updates += 1
+        rate = self.config.learning_rate / (1 + step / self.config.slowdown)
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+        self.optimizer.step()
+        self.kernels.adam(self.field.table.detach(), self.table_gradient, self.moments, rate, self.updates)
+        self.average = max(1.0, 0.9 * self.average + 0.1 * found / len(rays))
+        if self.updates % self.config.update_every == 0:
+            whole = self.updates <= self.config.update_every * self.config.warm_updates
+            self.occupancy.update(self._tau, whole, self.generator)
+        return error / truth.numel()
+
+    def _accumulate(self, rays: Rays, offsets: Tensor, truth: Tensor, scale: float) -> tuple[float, int]:
+        """Add the gradient of `scale`/2 times the squared error; returns that error, and how many samples it took."""
+        samples = self.kernels.march(self.occupancy.cells, self.space.rays(rays), self.step_cells, offsets)
+        features = self.field.encode(samples.x)
+        with torch.no_grad():  # what lies in the dark has no gradient: it is left out before anything costly begins
+            lit = self._lit(softened(self.field.geometry(features)[0]) * self.length, samples)
+        samples, features = samples.at(lit), features[lit].requires_grad_()
+        raw, geometry = self.field.geometry(features)
+        rgb = self.field.radiance(geometry, rays.directions[samples.ray])
+        tau = softened(raw) * self.length
+        known = tau.detach(), rgb.detach(), samples, self.background
+        off = self.kernels.composite(*known)[:, :3] - truth
+        if len(samples.t):
+            torch.autograd.backward([tau, rgb], self.kernels.composite_gradient(off * scale, *known))
+            assert features.grad is not None
+            self.kernels.encode_gradient(features.grad, self.field.levels, samples.x, self.table_gradient)
+        return float(off.square().sum()), len(samples.t)
+
+    @torch.no_grad()
+    def _tau(self, x: Tensor) -> Tensor:
+        return softened(self.field.geometry(self.field.encode(x))[0]) * self.length
+
+    def _lit(self, tau: Tensor, samples: Samples) -> Tensor:
+        """Indices of the samples that light still reaches."""
+        before = tau.double().cumsum(0) - tau.double()
+        if len(tau):
+            before = before - before[samples.ends[:-1].clamp(max=len(tau) - 1)][samples.ray]
+        return (torch.exp(-before) > STOP).nonzero()[:, 0]
+
+    def halve(self) -> bool:
+        return False
+
+    # ---- rendering --------------------------------------------------------------------------------------------------
+
+    @torch.no_grad()
+    def _evaluated(self, rays: Rays) -> tuple[Samples, Tensor, Tensor, Tensor]:
+        """The samples of at most a tile of rays, with their optical depths and colours, and the pixels (R, 5)."""
+        rays = rays.to(self.device)
+        offsets = torch.full((len(rays),), 0.5, device=self.device)
+        samples = self.kernels.march(self.occupancy.cells, self.space.rays(rays), self.step_cells, offsets)
+        raw, geometry = self.field.geometry(self.field.encode(samples.x))
+        tau, ray = softened(raw) * self.length, samples.ray
+        lit = self._lit(tau, samples)
+        rgb = torch.zeros(len(tau), 3, device=self.device)
+        rgb[lit] = self.field.radiance(geometry[lit], rays.directions[ray[lit]])
+        return samples, tau, rgb, self.kernels.composite(tau, rgb, samples, self.background)
+
+    def render(self, rays: Rays, quality: str = "fine") -> Rendering:
+        parts = [rays[i : i + TILE] for i in range(0, len(rays), TILE)]
+        return Rendering.cat([self.space.rendering(part, self._evaluated(part)[3]) for part in parts])
+
+    def trace(self, rays: Rays) -> Trace:
+        samples, tau, rgb, pixel = self._evaluated(rays)
+        return to_trace("hash", self.space, rays, samples, tau, rgb, pixel)
+
+    @torch.no_grad()
+    def radiance(self, point: Tensor, directions: Tensor) -> Tensor:
+        box = self.space.points(point.to(self.device, torch.float32)[None])
+        cells = self.occupancy.cells
+        low, sides = (torch.from_numpy(v).to(box) for v in (cells.origin, cells.voxel * np.array(cells.size)))
+        _, geometry = self.field.geometry(self.field.encode(((box - low) / sides).clamp(0, 1)))
+        d = directions.to(self.device, torch.float32)
+        return self.field.radiance(geometry.expand(len(d), -1), d)
+
+    # ---- state ------------------------------------------------------------------------------------------------------
+
+    def frozen(self) -> Hash:
+        copy = object.__new__(Hash)
+        copy.__dict__ |= self.__dict__
+        copy.field = deepcopy(self.field)
+        copy.occupancy = Occupancy(self.occupancy.cells, self.config.empty, self.config.decay)
+        return copy
+
+    def parameters(self) -> list[Tensor]:
+        return list(self.field.parameters())
+
+    def state(self) -> dict[str, Tensor]:
+        state = {f"field.{k}": v for k, v in self.field.state_dict().items()}
+        return state | adam_state(self.optimizer) | {
+            "table_mean": self.moments[0], "table_square": self.moments[1], "absorbed": self.occupancy.absorbed,
+            "occupied": self.occupancy.cells.occupied, "updates": torch.tensor(self.updates),
+            "average": torch.tensor(self.average, dtype=torch.float64), "generator": self.generator.get_state(),
+        }  # fmt: skip
+
+    def load_state(self, state: Mapping[str, Tensor]) -> None:
+        fits = {"table_mean": self.moments[0], "table_square": self.moments[1], "absorbed": self.occupancy.absorbed,
+                "occupied": self.occupancy.cells.occupied}  # fmt: skip
+        for name, own in fits.items():
+            if state[name].shape != own.shape or state[name].dtype != own.dtype:
+                raise ValueError(f"{name} does not fit")
+        self.field.load_state_dict({k: state[f"field.{k}"] for k in self.field.state_dict()})
+        load_adam(self.optimizer, self.field.networks(), state)
+        for own, name in zip(self.moments, ("table_mean", "table_square"), strict=True):
+            own.copy_(state[name])
+        self.occupancy.absorbed.copy_(state["absorbed"])
+        c = self.occupancy.cells
+        self.occupancy.cells = Cells.of(c.origin, c.voxel, state["occupied"].to(self.device, copy=True), c.contracted)
+        self.updates, self.average = int(state["updates"]), float(state["average"])
+        self.generator.set_state(state["generator"].cpu())

@@ -1,0 +1,173 @@
+"""Packed samples and the hash grid: the fast kernels against the plain ones, and these against the equations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from nerf_core.cells import Cells
+from nerf_core.kernels.cpu_packed import CpuPacked
+from nerf_core.kernels.packed_kernels import HashLevels, PackedKernels, Samples
+from nerf_core.kernels.torch_packed import TorchPacked
+from nerf_core.spaces import BoxRays
+from nerf_core.volume import absorb, composite
+
+LEVELS = HashLevels((2, 5, 11, 40))
+WHITE = torch.tensor([1.0, 0.5, 0.25])
+IMPLEMENTATIONS: list[PackedKernels] = [CpuPacked(1), CpuPacked(3), TorchPacked()]
+FAST = IMPLEMENTATIONS[:-1]
+PLAIN = TorchPacked()
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def some_samples(rays: int = 40) -> tuple[Samples, Tensor, Tensor]:
+    """Rays with 0 … 9 samples, their optical depths (some infinite to the eye, some zero) and colours."""
+    g = generator(1)
+    counts = torch.randint(0, 10, (rays,), generator=g)
+    counts[:2], counts[-1] = 0, 0
+    total = int(counts.sum())
+    ends = torch.cat([torch.zeros(1, dtype=torch.long), counts.cumsum(0)])
+    tau = torch.rand(total, generator=g)
+    tau[::7], tau[3::11] = 0, 30
+    samples = Samples(ends, torch.rand(total, 3, generator=g), torch.rand(total, generator=g), torch.ones(total))
+    return samples, tau, torch.rand(total, 3, generator=g)
+
+
+def some_table(width: int) -> Tensor:
+    return torch.randn(len(LEVELS.resolutions), 512, width, generator=generator(2))
+
+
+def points(count: int = 300) -> Tensor:
+    x = torch.rand(count, 3, generator=generator(3))
+    x[0], x[1], x[2] = 0, 1, torch.tensor([1.0, 0.0, 0.5])  # the box's corners and an edge
+    return x
+
+
+@pytest.mark.parametrize("contracted", [False, True])
+@pytest.mark.parametrize("kernels", FAST, ids=["1 shard", "3 shards"])
+def test_a_march_finds_the_same_samples(kernels: PackedKernels, contracted: bool) -> None:
+    g = generator()
+    half = 2.0 if contracted else 1.0
+    occupied = torch.rand(9, 13, 10, generator=g) < 0.3
+    cells = Cells.of(np.full(3, -half), 2 * half / np.array([9, 13, 10]), occupied, contracted)
+    origins = 3 * (torch.rand(200, 3, generator=g) * 2 - 1)
+    d = torch.nn.functional.normalize(torch.rand(200, 3, generator=g) * 2 - 1 - origins, dim=-1)
+    rays = BoxRays(origins, d, d, torch.full((200,), 0.05), torch.full((200,), 1e6))
+    offsets = torch.rand(200, generator=g)
+    a, b = (k.march(cells, rays, 0.6, offsets) for k in (kernels, PLAIN))
+    # rounding may put a sample that lies on a cell's face on the other side of it
+    assert int((a.ends.diff() != b.ends.diff()).sum()) <= 4
+    same = [r for r in range(200) if int(a.ends[r + 1] - a.ends[r]) == int(b.ends[r + 1] - b.ends[r])]
+    for r in same[:60]:
+        mine, theirs = slice(int(a.ends[r]), int(a.ends[r + 1])), slice(int(b.ends[r]), int(b.ends[r + 1]))
+        torch.testing.assert_close(a.x[mine], b.x[theirs], atol=2e-2, rtol=0)
+        torch.testing.assert_close(a.t[mine], b.t[theirs], atol=1e-2, rtol=1e-2)
+    assert a.x.min() >= 0
+    assert a.x.max() <= 1
+
+
+@pytest.mark.parametrize("width", [1, 2, 4])
+@pytest.mark.parametrize("kernels", FAST, ids=["1 shard", "3 shards"])
+def test_features_and_their_gradients_agree(kernels: PackedKernels, width: int) -> None:
+    table, x = some_table(width), points()
+    features = kernels.encode(table, LEVELS, x)
+    torch.testing.assert_close(features, PLAIN.encode(table, LEVELS, x), atol=1e-5, rtol=1e-5)
+    gradient = torch.randn(features.shape, generator=generator(4))
+    found = [torch.zeros_like(table), torch.zeros_like(table)]
+    for into, k in zip(found, (kernels, PLAIN), strict=True):
+        k.encode_gradient(gradient, LEVELS, x, into)
+    torch.testing.assert_close(found[0], found[1], atol=1e-4, rtol=1e-4)
+    # and it is the transpose: ⟨g, E table⟩ = ⟨Eᵀ g, table⟩
+    assert float((gradient * features).sum()) == pytest.approx(float((found[0] * table).sum()), rel=1e-3)
+
+
+@pytest.mark.parametrize("kernels", IMPLEMENTATIONS, ids=["1 shard", "3 shards", "torch"])
+def test_a_dense_level_interpolates_its_vertices(kernels: PackedKernels) -> None:
+    levels, table = HashLevels((4,)), torch.zeros(1, 128, 2)
+    i, j, k = torch.meshgrid(*[torch.arange(5.0)] * 3, indexing="ij")
+    table[0, :125, 0] = (i + 2 * j - 3 * k).flatten()
+    x = points()
+    expected = 4 * (x @ torch.tensor([1.0, 2.0, -3.0]))
+    torch.testing.assert_close(kernels.encode(table, levels, x)[:, 0], expected, atol=1e-4, rtol=1e-4)
+
+
+@pytest.mark.parametrize("kernels", IMPLEMENTATIONS, ids=["1 shard", "3 shards", "torch"])
+def test_packed_rays_are_composited_like_full_ones(kernels: PackedKernels) -> None:
+    samples, tau, rgb = some_samples()
+    pixel = kernels.composite(tau, rgb, samples, WHITE)
+    for r in range(len(samples.ends) - 1):
+        part = slice(int(samples.ends[r]), int(samples.ends[r + 1]))
+        if part.start == part.stop:
+            torch.testing.assert_close(pixel[r], torch.tensor([1.0, 0.5, 0.25, 0, 0]))
+            continue
+        _, _, weights = absorb(tau[None, part], torch.ones(1, part.stop - part.start))
+        color, opacity = composite(weights, rgb[None, part], WHITE)
+        torch.testing.assert_close(pixel[r, :3], color[0], atol=1e-5, rtol=1e-5)
+        assert float(pixel[r, 3]) == pytest.approx(float(opacity[0]), abs=1e-5)
+        assert float(pixel[r, 4]) == pytest.approx(float((weights[0] * samples.t[part]).sum()), abs=1e-5)
+
+
+@pytest.mark.parametrize("kernels", FAST, ids=["1 shard", "3 shards"])
+def test_the_gradient_of_compositing_is_autograds(kernels: PackedKernels) -> None:
+    samples, tau, rgb = some_samples()
+    gradient = torch.randn(len(samples.ends) - 1, 3, generator=generator(5))
+    for fast, plain in zip(
+        kernels.composite_gradient(gradient, tau, rgb, samples, WHITE),
+        PLAIN.composite_gradient(gradient, tau, rgb, samples, WHITE),
+        strict=True,
+    ):
+        torch.testing.assert_close(fast, plain, atol=1e-5, rtol=1e-4)
+        assert fast.isfinite().all()
+
+
+def test_the_plain_gradient_is_that_of_finite_differences() -> None:
+    samples, tau, rgb = some_samples()
+    tau, rgb = tau.clamp(0.05, 2).double(), rgb.double()
+    double = Samples(samples.ends, samples.x, samples.t.double(), samples.width)
+    gradient = torch.randn(len(samples.ends) - 1, 3, generator=generator(5)).double()
+    by_tau, by_rgb = PLAIN.composite_gradient(gradient, tau, rgb, double, WHITE.double())
+    step = (
+        torch.randn(tau.shape, generator=generator(6)).double(),
+        torch.randn(rgb.shape, generator=generator(7)).double(),
+    )
+    h = 1e-6
+
+    def value(sign: float) -> float:
+        moved = tau + sign * h * step[0], rgb + sign * h * step[1]
+        return float((PLAIN.composite(*moved, double, WHITE.double())[:, :3] * gradient).sum())
+
+    expected = float((by_tau * step[0]).sum() + (by_rgb * step[1]).sum())
+    assert (value(1) - value(-1)) / (2 * h) == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("kernels", FAST, ids=["1 shard", "3 shards"])
+def test_adam_moves_only_what_has_a_gradient(kernels: PackedKernels) -> None:
+    results = []
+    for k in (kernels, PLAIN):
+        table = some_table(2)
+        moments = torch.zeros_like(table), torch.zeros_like(table)
+        for step in (1, 2, 3):
+            gradient = torch.randn(table.shape, generator=generator(step))
+            gradient[:, ::3] = 0
+            k.adam(table, gradient, moments, 0.1, step)
+            assert not gradient.any()
+        assert torch.equal(table[:, ::3], some_table(2)[:, ::3])
+        results.append((table, *moments))
+    for fast, plain in zip(*results, strict=True):
+        torch.testing.assert_close(fast, plain, atol=1e-5, rtol=1e-4)
+
+
+@pytest.mark.parametrize("kernels", IMPLEMENTATIONS, ids=["1 shard", "3 shards", "torch"])
+def test_no_samples_at_all(kernels: PackedKernels) -> None:
+    nothing = Samples(torch.zeros(4, dtype=torch.long), torch.zeros(0, 3), torch.zeros(0), torch.zeros(0))
+    pixel = kernels.composite(torch.zeros(0), torch.zeros(0, 3), nothing, WHITE)
+    torch.testing.assert_close(pixel, torch.tensor([1.0, 0.5, 0.25, 0, 0]).expand(3, 5))
+    by_tau, by_rgb = kernels.composite_gradient(torch.ones(3, 3), torch.zeros(0), torch.zeros(0, 3), nothing, WHITE)
+    assert by_tau.shape == (0,)
+    assert by_rgb.shape == (0, 3)
+    assert kernels.encode(some_table(2), LEVELS, torch.zeros(0, 3)).shape == (0, 8)

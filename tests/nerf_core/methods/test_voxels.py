@@ -1,0 +1,243 @@
+"""The voxel method beyond its kernels: levels, spaces, what is dropped, what a checkpoint must hold."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from nerf_core.cameras import Ndc, camera_rays
+from nerf_core.cells import grow, leaps
+from nerf_core.errors import UserError
+from nerf_core.fields.voxel_grid import DENSITY, ROWS, VoxelGrid, bricks_of
+from nerf_core.kernels import choice
+from nerf_core.kernels.torch_voxels import TorchVoxels
+from nerf_core.methods.voxels import Voxels
+from nerf_core.render import render_camera
+from nerf_core.scene import Scene
+from nerf_core.settings import RunSettings
+from nerf_core.spaces import Space, contract
+from nerf_core.trainer import Trainer
+from nerf_core.voxel_config import VoxelConfig
+
+CPU = torch.device("cpu")
+SMALL = VoxelConfig(rays=512, first_rays=256, start=8, pixels=0.5, growth=1.6, level_steps=6)
+
+
+def run(scene: Scene, steps: int, seed: int = 0, **changes: object) -> Trainer:
+    words = {name: str(value) for name, value in changes.items()}
+    small = {"rays": "512", "first_rays": "256", "start": "8", "pixels": "0.5", "growth": "1.6", "level_steps": "6"}
+    trainer = Trainer(scene, RunSettings(method="voxels", changes=small | words, seed=seed, threads=2))
+    for _ in range(steps):
+        trainer.step()
+    return trainer
+
+
+def forward(scene: Scene) -> Scene:
+    """One photo, taken by a camera that looks along −z, in normalised device coordinates."""
+    c2w = torch.eye(4, dtype=torch.float64)[:3].numpy()
+    views = tuple(replace(view, camera=view.camera.moved(c2w)) for view in scene.views)
+    images = (scene.images[0],) * len(views)
+    return replace(
+        scene, views=views, images=images, ndc=Ndc(16, 16, scene.views[0].camera.fx, 1.0, 20.0), near=1.0, far=20.0
+    )
+
+
+def around(scene: Scene) -> Scene:
+    return replace(scene, synthetic=False)
+
+
+# ---- spaces -------------------------------------------------------------------------------------------------------
+
+
+def test_contraction_keeps_the_cube_and_brings_infinity_to_its_double() -> None:
+    inside = torch.rand(50, 3) * 2 - 1
+    assert torch.equal(contract(inside), inside)
+    far = torch.tensor([[1e9, 0.0, 0.0], [0.0, -4.0, 2.0], [2.0, 2.0, 2.0]])
+    torch.testing.assert_close(contract(far), torch.tensor([[2.0, 0, 0], [0, -1.75, 0.875], [1.5, 1.5, 1.5]]))
+
+
+@pytest.mark.parametrize("place", [around, forward, lambda scene: scene], ids=["contracted", "ndc", "world"])
+def test_a_ray_in_the_box_is_the_ray_in_the_world(scene: Scene, place) -> None:
+    scene = place(scene)
+    space, rays = Space.of(scene), camera_rays(scene.views[0].camera, scene.near, scene.far)
+    boxed, t = space.rays(rays), torch.full((len(rays),), 0.6)
+    x = boxed.origins + t[:, None] * boxed.directions
+    world = rays.origins + space.world_t(rays, t[:, None]) * rays.directions
+    torch.testing.assert_close(contract(x) if space.kind == "contracted" else x, space.points(world), atol=1e-4, rtol=0)
+
+
+# ---- the grid -----------------------------------------------------------------------------------------------------
+
+
+def test_every_occupied_cell_has_rows_for_its_corners_and_leaps_never_jump_over_one() -> None:
+    occupied = torch.rand(13, 9, 18, generator=torch.Generator().manual_seed(0)) < 0.03
+    grid = VoxelGrid.over(np.zeros(3), np.ones(3), occupied, contracted=False)
+    corners = torch.cartesian_prod(*[torch.arange(2)] * 3)
+    cells = occupied.nonzero()
+    assert (grid.row_of((cells[:, None] + corners).reshape(-1, 3)) >= 0).all()
+    blocks = {tuple(b) for b in (cells // 4).tolist()}
+    for block in torch.cartesian_prod(*(torch.arange(n) for n in grid.leap.shape)).tolist():
+        nearest = min(max(abs(a - b) for a, b in zip(block, other, strict=True)) for other in blocks)
+        assert int(grid.leap[tuple(block)]) == nearest
+    assert grid.bricks == int(bricks_of(occupied).sum()) == len(grid.rows) // ROWS
+    assert torch.equal(grid.row_of(grid.vertices()), torch.arange(len(grid.rows)))
+
+
+def test_growing_takes_all_neighbours() -> None:
+    one = torch.zeros(5, 5, 5, dtype=torch.bool)
+    one[2, 2, 2] = True
+    assert int(grow(one).sum()) == 27
+    assert not leaps(torch.ones(3, 3, 3, dtype=torch.bool)).any()
+
+
+def test_resampling_keeps_a_linear_field() -> None:
+    everything = torch.ones(6, 5, 7, dtype=torch.bool)
+    grid = VoxelGrid.over(np.array([-1.0, 0, 2]), np.full(3, 0.5), everything, contracted=False)
+    slope = torch.tensor([1.0, -2.0, 3.0])
+    where = torch.tensor([-1.0, 0, 2]) + grid.vertices() * 0.5
+    grid.rows[:, 3] = where @ slope
+    fine = grid.resampled(np.array([-0.8, 0.3, 2.2]), np.full(3, 0.2), torch.ones(8, 6, 9, dtype=torch.bool))
+    at = torch.tensor([-0.8, 0.3, 2.2]) + fine.vertices() * 0.2
+    inside = (fine.vertices() <= torch.tensor([8, 6, 9])).all(-1)
+    torch.testing.assert_close(fine.rows[inside, 3], (at @ slope)[inside], atol=1e-4, rtol=0)
+
+
+# ---- training -----------------------------------------------------------------------------------------------------
+
+
+def test_levels_grow_finer_and_empty_space_is_dropped(scene: Scene) -> None:
+    trainer = run(scene, 0)
+    method = trainer.method
+    assert isinstance(method, Voxels)
+    scales = [level.scale for level in method.levels]
+    assert len(scales) >= 3
+    assert scales == sorted(scales, reverse=True)
+    assert scales[-1] == 1
+    before = method.grid
+    report = None
+    while method.level < len(method.levels) - 1 or trainer.step_count < 120:
+        report = trainer.step()
+    assert report is not None
+    assert report.psnr > 20
+    assert method.grid.voxel[0] < before.voxel[0] / 2
+    share = float(method.grid.occupied.float().mean()) * np.prod(method.grid.voxel * method.grid.size)
+    assert share < 0.7 * np.prod(before.voxel * before.size)
+
+
+@pytest.mark.parametrize("place", [around, forward])
+def test_unbounded_scenes_learn(scene: Scene, place) -> None:
+    scene = place(scene)
+
+    def error(trainer: Trainer) -> float:
+        color, _ = render_camera(trainer.method, scene.views[0].camera, scene)
+        return float(((color - scene.images[0].astype(np.float32) / 65535) ** 2).mean())
+
+    trainer = run(scene, 60)
+    assert error(trainer) < 0.3 * error(run(scene, 1))
+    assert all(v.isfinite().all() for v in trainer.state().values() if v.is_floating_point())
+
+
+def test_the_same_seed_gives_the_same_bits_and_another_does_not(scene: Scene) -> None:
+    a, b, c = (run(scene, 25, seed).state() for seed in (3, 3, 4))
+    assert [name for name in a if not torch.equal(a[name], b[name])] == []
+    assert not torch.equal(a["method.grid.rows"], c["method.grid.rows"])
+
+
+def test_an_abandoned_step_has_not_happened(scene: Scene) -> None:
+    trainer, calm = run(scene, 8), run(scene, 8)
+
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    for _ in range(3):
+        with pytest.raises(KeyboardInterrupt):
+            trainer.step(interrupt)
+    for _ in range(9):
+        trainer.step()
+        calm.step()
+    a, b = trainer.state(), calm.state()
+    assert [name for name in a if not torch.equal(a[name], b[name])] == []
+
+
+def test_a_frozen_model_stays(scene: Scene) -> None:
+    trainer = run(scene, 30)
+    rays = camera_rays(scene.views[5].camera, scene.near, scene.far)
+    frozen, before = trainer.frozen_method(), trainer.method.render(rays).color
+    for _ in range(30):
+        trainer.step()
+    assert torch.equal(frozen.render(rays).color, before)
+    assert not torch.equal(trainer.method.render(rays).color, before)
+
+
+def test_rows_never_pass_their_limit(scene: Scene) -> None:
+    trainer = run(scene, 60, most_rows=4096)
+    method = trainer.method
+    assert isinstance(method, Voxels)
+    assert method.level == len(method.levels) - 1
+    assert len(method.grid.rows) <= 4096
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("grid.bricks", torch.zeros(1, 1, 1, dtype=torch.bool), "lacks rows"),
+        ("grid.rows", torch.zeros(64, 16), "do not fit its bricks"),
+        ("grid.rows", torch.zeros(64, 16, dtype=torch.float64), "not of the kind"),
+        ("grid.voxel", torch.tensor([1.0, 0.0, 1.0]), "not of the kind"),
+        ("moments", torch.zeros(64, 16), "moments do not fit"),
+        ("seen", torch.zeros(3, dtype=torch.bool), "what was seen"),
+        ("level", torch.tensor(99), "level 99"),
+    ],
+)
+def test_a_state_that_does_not_fit_is_refused(scene: Scene, name: str, value: torch.Tensor, text: str) -> None:
+    """The loops trust table and rows: past their end they would read and write all the same."""
+    method = run(scene, 10).method
+    with pytest.raises(ValueError, match=text):
+        method.load_state(method.state() | {name: value})
+
+
+def test_without_numba_torch_does_the_same_and_it_is_told(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    fast = run(scene, 3)
+    monkeypatch.setattr(choice, "numba_obstacle", lambda: "numba cannot be imported (gone)")
+    plain = run(scene, 3)
+    assert isinstance(plain.method, Voxels)
+    assert isinstance(plain.method.kernels, TorchVoxels)
+    assert "some ten times slower" in choice.note(CPU)
+    rays = camera_rays(scene.views[5].camera, scene.near, scene.far)
+    a, b = (trainer.method.render(rays).color for trainer in (fast, plain))
+    assert float((a - b).abs().mean()) < 2e-3
+
+
+def test_presets_and_constants_that_do_not_exist_are_named(scene: Scene) -> None:
+    with pytest.raises(UserError, match="method voxels has none but auto"):
+        VoxelConfig.configure(scene, "complete", {}, CPU)
+    with pytest.raises(UserError, match="--set 'wings': method voxels has no such constant"):
+        VoxelConfig.configure(scene, "auto", {"wings": "2"}, CPU)
+    with pytest.raises(UserError, match=r"--set keep=1\.0: must lie in"):
+        VoxelConfig.configure(scene, "auto", {"keep": "1"}, CPU)
+
+
+def test_depth_is_where_the_ball_is(scene: Scene) -> None:
+    """The fixture's ball has radius 1: seen from the middle of a held-out photo."""
+    trainer = run(scene, 150)
+    camera = scene.views[5].camera
+    middle = camera_rays(camera, scene.near, scene.far, np.array([[8, 8]]))
+    drawn = trainer.method.render(middle)
+    distance = float(np.linalg.norm(camera.c2w[:, 3]))
+    assert float(drawn.opacity[0]) > 0.9
+    assert distance - 1.3 < float(drawn.depth[0]) < distance - 0.4
+
+
+def test_density_is_exported_per_world_unit(scene: Scene) -> None:
+    trainer = run(scene, 30)
+    method = trainer.method
+    assert isinstance(method, Voxels)
+    method.grid.rows[:, DENSITY] = 1.0
+    samples = method.trace(camera_rays(scene.views[0].camera, scene.near, scene.far)[130:131]).passes[0]
+    cell = float(method.grid.voxel[0]) * method.space.extent
+    inside = samples.alpha[0] > 0
+    expected = torch.nn.functional.softplus(torch.tensor(1.0 + method.config.bias)) / cell
+    torch.testing.assert_close(samples.sigma[0][inside], expected.expand(int(inside.sum())), rtol=1e-3, atol=0)
