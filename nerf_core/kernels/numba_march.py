@@ -1,6 +1,7 @@
 """How a ray finds its samples on a CPU: steps of equal length through occupied cells, leaps over empty blocks.
 
-`cells` is `nerf_core.cells.CellArrays`; `nerf_core.kernels.torch_march` says the same plainly.
+`cells` is `nerf_core.cells.CellArrays`; `nerf_core.kernels.torch_march` says the same plainly. All is float32: an
+integer among the operands would silently make it float64.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ F = np.float32
 NEVER = F(1e30)
 STRAIGHT = F(0.25)  # of its distance from the centre: so far a contracted ray counts as straight when it leaps
 # What a ray keeps of each sample, in one row of `notes`. Its cell and the place in it make way for what is found there.
-# The cell is kept, not found again: rounded once more, a point on a cell's face might be in its empty neighbour.
+# The cell is kept, not found again: a point that is rounded once more on its way through memory might by then lie in
+# the empty neighbour.
 ALPHA, LIGHT, RED, GREEN, BLUE, RAW, DISTANCE, WIDTH, NOTES = 0, 1, 2, 3, 4, 5, 6, 7, 8
 CELL_X, CELL_Y, CELL_Z, X, Y, Z = ALPHA, LIGHT, RAW, RED, GREEN, BLUE
 
@@ -68,9 +70,9 @@ def march(cells: Any, rays: Any, r: Any, step: Any, notes: Any) -> Any:  # noqa:
     ux, uy, uz = vx, vy, vz
     t, last, norm = rays.near[r], rays.far[r], F(0)
     if not cells.contracted:
-        t, last = _clipped(gx, vx, nx, t, last)
-        t, last = _clipped(gy, vy, ny, t, last)
-        t, last = _clipped(gz, vz, nz, t, last)
+        t, last = _clipped(gx, vx, F(nx), t, last)
+        t, last = _clipped(gy, vy, F(ny), t, last)
+        t, last = _clipped(gz, vz, F(nz), t, last)
     straight = step / math.sqrt(vx * vx + vy * vy + vz * vz)
     dt = straight
     t += rays.offsets[r] * dt
@@ -92,12 +94,13 @@ def march(cells: Any, rays: Any, r: Any, step: Any, notes: Any) -> Any:  # noqa:
             continue
         leap = cells.leap[np.uint64(((i >> 2) * blocks_y + (j >> 2)) * blocks_z + (k >> 2))]
         if leap > 0:  # nothing within leap − 1 blocks of this one: to the far side of that cube
-            reach = 4 * (leap - 1)
-            x, y, z, side = (i & ~3) - reach, (j & ~3) - reach, (k & ~3) - reach, 4 + 2 * reach
+            reach = 4 * (np.int64(leap) - 1)
+            x, y, z = F((i & ~3) - reach), F((j & ~3) - reach), F((k & ~3) - reach)
+            side = F(4 + 2 * reach)
             gap = min(_gap(px, ux, x, x + side), _gap(py, uy, y, y + side), _gap(pz, uz, z, z + side))
             if norm > 1:
                 gap = min(gap, STRAIGHT * norm)
-            t += max(math.floor(gap / dt) + F(1), F(1)) * dt
+            t += max(np.floor(gap / dt) + F(1), F(1)) * dt
         elif cells.occupied[np.uint64((i * ny + j) * nz + k)] == 0:
             t += dt
         else:

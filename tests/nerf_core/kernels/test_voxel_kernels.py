@@ -132,8 +132,10 @@ def test_no_sample_ever_reads_a_row_that_is_not_there(contracted: bool) -> None:
     kernels = CpuVoxels(2)
     for seed in range(4):
         rays = some_rays(150_000, seed)
-        offsets = torch.rand(len(rays), generator=torch.Generator().manual_seed(seed))
-        assert kernels.render(grid, rays, March(0.7, -3.0, WHITE, offsets)).isfinite().all()
+        march = March(0.7, -3.0, WHITE, torch.rand(len(rays), generator=torch.Generator().manual_seed(seed)))
+        assert kernels.render(grid, rays, march).isfinite().all()
+        error, _ = kernels.accumulate(grid, rays, torch.zeros(len(rays), 3), march)
+        assert np.isfinite(error)
 
 
 @pytest.mark.parametrize("contracted", [False, True])

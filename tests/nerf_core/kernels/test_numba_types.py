@@ -1,0 +1,25 @@
+"""What numba makes of the loops' types."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numba import njit
+
+from nerf_core.cells import Cells
+from nerf_core.kernels import numba_march
+from nerf_core.kernels.cpu_rays import ray_arrays
+from nerf_core.spaces import BoxRays
+
+
+def test_a_march_counts_in_single_precision() -> None:
+    """An integer among float32 operands makes float64: slower, and rounded differently when it goes through memory."""
+    cells = Cells.of(np.zeros(3), np.ones(3), torch.ones(2, 2, 2, dtype=torch.bool), contracted=True)
+    one = torch.ones(1, 3)
+    rays = ray_arrays(BoxRays(one, one, one, one[:, 0], one[:, 0]), one[:, 0])
+    march = njit(numba_march.march.py_func)  # compiled here: what comes from a cache does not tell its types
+    march(cells.cell_arrays(), rays, 0, np.float32(1), np.zeros(80, np.float32))
+    (compiled,) = march.overloads.values()
+    for name in ("t", "last", "dt", "px", "ux", "gap", "norm"):
+        typed = compiled.type_annotation.typemap.items()
+        assert {str(kind) for key, kind in typed if key.split(".")[0] == name} == {"float32"}, name
