@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from numba import njit
@@ -17,7 +19,8 @@ def test_a_march_counts_in_single_precision() -> None:
     cells = Cells.of(np.zeros(3), np.ones(3), torch.ones(2, 2, 2, dtype=torch.bool), contracted=True)
     one = torch.ones(1, 3)
     rays = ray_arrays(BoxRays(one, one, one, one[:, 0], one[:, 0]), one[:, 0])
-    march = njit(numba_march.march.py_func)  # compiled here: what comes from a cache does not tell its types
+    compiler: Any = njit  # which returns a dispatcher, not what its stubs say
+    march = compiler(numba_march.march.py_func)  # compiled here: what comes from a cache does not tell its types
     march(cells.cell_arrays(), rays, 0, np.float32(1), np.zeros(80, np.float32))
     (compiled,) = march.overloads.values()
     for name in ("t", "last", "dt", "px", "ux", "gap", "norm"):

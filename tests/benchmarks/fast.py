@@ -1,0 +1,267 @@
+"""How fast every method learns here: PSNR on held-out photos over seconds of training, rays a second, preview, memory.
+
+    python tests/benchmarks/fast.py --scenes DIR --out FOLDER [--rows lego100-voxels …] [--repeat 5]
+
+Each run is a process of its own: its peak memory is its own, and what numba compiles is there before its clock starts
+(the time to compile everything anew is measured apart). Rays a second take turns with the plain float32 step of the
+paper's model in one process. Writes FOLDER/fast.json and FOLDER/fast.png and prints medians with least and largest.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import nerf_core  # noqa: F401  before torch: it sets how OpenMP's threads wait
+
+# isort: split
+import numpy as np
+import torch
+
+from nerf_core.cameras import camera_rays
+from nerf_core.datasets import LoadOptions, load_scene
+from nerf_core.device import describe, usable_cores
+from nerf_core.metrics import psnr
+from nerf_core.render import render_camera
+from nerf_core.scene import Scene
+from nerf_core.settings import RunSettings
+from nerf_core.trainer import Trainer
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table: PSNR after `seconds`, and when it passed `levels` (dB); views: test views at most."""
+
+    scene: str
+    downscale: int
+    method: str
+    seconds: float
+    levels: tuple[float, ...] = ()
+    marks: int = 24
+    changes: tuple[tuple[str, str], ...] = ()
+
+
+ROWS = {
+    "lego100-voxels": Row("lego", 8, "voxels", 20, (30, 33)),
+    "lego200-voxels": Row("lego", 4, "voxels", 60, (30, 32)),
+    "lego800-voxels": Row("lego", 1, "voxels", 600, (30, 31), marks=6),
+    "fern-voxels": Row("fern", 8, "voxels", 120, (22,), marks=10),
+    "fox-voxels": Row("fox", 4, "voxels", 120, (22,), marks=8),
+    "lego100-hash": Row("lego", 8, "hash", 30, (25, 30)),
+}
+
+
+def held_out_psnr(trainer: Trainer) -> float:
+    scene = trainer.scene
+    return statistics.mean(
+        psnr(render_camera(trainer.method, scene.views[i].camera, scene)[0], scene.images[i].astype(np.float32) / 65535)
+        for i in scene.held_out()[1]
+    )
+
+
+def learn(scene: Scene, row: Row, seed: int) -> dict[str, Any]:
+    """PSNR over seconds of training; evaluating is not counted."""
+    trainer = Trainer(scene, RunSettings(method=row.method, seed=seed, changes=dict(row.changes)))
+    marks = list(np.geomspace(min(1.0, row.seconds / 20), row.seconds, row.marks))
+    curve = []
+    while marks:
+        trainer.step()
+        if trainer.seconds >= marks[0]:
+            while marks and trainer.seconds >= marks[0]:
+                marks.pop(0)
+            curve.append((trainer.seconds, held_out_psnr(trainer)))
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    return {"curve": curve, "steps": trainer.step_count, "peak_gib": peak}
+
+
+def passed(curve: list[tuple[float, float]], level: float) -> float | None:
+    """Seconds at which the curve first passes `level`, between two looks in proportion; None where it never does."""
+    before = (0.0, 0.0)
+    for t, value in curve:
+        if value >= level:
+            share = (level - before[1]) / (value - before[1])
+            return before[0] + share * (t - before[0])
+        before = (t, value)
+    return None
+
+
+def rates(scene: Scene, rounds: int) -> dict[str, Any]:
+    """Rays a second of the voxel method, warm, and of the paper's model written plainly in float32, in turns."""
+    from training import PlainNerf, seconds
+
+    trainer = Trainer(scene, RunSettings(method="voxels"))
+    while trainer.step_count < 600:
+        trainer.step()
+    peer, ours, plain = PlainNerf(torch.tensor(scene.background)), [], []
+    rays, truth = trainer.batches.draw(trainer.method.draw(0)._replace(rays=256, shrink=1))
+    peer.train(rays, truth)
+    for _ in range(rounds):
+        before = trainer.step_count
+        begin = time.perf_counter()
+        count = sum(trainer.step().rays for _ in range(40))
+        ours.append(count / (time.perf_counter() - begin))
+        assert trainer.step_count == before + 40
+        plain.append(256 / seconds(lambda: peer.train(rays, truth)))
+    return {"ours": ours, "plain": plain, "ratio": [a / b for a, b in zip(ours, plain, strict=True)]}
+
+
+def preview(scene: Scene, rounds: int) -> list[float]:
+    """Milliseconds to draw 200 × 150 pixels on one thread."""
+    torch.set_num_threads(1)
+    trainer = Trainer(scene, RunSettings(method="voxels", threads=1))
+    while trainer.step_count < 600:
+        trainer.step()
+    camera = scene.views[scene.held_out()[1][0]].camera.resized(200, 150)
+    times = []
+    for _ in range(rounds + 1):  # the first warms up
+        begin = time.perf_counter()
+        trainer.method.render(camera_rays(camera, scene.near, scene.far))
+        times.append(1e3 * (time.perf_counter() - begin))
+    return times[1:]
+
+
+def growth(scene: Scene, rounds: int) -> dict[str, list[float]]:
+    """Milliseconds of a voxel step on copies of the scene with 10, 100 and 1,000 training photos."""
+    found: dict[str, list[float]] = {}
+    for count in (10, 100, 1000):
+        some = [scene.split("train")[i % len(scene.split("train"))] for i in range(count)]
+        views = tuple(scene.views[i] for i in some)
+        many = replace(
+            scene, views=views, images=tuple(scene.images[i] for i in some), splits={"train": tuple(range(count))}
+        )
+        trainer = Trainer(many, RunSettings(method="voxels"))
+        while trainer.step_count < 400:
+            trainer.step()
+        found[str(count)] = [1e3 * statistics.mean(trainer.step().seconds for _ in range(20)) for _ in range(rounds)]
+    return found
+
+
+def compile_seconds() -> dict[str, float]:
+    """A first step's preparation with an empty cache, and with a full one."""
+    code = (
+        "import time, nerf_core, torch; from nerf_core.kernels.choice import packed_kernels, voxel_kernels\n"
+        "cpu = torch.device('cpu'); begin = time.perf_counter(); voxel_kernels(cpu); middle = time.perf_counter()\n"
+        "packed_kernels(cpu); print(middle - begin, time.perf_counter() - middle)"
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        environment = {**os.environ, "NUMBA_CACHE_DIR": folder}
+        times = [
+            [
+                float(v)
+                for v in subprocess.check_output([sys.executable, "-c", code], env=environment, text=True).split()
+            ]
+            for _ in range(2)
+        ]
+    names = (("voxels_cold", "hash_cold"), ("voxels_warm", "hash_warm"))
+    return {
+        name: float(value)
+        for pair, row in zip(names, times, strict=True)
+        for name, value in zip(pair, row, strict=True)
+    }
+
+
+def one(args: argparse.Namespace) -> dict[str, Any]:
+    """What a child process measures."""
+    if args.child == "compile":
+        return compile_seconds()
+    if args.child in ROWS:
+        row = ROWS[args.child]
+        scene = load_scene(args.scenes / row.scene, LoadOptions(downscale=row.downscale))
+        return learn(scene, row, args.seed)
+    scene = load_scene(args.scenes / "lego", LoadOptions(downscale=8))
+    measures: dict[str, Callable[[Scene, int], Any]] = {"rates": rates, "preview": preview, "growth": growth}
+    return {"value": measures[args.child](scene, args.repeat)}
+
+
+def child(args: argparse.Namespace, name: str, seed: int = 0) -> dict[str, Any]:
+    command = [sys.executable, __file__, "--scenes", str(args.scenes), "--repeat", str(args.repeat)]
+    done = subprocess.run([*command, "--child", name, "--seed", str(seed)], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"{name}: {done.stderr}")
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def spread(values: list[float], digits: int = 1) -> str:
+    if len(values) == 1:
+        return f"{values[0]:.{digits}f} (one run)"
+    return f"{statistics.median(values):.{digits}f} ({min(values):.{digits}f} – {max(values):.{digits}f})"
+
+
+def told(name: str, runs: list[dict[str, Any]]) -> None:
+    row = ROWS[name]
+    parts = [f"{spread([run['curve'][-1][1] for run in runs], 2)} dB after {row.seconds:.0f} s"]
+    for level in row.levels:
+        times = [passed(run["curve"], level) for run in runs]
+        reached = [t for t in times if t is not None]
+        missed = f", {len(times) - len(reached)} never" if len(reached) < len(times) else ""
+        parts.append(f"{level:.0f} dB: {spread(reached) if reached else '–'} s{missed}")
+    print(f"{name}: {'; '.join(parts)}; peak {max(run['peak_gib'] for run in runs):.1f} GiB", flush=True)
+
+
+def plot(results: dict[str, list[dict[str, Any]]], file: Path) -> None:
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(figsize=(8, 5), dpi=120)
+    for i, (name, runs) in enumerate(results.items()):
+        for k, run in enumerate(runs):
+            t, value = zip(*run["curve"], strict=True)
+            axes.plot(t, value, color=f"C{i}", alpha=1 if k == 0 else 0.35, label=name if k == 0 else None)
+    axes.set(
+        xscale="log", xlabel="seconds of training", ylabel="PSNR on held-out photos, dB", title=platform.processor()
+    )
+    axes.grid(alpha=0.3)
+    axes.legend()
+    figure.tight_layout()
+    figure.savefig(file)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenes", type=Path, required=True, help="folder with lego, fern and fox")
+    parser.add_argument("--out", type=Path, default=Path("runs/fast"))
+    parser.add_argument("--rows", nargs="*", default=["compile", "rates", "preview", "growth", *ROWS])
+    parser.add_argument("--repeat", type=int, default=5, help="runs of each row (of those over 100 s one alone)")
+    parser.add_argument("--child", default="", help=argparse.SUPPRESS)
+    parser.add_argument("--seed", type=int, default=0, help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.child:
+        print(json.dumps(one(args)))
+        return
+    args.out.mkdir(parents=True, exist_ok=True)
+    machine = f"{platform.processor() or platform.machine()}, {usable_cores()} cores, {describe(torch.device('cpu'))}"
+    print(f"{machine}, torch {torch.__version__}")
+    results: dict[str, Any] = {"machine": machine}
+    for name in args.rows:
+        if name in ROWS:
+            count = args.repeat if ROWS[name].seconds <= 100 else 1
+            results[name] = [child(args, name, seed) for seed in range(count)]
+            told(name, results[name])
+        else:
+            results[name] = child(args, name)
+            figures = results[name].get("value", results[name])
+            lists = figures if isinstance(figures, dict) else {"ms": figures}
+            text = {k: spread(v) if isinstance(v, list) else f"{v:.1f}" for k, v in lists.items()}
+            print(f"{name}: " + "; ".join(f"{k} {v}" for k, v in text.items()), flush=True)
+        (args.out / "fast.json").write_text(json.dumps(results, indent=1))
+    curves = {name: results[name] for name in args.rows if name in ROWS}
+    if curves:
+        plot(curves, args.out / "fast.png")
+
+
+if __name__ == "__main__":
+    main()
