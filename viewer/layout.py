@@ -14,6 +14,7 @@ from viewer.panels import Panel
 VIEWPORT = "Viewport"
 HEADER = "; nerf-viewer layout 1 "
 FRONT = "; in front: "  # imgui takes it for a comment
+NOWHERE = "Pos=60,60\n"
 RIGHT_EM, BOTTOM_EM, BOTTOM_RIGHT_EM = 23.0, 17.5, 23.0
 BOTTOM_SHARE = 0.34  # of the height, at least: a tall window has taller plots, not only a taller picture
 MIDDLE_EM = 23.9  # the second panel of the right column holds plots and buttons of fixed height
@@ -89,7 +90,7 @@ class Layout:
         space = imgui.get_id("docks")
         if self._remembered:  # of another version, perhaps: a panel without a place would float over the others
             places = {panel.title for panel in panels if panel.dock != "overlay"} | {VIEWPORT}
-            self._build_next = not all(f"[Window][{title}]\n" in self._remembered for title in places)
+            self._build_next = not all(_has_place(self._remembered, title) for title in places)
             first = self._remembered.partition("\n")[0]
             self._front = tuple(first.removeprefix(FRONT).split("|")) if first.startswith(FRONT) else ()
             self._raise_soon, self._remembered = self._front, ""
@@ -112,6 +113,13 @@ class Layout:
     def bring_forward(self, titles: Sequence[str]) -> None:
         """From the next frame on these are the tabs in front; docks that return show their last ones otherwise."""
         self._raise_next = tuple(titles)
+
+
+def _has_place(body: str, title: str) -> bool:
+    """Whether a remembered layout says where a window lies. imgui lets one that nobody placed float at NOWHERE."""
+    _, found, after = body.partition(f"[Window][{title}]\n")
+    section = after.partition("\n\n")[0]
+    return bool(found) and ("DockId=" in section or NOWHERE not in section)
 
 
 def _checksum(body: str) -> str:

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
+import os
+import shutil
+from functools import lru_cache
+
 import torch
 
 from nerf_core.kernels.numba_here import numba_obstacle
@@ -21,19 +26,35 @@ def voxel_kernels(device: torch.device) -> VoxelKernels:
 
 
 def packed_kernels(device: torch.device) -> PackedKernels:
-    """The same, for packed samples and the hash grid."""
+    """For packed samples and the hash grid: numba's loops on a CPU, Triton's on CUDA, else torch operations."""
     if device.type == "cpu" and not numba_obstacle():
         from nerf_core.kernels.cpu_packed import CpuPacked, compile_loops
 
         compile_loops()
         return CpuPacked(torch.get_num_threads())
+    if device.type == "cuda" and not triton_obstacle():
+        from nerf_core.kernels.triton_packed import TritonPacked
+
+        return TritonPacked()
     from nerf_core.kernels.torch_packed import TorchPacked
 
     return TorchPacked()
+
+
+@lru_cache
+def triton_obstacle() -> str:
+    """Why Triton cannot be used; empty where it can. It compiles its launchers with the system's C compiler."""
+    if importlib.util.find_spec("triton") is None:
+        return "Triton is not installed"
+    if not (os.environ.get("CC") or any(shutil.which(name) for name in ("cc", "gcc", "clang"))):
+        return "Triton finds no C compiler (install gcc)"
+    return ""
 
 
 def note(device: torch.device) -> str:
     """What is to be told of the choice: nothing where it is the fast one."""
     if device.type == "cpu" and numba_obstacle():
         return f"{numba_obstacle()}: training runs on plain torch operations, some ten times slower"
+    if device.type == "cuda" and triton_obstacle():
+        return f"{triton_obstacle()}: training runs on plain torch operations, which is slower"
     return ""

@@ -4,7 +4,7 @@
 
 A real window on the demo scene: training alone; then with the window at rest; then with a hand that orbits all the
 time. Prints the distribution of frame times (what one turn of the GUI loop took that drew), the delay from a moved
-camera to the first newly computed pixels for it (not the warp of the old picture), and the training's rays/s.
+camera to the first newly computed pixels for it (not the warp of the old picture), and the training's steps/s.
 """
 
 from __future__ import annotations
@@ -21,13 +21,14 @@ from nerf_core.worker import Worker
 from viewer.app import App
 from viewer.window import Window
 
-RAYS = 64  # a step, as the quick preset has
+WARM = 600  # steps before the measuring begins: by then a voxel grid is as fine as it becomes
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each phase")
     parser.add_argument("--offscreen", action="store_true", help="through EGL instead of a window")
+    parser.add_argument("--method", default="auto")
     args = parser.parse_args()
     if args.offscreen:
         from viewer.window.egl_window import EglWindow
@@ -37,7 +38,7 @@ def main() -> None:
         from viewer.window.glfw_window import GlfwWindow
 
         window = GlfwWindow("benchmark", (1280, 800))
-    settings = RunSettings(changes={"rays": str(RAYS)})
+    settings = RunSettings(method=args.method)
     worker = Worker(settings, wake=window.wake)
     link = _Stopwatch(worker)
     app = App(window, link)
@@ -46,9 +47,11 @@ def main() -> None:
     while worker.snapshot().scene is None or worker.snapshot().loading:
         time.sleep(0.05)
     worker.send(Train())
+    while worker.snapshot().step < WARM:
+        time.sleep(0.05)
     print(f"{window.context.info['GL_RENDERER']}, {window.size()[0]}×{window.size()[1]}")
     alone = _speed(worker, args.seconds, lambda: time.sleep(0.05))
-    print(f"training alone: {alone:.0f} rays/s")
+    print(f"training alone: {alone:.1f} steps/s")
     frames: list[float] = []
 
     def turn() -> None:
@@ -69,7 +72,7 @@ def main() -> None:
         frames.clear()
         link.delays.clear()
         speed = _speed(worker, args.seconds, work)
-        print(f"{label}: {speed:.0f} rays/s, {speed / alone:.0%} of training alone")
+        print(f"{label}: {speed:.1f} steps/s, {speed / alone:.0%} of training alone")
         _tell("frame", frames)
         if work is hand:
             _tell("moved camera to new pixels", link.delays)
@@ -79,12 +82,11 @@ def main() -> None:
 
 
 def _speed(worker: Worker, seconds: float, work: Callable[[], None]) -> float:
-    """Rays trained on per second of wall time while `work` is called over and over."""
+    """Training steps per second of wall time while `work` is called over and over."""
     begin, step = time.perf_counter(), worker.snapshot().step
     while time.perf_counter() - begin < seconds:
         work()
-    rays = (worker.snapshot().step - step) * RAYS
-    return rays / (time.perf_counter() - begin)
+    return (worker.snapshot().step - step) / (time.perf_counter() - begin)
 
 
 def _tell(name: str, milliseconds: list[float]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 import scripted
 
 from viewer.app import App
-from viewer.layout import HEADER, _checksum
+from viewer.layout import HEADER, _checksum, _has_place
 from viewer.window import Window
 
 Offscreen = Callable[..., Window]
@@ -88,6 +89,35 @@ def test_a_layout_that_lacks_a_panel_gives_way_to_the_default(opened: Open, tmp_
     again = opened(file)
     assert viewport_of(again) == pytest.approx(default, abs=2)
     assert not again.state.notices
+
+
+def test_a_panel_that_nobody_placed_does_not_float_over_the_others(opened: Open, tmp_path: Path) -> None:
+    file = tmp_path / "layout.ini"
+    app = opened(file)
+    default = viewport_of(app)
+    move_the_divider(app)
+    app.close()
+    body = file.read_text("utf-8").partition("\n")[2]
+    body = re.sub(r"(\[Window\]\[View\]\n)Pos=.*\n((?:.+\n)*?)DockId=.*\n", r"\1Pos=60,60\n\2", body)
+    assert "[Window][View]\nPos=60,60\n" in body
+    file.write_text(f"{HEADER}{_checksum(body)}\n{body}", "utf-8")
+    assert viewport_of(opened(file)) == pytest.approx(default, abs=2)
+
+
+def test_panels_that_were_hidden_when_the_window_closed_come_back_to_their_places(opened: Open, tmp_path: Path) -> None:
+    file = tmp_path / "layout.ini"
+    app = opened(file)
+    default = viewport_of(app)
+    app.state.show_panels = False
+    app.settle(5)
+    app.close()
+    again = opened(file)
+    again.state.show_panels = True
+    again.settle(5)
+    assert viewport_of(again) == pytest.approx(default, abs=2)
+    again.close()
+    places = file.read_text("utf-8")
+    assert all(_has_place(places, title) for title in ("View", "Export", "Notices", "Ray"))
 
 
 @pytest.mark.parametrize("damage", ["cut", "binary", "foreign", "edited"])
