@@ -1,5 +1,6 @@
 """`PackedKernels` on CUDA through Triton: launches of `nerf_core.kernels.triton_loops`; the march is torch's yet."""
 
+# pyright: reportArgumentType=false
 from __future__ import annotations
 
 import torch
