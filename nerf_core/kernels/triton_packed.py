@@ -1,16 +1,18 @@
 """`PackedKernels` on CUDA through Triton: launches of `nerf_core.kernels.triton_loops`; the march is torch's yet."""
 
-# pyright: reportArgumentType=false
 from __future__ import annotations
+
+from typing import Any
 
 import torch
 import triton
 from torch import Tensor
 
-from nerf_core.kernels import triton_loops as loops
+from nerf_core.kernels import triton_loops
 from nerf_core.kernels.packed_kernels import BETA1, BETA2, EPSILON, HashLevels, Samples
 from nerf_core.kernels.torch_packed import TorchPacked
 
+loops: Any = triton_loops  # what Triton types as a call is a launch, with other arguments
 POINTS, RAYS, ROWS = 128, 64, 256  # one program's share
 
 
