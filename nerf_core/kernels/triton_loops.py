@@ -4,7 +4,7 @@ A program works on BLOCK rays or points at once. Gradients of the table are adde
 last bits of the weights, differ from run to run.
 """
 
-# pyright: reportIndexIssue=false, reportArgumentType=false, reportOperatorIssue=false
+# pyright: reportIndexIssue=false, reportArgumentType=false, reportOperatorIssue=false, reportGeneralTypeIssues=false
 from __future__ import annotations
 
 import triton
