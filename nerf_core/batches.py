@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -77,11 +77,12 @@ class PixelSampler:
     def _at(self, shrink: int) -> _Photos:
         """The photos at 1/shrink of their size. Those of one size are kept; a later level has no use for an earlier."""
         if shrink not in self._photos:
-            images, cameras = [], []
-            for i in self.views:
-                image, camera = shrunk(self.scene.images[i], self.scene.views[i].camera, shrink)
-                images.append(image)
-                cameras.append(camera)
+            self._photos = {}  # its memory first
+            images = [self.scene.images[i] for i in self.views]
+            cameras = [self.scene.views[i].camera for i in self.views]
+            if shrink > 1:
+                cameras = [shrunk_camera(camera, shrink) for camera in cameras]
+                images = shrunk(images, [(camera.height, camera.width) for camera in cameras], shrink)
             self._photos = {shrink: _Photos(images, cameras, self.scene)}
         return self._photos[shrink]
 
@@ -95,18 +96,28 @@ class PixelSampler:
         self.generator.set_state(state["generator"])
 
 
-def shrunk(image: np.ndarray, camera: Camera, factor: int) -> tuple[np.ndarray, Camera]:
-    """uint16 (H, W, 3) averaged over blocks of factor × factor pixels, and its camera.
+def shrunk_camera(camera: Camera, factor: int) -> Camera:
+    """Of a photo averaged over blocks of factor × factor pixels; what is left over at the far edges is dropped.
 
-    What is left over at the far edges is dropped. A photo with less than one block a side is averaged less.
+    A photo with less than one block a side is averaged less.
     """
-    factor = min(factor, *image.shape[:2])
-    if factor == 1:
-        return image, camera
-    height, width = (n // factor for n in image.shape[:2])
-    blocks = image[: height * factor, : width * factor].reshape(height, factor, width, factor, 3)
-    small = (blocks.mean((1, 3), dtype=np.float32) + np.float32(0.5)).astype(np.uint16)
-    return small, replace(camera, width=width * factor, height=height * factor).resized(width, height)
+    factor = min(factor, camera.width, camera.height)
+    width, height = camera.width // factor, camera.height // factor
+    return replace(camera, width=width * factor, height=height * factor).resized(width, height)
+
+
+def shrunk(images: Sequence[np.ndarray], sizes: Sequence[tuple[int, int]], factor: int) -> list[np.ndarray]:
+    """uint16 (H, W, 3) photos averaged over blocks to `sizes` (height, width), as `shrunk_camera` has them; all lie in
+    one array."""
+    ends = np.cumsum([height * width for height, width in sizes])
+    flat, results = np.empty((int(ends[-1]), 3), np.uint16), []
+    for image, (height, width), end in zip(images, sizes, ends, strict=True):
+        side = min(factor, *image.shape[:2])
+        blocks = image[: height * side, : width * side].reshape(height, side, width, side, 3)
+        small = flat[end - height * width : end].reshape(height, width, 3)
+        small[:] = blocks.mean((1, 3), dtype=np.float32) + np.float32(0.5)
+        results.append(small)
+    return results
 
 
 def flattened(images: list[np.ndarray]) -> tuple[np.ndarray, Tensor]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -11,71 +11,34 @@ import torch
 from nerf_core.constants import changed, check_ranges, restored
 from nerf_core.device import fast_precision
 from nerf_core.errors import UserError, shorten
+from nerf_core.mlp_config import MlpConfig
 from nerf_core.scene import Scene
 
-# 2³¹ times a coordinate is past what float32 can tell apart; the other limits are past what any machine can hold.
-MOST = {
-    "position_frequencies": 32, "direction_frequencies": 32, "rays": 2**22, "chunk_rays": 2**22, "tile": 2**22,
-    "coarse_samples": 2**14, "fine_samples": 2**14, "depth": 64, "width": 2**13, "decay_steps": 10**9,
-    "total_steps": 10**9, "precrop_steps": 10**9, "train_images": 10**9,
-}  # fmt: skip
-PRECISIONS = ("float32", "bfloat16")
+LEAST = {"coarse_samples": 3, "chunk_rays": 1}
+MOST = {"chunk_rays": 2**22, "coarse_samples": 2**14, "fine_samples": 2**14, "precrop_steps": 10**9}
 
 
 @dataclass(frozen=True)
-class NerfConfig:
-    """Defaults: the official configuration for Blender scenes (arXiv:2003.08934 and its code).
+class NerfConfig(MlpConfig):
+    """See `MlpConfig`; and how the paper places samples.
 
-    decay_steps: the learning rate falls to `decay` of itself over so many steps; a run that is told its number of
-    steps decays over those instead. one_image: each step's rays come from one photo. precrop_steps: so long,
-    rays come from the middle `precrop` of a photo. train_images: only so many photos, evenly spread (0: all).
-    last_delta: the δ of the last sample, which makes any positive density there opaque. precision: of the matrix
-    products; unless it is set, bfloat16 where the device is fast at that. chunk_rays: rays whose gradient is computed
-    at once; tile: rays rendered at once (0: by device). All three are part of what a seed fixes.
+    one_image: each step's rays come from one photo. precrop_steps: so long, rays come from the middle `precrop` of a
+    photo. chunk_rays: rays whose gradient is computed at once; part of what a seed fixes.
     """
 
-    rays: int = 1024
     coarse_samples: int = 64
     fine_samples: int = 128
-    position_frequencies: int = 10
-    direction_frequencies: int = 4
-    include_input: bool = True
-    pi: bool = False
-    view_directions: bool = True
-    depth: int = 8
-    width: int = 256
-    learning_rate: float = 5e-4
-    decay: float = 0.1
-    decay_steps: int = 500_000
-    total_steps: int = 500_000
-    adam_epsilon: float = 1e-7
     density_noise: float = 0.0
     one_image: bool = True
     precrop_steps: int = 0
     precrop: float = 0.5
-    train_images: int = 0
-    last_delta: float = 1e10
-    precision: str = "float32"
     chunk_rays: int = 32
-    tile: int = 0
 
     def __post_init__(self) -> None:
-        least = {
-            "rays": 1,
-            "coarse_samples": 3,
-            "depth": 1,
-            "width": 2,
-            "decay_steps": 1,
-            "total_steps": 1,
-            "chunk_rays": 1,
-        }
-        check_ranges(self, least, MOST)
-        if self.precision not in PRECISIONS:
-            raise UserError(f"--set precision={shorten(self.precision)}: choose {' or '.join(PRECISIONS)}")
+        super().__post_init__()
+        check_ranges(self, LEAST, MOST)
         if not 0 < self.precrop <= 1:
             raise UserError(f"--set precrop={self.precrop}: must lie in (0, 1]")
-        if not 0 < self.decay <= 1:
-            raise UserError(f"--set decay={self.decay}: must lie in (0, 1]")
 
     @staticmethod
     def configure(scene: Scene, preset: str, changes: Mapping[str, str], device: torch.device) -> NerfConfig:
@@ -94,9 +57,6 @@ class NerfConfig:
     @staticmethod
     def restore(config: Mapping[str, Any]) -> NerfConfig:
         return restored(NerfConfig, config, "nerf")
-
-    def to_json(self) -> dict[str, Any]:
-        return asdict(self)
 
 
 # The rows of the ablation table (NeRF, table 2) differ from the complete model in nothing but what they say.

@@ -1,17 +1,43 @@
-"""From packed samples, as the fast methods have them, to the same number of samples on every ray."""
+"""Samples packed ray after ray, as the fast methods have them, since rays need different numbers of them."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from nerf_core.kernels.packed_kernels import Samples as Packed
 from nerf_core.spaces import Space
 from nerf_core.types import Rays, Samples, Trace
 
 
-def to_trace(name: str, space: Space, rays: Rays, packed: Packed, tau: Tensor, rgb: Tensor, pixel: Tensor) -> Trace:
-    """Optical depths (M,), colours (M, 3) and pixels (R, 5) of packed samples, opened up.
+@dataclass(frozen=True)
+class Packed:
+    """M samples, ray after ray, front to back. ends: (R + 1,) int64, where each ray's samples begin, and M.
+
+    t, width: (M,) of the box rays' parameter.
+    """
+
+    ends: Tensor
+    t: Tensor
+    width: Tensor
+
+    @property
+    def ray(self) -> Tensor:
+        """(M,) the ray of each sample."""
+        counts = self.ends.diff()
+        return torch.repeat_interleave(torch.arange(len(counts), device=counts.device), counts)
+
+    def before(self, tau: Tensor) -> Tensor:
+        """Optical depth (M,) float64 in front of each sample: a running sum, less what it was where the ray began."""
+        running = tau.double().cumsum(0) - tau.double()
+        if not len(tau):
+            return running
+        return running - running[self.ends[:-1].clamp(max=len(tau) - 1)][self.ray]
+
+
+def opened(name: str, space: Space, rays: Rays, packed: Packed, tau: Tensor, rgb: Tensor) -> Samples:
+    """Optical depths (M,) and colours (M, 3) of packed samples as the same number of samples on every ray.
 
     Shorter rays are filled up behind their last sample: there t and δ repeat, and nothing absorbs.
     """
@@ -33,5 +59,9 @@ def to_trace(name: str, space: Space, rays: Rays, packed: Packed, tau: Tensor, r
     delta = torch.where(some, delta, 1.0) * stretch[:, None]
     alpha = -torch.expm1(-depth)
     light = torch.exp(-(depth.cumsum(-1) - depth))
-    samples = Samples(name, space.world_t(rays, t), delta, depth / delta, alpha, light, alpha * light, color)
-    return Trace(space.rendering(rays, pixel), (samples,))
+    return Samples(name, space.world_t(rays, t), delta, depth / delta, alpha, light, alpha * light, color)
+
+
+def to_trace(name: str, space: Space, rays: Rays, packed: Packed, tau: Tensor, rgb: Tensor, pixel: Tensor) -> Trace:
+    """The one pass that made pixels (R, 5), opened up."""
+    return Trace(space.rendering(rays, pixel), (opened(name, space, rays, packed, tau, rgb),))

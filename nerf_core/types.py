@@ -60,6 +60,9 @@ class Rendering:
     opacity: Tensor
     depth: Tensor
 
+    def to(self, device: torch.device) -> Rendering:
+        return Rendering(*(getattr(self, f.name).to(device) for f in fields(Rendering)))
+
     @staticmethod
     def cat(parts: list[Rendering]) -> Rendering:
         return Rendering(*(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(Rendering)))

@@ -16,8 +16,9 @@ from nerf_core.cells import Cells
 from nerf_core.kernels import numba_packed as loops
 from nerf_core.kernels.cpu_rays import ray_arrays
 from nerf_core.kernels.numba_march import NOTES
-from nerf_core.kernels.packed_kernels import BETA1, BETA2, EPSILON, HashLevels, Samples
+from nerf_core.kernels.packed_kernels import BETA1, BETA2, EPSILON, HashLevels, Samples, adam_numbers
 from nerf_core.kernels.shards import each_shard, split
+from nerf_core.packing import Packed
 from nerf_core.spaces import BoxRays
 
 
@@ -30,7 +31,7 @@ class CpuPacked:
         self.shards = shards
         self._average = 32.0  # samples a ray: how much room the next march is given, at first
 
-    def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor) -> Samples:
+    def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor, room: int = 0) -> Samples:
         arrays, given = cells.cell_arrays(), ray_arrays(rays, offsets)
         longest = int(1.5 * sum(cells.size) / step) + 8  # as in `cpu_voxels`
         counts = torch.zeros(len(rays), dtype=torch.long)
@@ -54,7 +55,8 @@ class CpuPacked:
         each_shard(self.shards, work)
         x, t, width = (torch.cat(v) for v in zip(*parts, strict=True))
         self._average = max(1.0, len(t) / max(1, len(rays)))
-        return Samples(torch.cat([counts.new_zeros(1), counts.cumsum(0)]), x, t, width)
+        samples = Samples(torch.cat([counts.new_zeros(1), counts.cumsum(0)]), t, width, x)
+        return samples.fitted(room) if room else samples
 
     def encode(self, table: Tensor, levels: HashLevels, x: Tensor) -> Tensor:
         features = torch.empty(len(x), table.shape[0] * table.shape[2])
@@ -68,7 +70,7 @@ class CpuPacked:
         out, count = into.numpy(), len(levels.resolutions)
         each_shard(self.shards, lambda s: loops.encode_gradient(*given, *split(count, self.shards, s), out))
 
-    def composite(self, tau: Tensor, rgb: Tensor, samples: Samples, background: Tensor) -> Tensor:
+    def composite(self, tau: Tensor, rgb: Tensor, samples: Packed, background: Tensor) -> Tensor:
         count = len(samples.ends) - 1
         pixel = torch.empty(count, 5)
         given = [v.contiguous().numpy() for v in (tau, rgb, samples.t, samples.ends, background)]
@@ -77,20 +79,19 @@ class CpuPacked:
         return pixel
 
     def composite_gradient(
-        self, gradient: Tensor, tau: Tensor, rgb: Tensor, samples: Samples, background: Tensor
+        self, gradient: Tensor, tau: Tensor, rgb: Tensor, samples: Packed, background: Tensor
     ) -> tuple[Tensor, Tensor]:
         count = len(samples.ends) - 1
-        by_tau, by_rgb = torch.empty_like(tau), torch.empty_like(rgb)
+        by_tau, by_rgb = torch.zeros_like(tau), torch.zeros_like(rgb)  # samples behind the last ray have no gradient
         given = [v.contiguous().numpy() for v in (gradient, tau, rgb, samples.ends, background)]
         out = by_tau.numpy(), by_rgb.numpy()
         each_shard(self.shards, lambda s: loops.composite_gradient(*given, *split(count, self.shards, s), *out))
         return by_tau, by_rgb
 
-    def adam(self, table: Tensor, gradient: Tensor, moments: tuple[Tensor, Tensor], rate: float, step: int) -> None:
+    def adam(self, table: Tensor, gradient: Tensor, moments: tuple[Tensor, Tensor], numbers: Tensor) -> None:
         width = table.shape[-1]
         given = [v.view(-1, width).numpy() for v in (table, gradient, *moments)]
-        numbers = (rate, 1 / (1 - BETA1**step), 1 / (1 - BETA2**step), BETA1, BETA2, EPSILON)
-        count, settings = len(given[0]), [np.float32(v) for v in numbers]
+        count, settings = len(given[0]), [np.float32(v) for v in (*numbers.tolist(), BETA1, BETA2, EPSILON)]
         each_shard(self.shards, lambda s: loops.adam(*given, *split(count, self.shards, s), *settings))
 
 
@@ -108,4 +109,4 @@ def compile_loops() -> None:
     tau, rgb = torch.ones_like(samples.t), torch.ones(len(samples.t), 3)
     kernels.composite(tau, rgb, samples, torch.ones(3))
     kernels.composite_gradient(torch.ones(1, 3), tau, rgb, samples, torch.ones(3))
-    kernels.adam(table, table.clone(), (table.clone(), table.clone()), 1.0, 1)
+    kernels.adam(table, table.clone(), (table.clone(), table.clone()), adam_numbers(1.0, 1))

@@ -22,7 +22,7 @@ from nerf_core.kernels.shards import each_shard, split
 from nerf_core.kernels.voxel_kernels import Adam, March, Traced
 from nerf_core.spaces import BoxRays
 
-PIECE = 2048  # rays a shard works on before it looks whether all is done: shards that are fast take more of a picture
+ROOM = 24  # samples a ray that a trace first makes room for
 
 
 class _Scratch(NamedTuple):
@@ -64,24 +64,33 @@ class CpuVoxels:
         each_shard(self.shards, work)
         return pixel
 
-    def trace(self, grid: VoxelGrid, rays: BoxRays, how: March) -> list[Traced]:
-        arrays, given, scratch = grid.arrays(), ray_arrays(rays, how.offsets), self._buffers(grid, how)[0]
-        pixel = np.empty((len(rays), 5), np.float32)
-        found = []
-        for r in range(len(rays)):
-            n = loops.trace(
-                arrays, given, r, np.float32(how.step), np.float32(how.bias), grid.rows.numpy().ravel(),
-                how.background.numpy(), scratch, pixel,
-            )  # fmt: skip
-            notes = torch.from_numpy(scratch.notes[: n * note.NOTES].reshape(n, note.NOTES).copy())
-            found.append(
-                Traced(
-                    t=notes[:, note.DISTANCE], width=notes[:, note.WIDTH], raw=notes[:, note.RAW],
-                    alpha=notes[:, note.ALPHA], light=notes[:, note.LIGHT], rgb=notes[:, note.RED : note.RED + 3],
-                    pixel=torch.from_numpy(pixel[r].copy()),
-                )
-            )  # fmt: skip
-        return found
+    def trace(self, grid: VoxelGrid, rays: BoxRays, how: March) -> Traced:
+        arrays, given, scratch = grid.arrays(), ray_arrays(rays, how.offsets), self._buffers(grid, how)
+        pixel, counts = torch.empty(len(rays), 5), torch.zeros(len(rays), dtype=torch.long)
+        rows, background = grid.rows.numpy().ravel(), how.background.numpy()
+        longest, parts = len(scratch[0].notes) // note.NOTES, [torch.empty(0)] * self.shards
+
+        def work(s: int) -> None:
+            first, last = split(len(rays), self.shards, s)
+            room = ROOM * (last - first) + longest
+            while True:
+                kept = torch.empty(room, note.NOTES)
+                found = loops.trace(
+                    arrays, given, first, last, np.float32(how.step), np.float32(how.bias), rows, background,
+                    scratch[s], pixel.numpy(), kept.numpy(), counts.numpy(),
+                )  # fmt: skip
+                if found <= room:
+                    break
+                room = found
+            parts[s] = kept[:found]
+
+        each_shard(self.shards, work)
+        notes = torch.cat(parts)
+        return Traced(
+            ends=torch.cat([counts.new_zeros(1), counts.cumsum(0)]), t=notes[:, note.DISTANCE],
+            width=notes[:, note.WIDTH], raw=notes[:, note.RAW], alpha=notes[:, note.ALPHA],
+            light=notes[:, note.LIGHT], rgb=notes[:, note.RED : note.RED + 3], pixel=pixel,
+        )  # fmt: skip
 
     def accumulate(self, grid: VoxelGrid, rays: BoxRays, truth: Tensor, how: March) -> tuple[float, int]:
         arrays, given, scratch = grid.arrays(), ray_arrays(rays, how.offsets), self._buffers(grid, how)

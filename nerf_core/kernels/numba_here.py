@@ -22,7 +22,7 @@ def numba_obstacle() -> str:
 
 
 def _cache_folder() -> Path:
-    """The user's own; where that cannot be written, a temporary one.
+    """The user's own; where that cannot be written, one for this process alone.
 
     Its name tells the loops' sources: numba compiles a function anew when its own file has changed, but not when
     another one has whose functions it inlines.
@@ -40,4 +40,5 @@ def _cache_folder() -> Path:
             return folder
     except (ImportError, OSError):
         pass
-    return Path(tempfile.gettempdir()) / f"nerf-viewer-{os.getuid() if hasattr(os, 'getuid') else 'user'}-{name}"
+    # what lies there is loaded as code: a name that others can guess could be filled by them
+    return Path(tempfile.mkdtemp(prefix="nerf-viewer-"))

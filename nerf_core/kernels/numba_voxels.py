@@ -154,17 +154,26 @@ def render(
 
 @jit
 def trace(
-    grid: Any, rays: Any, r: Any, step: Any, bias: Any, rows: Any, background: Any, scratch: Any, pixel: Any
-) -> Any:
-    """`render` of ray r alone; its samples stay in scratch.notes. Returns how many."""
+    grid: Any, rays: Any, first: Any, last: Any, step: Any, bias: Any, rows: Any, background: Any, scratch: Any,
+    pixel: Any, kept: Any, counts: Any,
+) -> Any:  # fmt: skip
+    """`render` that keeps the notes of its samples, as far as there is room; returns how many there are."""
     basis = scratch.values[48:52]
-    n = march(grid, rays, r, step, scratch.notes)
-    _place(grid, n, rows, scratch.corners, scratch.weights, scratch.notes)
-    _basis(rays.views, r, basis)
-    return _composite(
-        n, basis, step, bias, rows, scratch.corners, scratch.weights, scratch.values, scratch.notes, rows, False,
-        pixel, r, background,
-    )  # fmt: skip
+    total = 0
+    for r in range(first, last):
+        n = march(grid, rays, r, step, scratch.notes)
+        _place(grid, n, rows, scratch.corners, scratch.weights, scratch.notes)
+        _basis(rays.views, r, basis)
+        n = _composite(
+            n, basis, step, bias, rows, scratch.corners, scratch.weights, scratch.values, scratch.notes, rows, False,
+            pixel, r, background,
+        )  # fmt: skip
+        counts[r] = n
+        for s in range(min(n, kept.shape[0] - total)):
+            for q in range(NOTES):
+                kept[total + s, q] = scratch.notes[s * NOTES + q]
+        total += n
+    return total
 
 
 @jit

@@ -7,35 +7,32 @@ from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from nerf_core.cells import Cells
+from nerf_core.packing import Packed
 from nerf_core.spaces import BoxRays
 
 PRIMES = (1, 2654435761, 805459861)  # of the spatial hash: instant-ngp, Eq. 4 (arXiv:2201.05989)
 
 
 @dataclass(frozen=True)
-class Samples:
-    """M samples, ray after ray, front to back. ends: (R + 1,) int64, where each ray's samples begin, and M.
+class Samples(Packed):
+    """x: (M, 3) in [0, 1], within the cells' box."""
 
-    x: (M, 3) in [0, 1], within the cells' box. t, width: (M,) of the box rays' parameter.
-    """
-
-    ends: Tensor
     x: Tensor
-    t: Tensor
-    width: Tensor
-
-    @property
-    def ray(self) -> Tensor:
-        """(M,) the ray of each sample."""
-        counts = self.ends.diff()
-        return torch.repeat_interleave(torch.arange(len(counts), device=counts.device), counts)
 
     def at(self, index: Tensor) -> Samples:
         """Those of an ascending index (K,)."""
         ends = torch.searchsorted(index, self.ends)
-        return Samples(ends, self.x[index], self.t[index], self.width[index])
+        return Samples(ends, self.t[index], self.width[index], self.x[index])
+
+    def fitted(self, room: int) -> Samples:
+        """Exactly `room` samples: what does not fit is cut off, what is missing lies behind the last ray, all zero."""
+        missing = room - len(self.t)  # negative: cut off
+        ends = self.ends.clamp(max=room)
+        t, width = (functional.pad(v, (0, missing)) for v in (self.t, self.width))
+        return Samples(ends, t, width, functional.pad(self.x, (0, 0, 0, missing)))
 
 
 class HashLevels(NamedTuple):
@@ -50,8 +47,11 @@ class HashLevels(NamedTuple):
 class PackedKernels(Protocol):
     name: str
 
-    def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor) -> Samples:
-        """Samples `step` cells apart in occupied cells; offsets (R,): where the first lies in its step."""
+    def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor, room: int = 0) -> Samples:
+        """Samples `step` cells apart in occupied cells; offsets (R,): where the first lies in its step.
+
+        room: give `Samples.fitted` to so many, so that shapes never change.
+        """
         ...
 
     def encode(self, table: Tensor, levels: HashLevels, x: Tensor) -> Tensor:
@@ -62,19 +62,24 @@ class PackedKernels(Protocol):
         """Add the gradient (M, L · F) of the features to that of the table, `into` (L, T, F)."""
         ...
 
-    def composite(self, tau: Tensor, rgb: Tensor, samples: Samples, background: Tensor) -> Tensor:
+    def composite(self, tau: Tensor, rgb: Tensor, samples: Packed, background: Tensor) -> Tensor:
         """Optical depths (M,), colours (M, 3) → (R, 5) colour over the background, opacity, Σ w t: NeRF Eq. 3."""
         ...
 
     def composite_gradient(
-        self, gradient: Tensor, tau: Tensor, rgb: Tensor, samples: Samples, background: Tensor
+        self, gradient: Tensor, tau: Tensor, rgb: Tensor, samples: Packed, background: Tensor
     ) -> tuple[Tensor, Tensor]:
         """The gradient (R, 3) of the colours → those of tau (M,) and rgb (M, 3)."""
         ...
 
-    def adam(self, table: Tensor, gradient: Tensor, moments: tuple[Tensor, Tensor], rate: float, step: int) -> None:
-        """Adam on the entries whose gradient is not zero, which is then cleared; β₁ 0.9, β₂ 0.99, ε 1e-15."""
+    def adam(self, table: Tensor, gradient: Tensor, moments: tuple[Tensor, Tensor], numbers: Tensor) -> None:
+        """Adam on the rows whose gradient is not zero, which is then cleared; numbers: see `adam_numbers`."""
         ...
 
 
 BETA1, BETA2, EPSILON = 0.9, 0.99, 1e-15  # instant-ngp's, section 4
+
+
+def adam_numbers(rate: float, step: int) -> Tensor:
+    """(3,) learning rate, 1/(1 − β₁ᵗ), 1/(1 − β₂ᵗ)."""
+    return torch.tensor([rate, 1 / (1 - BETA1**step), 1 / (1 - BETA2**step)])

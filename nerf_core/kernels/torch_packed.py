@@ -8,6 +8,7 @@ from torch import Tensor
 from nerf_core.cells import Cells
 from nerf_core.kernels.packed_kernels import BETA1, BETA2, EPSILON, PRIMES, HashLevels, Samples
 from nerf_core.kernels.torch_march import march
+from nerf_core.packing import Packed
 from nerf_core.spaces import BoxRays
 
 
@@ -16,12 +17,13 @@ class TorchPacked:
 
     name = "torch"
 
-    def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor) -> Samples:
+    def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor, room: int = 0) -> Samples:
         found = march(cells, rays, step, offsets)
         counts = torch.bincount(found.ray, minlength=len(rays))
         ends = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
         x = (found.cell + found.within) / torch.tensor(cells.size, device=ends.device)
-        return Samples(ends, x.clamp(0, 1), found.t, found.width)
+        samples = Samples(ends, found.t, found.width, x.clamp(0, 1))
+        return samples.fitted(room) if room else samples
 
     def encode(self, table: Tensor, levels: HashLevels, x: Tensor) -> Tensor:
         features = []
@@ -37,9 +39,9 @@ class TorchPacked:
             part = weights[..., None] * gradient[:, None, level * width : (level + 1) * width]
             into[level].index_add_(0, rows.flatten(), part.reshape(-1, width))
 
-    def composite(self, tau: Tensor, rgb: Tensor, samples: Samples, background: Tensor) -> Tensor:
+    def composite(self, tau: Tensor, rgb: Tensor, samples: Packed, background: Tensor) -> Tensor:
         ray, count = samples.ray, len(samples.ends) - 1
-        light = torch.exp(-_before(tau, samples.ends, ray)).to(tau.dtype)
+        light = torch.exp(-samples.before(tau)).to(tau.dtype)
         weight = light * -torch.expm1(-tau)
         color = rgb.new_zeros(count, 3).index_add(0, ray, weight[:, None] * rgb)
         far = tau.new_zeros(count).index_add(0, ray, weight * samples.t)
@@ -47,7 +49,7 @@ class TorchPacked:
         return torch.cat([color + left[:, None] * background, (1 - left)[:, None], far[:, None]], -1)
 
     def composite_gradient(
-        self, gradient: Tensor, tau: Tensor, rgb: Tensor, samples: Samples, background: Tensor
+        self, gradient: Tensor, tau: Tensor, rgb: Tensor, samples: Packed, background: Tensor
     ) -> tuple[Tensor, Tensor]:
         with torch.enable_grad():
             leaves = tau.detach().requires_grad_(), rgb.detach().requires_grad_()
@@ -55,13 +57,14 @@ class TorchPacked:
             by_tau, by_rgb = torch.autograd.grad(color, leaves, gradient)
         return by_tau, by_rgb
 
-    def adam(self, table: Tensor, gradient: Tensor, moments: tuple[Tensor, Tensor], rate: float, step: int) -> None:
+    def adam(self, table: Tensor, gradient: Tensor, moments: tuple[Tensor, Tensor], numbers: Tensor) -> None:
+        rate, warm, warm_square = numbers
         touched = (gradient != 0).any(-1)
         g = gradient[touched]
         mean, square = (m[touched] for m in moments)
         mean, square = BETA1 * mean + (1 - BETA1) * g, BETA2 * square + (1 - BETA2) * g * g
         moments[0][touched], moments[1][touched] = mean, square
-        table[touched] -= rate * (mean / (1 - BETA1**step)) / ((square / (1 - BETA2**step)).sqrt() + EPSILON)
+        table[touched] -= rate * (mean * warm) / ((square * warm_square).sqrt() + EPSILON)
         gradient.zero_()
 
 
@@ -78,11 +81,3 @@ def corners(levels: HashLevels, level: int, rows: int, x: Tensor) -> tuple[Tenso
     else:
         row = (i * PRIMES[0] ^ j * PRIMES[1] ^ k * PRIMES[2]) & (rows - 1)
     return row, torch.where(corner == 1, within, 1 - within).prod(-1)
-
-
-def _before(tau: Tensor, ends: Tensor, ray: Tensor) -> Tensor:
-    """Optical depth in front of each sample: a running sum, less what it was where the ray began; in 64 bits."""
-    running = tau.double().cumsum(0) - tau.double()
-    if not len(tau):
-        return running
-    return running - running[ends[:-1].clamp(max=len(tau) - 1)][ray]

@@ -99,14 +99,11 @@ class TorchVoxels:
         return self._composited(grid.rows, grid, rays, how)[1].pixel
 
     @torch.no_grad()
-    def trace(self, grid: VoxelGrid, rays: BoxRays, how: March) -> list[Traced]:
+    def trace(self, grid: VoxelGrid, rays: BoxRays, how: March) -> Traced:
         samples, done = self._composited(grid.rows, grid, rays, how)
-        found = []
-        for r in range(len(rays)):
-            i = ((samples.ray == r) & done.used).nonzero()[:, 0]
-            parts = (samples.t, samples.width, done.raw, done.alpha, done.light, done.rgb)
-            found.append(Traced(*(v[i].cpu() for v in parts), pixel=done.pixel[r].cpu()))
-        return found
+        ends = torch.searchsorted(samples.ray[done.used], torch.arange(len(rays) + 1, device=samples.ray.device))
+        parts = (samples.t, samples.width, done.raw, done.alpha, done.light, done.rgb)
+        return Traced(ends, *(v[done.used] for v in parts), pixel=done.pixel)
 
     def accumulate(self, grid: VoxelGrid, rays: BoxRays, truth: Tensor, how: March) -> tuple[float, int]:
         self._fit(grid)

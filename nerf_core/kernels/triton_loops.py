@@ -12,6 +12,107 @@ import triton.language as tl
 
 
 @triton.jit
+def clipped(x, v, side, first, last):
+    """[first, last] of t cut to where x + t v lies in [0, side]; empty where it never does."""
+    still = v == 0
+    safe = tl.where(still, 1.0, v)
+    a, b = -x / safe, (side - x) / safe
+    beside = still & ((x < 0) | (x > side))
+    first = tl.where(still, first, tl.maximum(first, tl.minimum(a, b)))
+    last = tl.where(still, last, tl.minimum(last, tl.maximum(a, b)))
+    return first, tl.where(beside, first - 1, last)
+
+
+@triton.jit
+def gap_of(x, v, low, side):
+    """After how much t a point at x with velocity v leaves [low, low + side]; never, where it moves along it."""
+    still = v == 0
+    safe = tl.where(still, 1.0, v)
+    return tl.where(still, 1e30, tl.maximum((low - x) / safe, (low + side - x) / safe))
+
+
+@triton.jit
+def march(  # noqa: PLR0915  one loop, with all that it needs in registers
+    origins, directions, near, far, offsets, occupied, leap, ends, counts, x, t_out, width, rays, room, step,
+    bx, by, bz, sx, sy, sz, nx, ny, nz, CONTRACTED: tl.constexpr, WRITE: tl.constexpr, BLOCK: tl.constexpr,
+):  # fmt: skip
+    """Counts each ray's samples in occupied cells; or, where each ray's first one belongs known, writes them.
+
+    The maths is `nerf_core.kernels.torch_march`'s. b, s, n: the box's corner, cells a unit, and cells a side.
+    """
+    r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
+    real = r < rays
+    ox = tl.load(origins + r * 3, mask=real, other=0.0)
+    oy = tl.load(origins + r * 3 + 1, mask=real, other=0.0)
+    oz = tl.load(origins + r * 3 + 2, mask=real, other=0.0)
+    dx = tl.load(directions + r * 3, mask=real, other=1.0)
+    dy = tl.load(directions + r * 3 + 1, mask=real, other=1.0)
+    dz = tl.load(directions + r * 3 + 2, mask=real, other=1.0)
+    gx, gy, gz = (ox - bx) * sx, (oy - by) * sy, (oz - bz) * sz
+    vx, vy, vz = dx * sx, dy * sy, dz * sz
+    t = tl.load(near + r, mask=real, other=0.0)
+    last = tl.load(far + r, mask=real, other=-1.0)
+    if not CONTRACTED:
+        t, last = clipped(gx, vx, nx, t, last)
+        t, last = clipped(gy, vy, ny, t, last)
+        t, last = clipped(gz, vz, nz, t, last)
+    straight = step / tl.sqrt(vx * vx + vy * vy + vz * vz)
+    t += tl.load(offsets + r, mask=real, other=0.0) * straight
+    first = tl.load(ends + r, mask=real, other=0)
+    n = tl.zeros((BLOCK,), tl.int64)
+    blocks_y, blocks_z = (ny + 3) // 4, (nz + 3) // 4
+    alive = real & (t < last)
+    while tl.max(alive.to(tl.int32), 0) > 0:
+        px, py, pz = gx + t * vx, gy + t * vy, gz + t * vz
+        ux, uy, uz = vx, vy, vz
+        dt = straight
+        farthest = tl.full((BLOCK,), 1e30, tl.float32)
+        if CONTRACTED:
+            wx, wy, wz = ox + t * dx, oy + t * dy, oz + t * dz
+            norm = tl.maximum(tl.maximum(tl.abs(wx), tl.abs(wy)), tl.abs(wz))
+            along_z = tl.where(wz > 0, dz, -dz)
+            along_y = tl.where(tl.abs(wy) == norm, tl.where(wy > 0, dy, -dy), along_z)
+            along = tl.where(tl.abs(wx) == norm, tl.where(wx > 0, dx, -dx), along_y)
+            s = 1 / tl.maximum(norm, 1.0)
+            f, slope = (2 - s) * s, (2 * s - 2) * s * s * along
+            bent = norm > 1
+            px = tl.where(bent, (wx * f - bx) * sx, px)
+            py = tl.where(bent, (wy * f - by) * sy, py)
+            pz = tl.where(bent, (wz * f - bz) * sz, pz)
+            ux = tl.where(bent, (dx * f + wx * slope) * sx, vx)
+            uy = tl.where(bent, (dy * f + wy * slope) * sy, vy)
+            uz = tl.where(bent, (dz * f + wz * slope) * sz, vz)
+            speed = tl.sqrt(ux * ux + uy * uy + uz * uz)  # toward infinity it can round to nothing: the march is done
+            dt = tl.where(bent, step / tl.maximum(speed, 1e-30), straight)
+            farthest = tl.where(bent, 0.25 * norm, farthest)
+        i, j, k = px.to(tl.int32), py.to(tl.int32), pz.to(tl.int32)
+        inside = alive & (px >= 0) & (py >= 0) & (pz >= 0) & (i < nx) & (j < ny) & (k < nz)
+        block = ((i >> 2) * blocks_y + (j >> 2)) * blocks_z + (k >> 2)
+        hop = tl.load(leap + block, mask=inside, other=0).to(tl.int32)
+        reach = 4 * (hop - 1)
+        side = (4 + 2 * reach).to(tl.float32)
+        gap = gap_of(px, ux, (((i >> 2) << 2) - reach).to(tl.float32), side)
+        gap = tl.minimum(gap, gap_of(py, uy, (((j >> 2) << 2) - reach).to(tl.float32), side))
+        gap = tl.minimum(gap, gap_of(pz, uz, (((k >> 2) << 2) - reach).to(tl.float32), side))
+        gap = tl.minimum(gap, farthest)
+        steps = tl.where(hop > 0, tl.maximum(tl.floor(gap / dt) + 1, 1.0), 1.0)
+        filled = tl.load(occupied + (i * ny + j) * nz + k, mask=inside & (hop == 0), other=0) != 0
+        if WRITE:
+            at = first + n
+            some = filled & (at < room)
+            tl.store(x + at * 3, px / nx, mask=some)
+            tl.store(x + at * 3 + 1, py / ny, mask=some)
+            tl.store(x + at * 3 + 2, pz / nz, mask=some)
+            tl.store(t_out + at, t, mask=some)
+            tl.store(width + at, dt, mask=some)
+        n += filled.to(tl.int64)
+        t = tl.where(alive, t + steps * dt, t)
+        alive = real & (t < last)
+    if not WRITE:
+        tl.store(counts + r, n, mask=real)
+
+
+@triton.jit
 def corner(i, j, k, fx, fy, fz, n, rows, c: tl.constexpr):
     """Row of the table and trilinear weight of corner c, z fastest, of cell (i, j, k) on a level of n cells a side."""
     a: tl.constexpr = (c >> 2) & 1
@@ -67,10 +168,11 @@ def encode_gradient(x, gradient, resolutions, into, count, rows, levels, WIDTH: 
     f = tl.arange(0, WIDTH)
     given = gradient + m[:, None].to(tl.int64) * (levels * WIDTH) + level * WIDTH + f[None, :]
     g = tl.load(given, mask=real[:, None], other=0.0)
+    some = (tl.max(tl.abs(g), axis=1) > 0)[:, None]  # samples without a gradient would queue up for nothing
     for c in tl.static_range(8):
         row, w = corner(i, j, k, fx, fy, fz, n, rows, c)
         at = into + (level.to(tl.int64) * rows + row)[:, None] * WIDTH + f[None, :]
-        tl.atomic_add(at, w[:, None] * g, mask=real[:, None])
+        tl.atomic_add(at, w[:, None] * g, mask=some)
 
 
 @triton.jit
@@ -147,10 +249,11 @@ def composite_gradient(gradient, tau, rgb, ends, background, by_tau, by_rgb, cou
 
 @triton.jit
 def adam(
-    table, gradient, mean, square, count, rate, warm, warm_square, epsilon, BETA1: tl.constexpr, BETA2: tl.constexpr,
+    table, gradient, mean, square, count, numbers, epsilon, BETA1: tl.constexpr, BETA2: tl.constexpr,
     WIDTH: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
     """On rows that have a gradient, which is cleared."""
+    rate, warm, warm_square = tl.load(numbers), tl.load(numbers + 1), tl.load(numbers + 2)
     row = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     at = row[:, None] * WIDTH + tl.arange(0, WIDTH)[None, :]
     real = (row < count)[:, None]

@@ -1,25 +1,50 @@
-"""`PackedKernels` on CUDA through Triton: launches of `nerf_core.kernels.triton_loops`; the march is torch's yet."""
+"""`PackedKernels` on CUDA through Triton: launches of `nerf_core.kernels.triton_loops`.
+
+With `room`, nothing here waits for the device or copies to it: a CUDA graph can record it.
+"""
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import torch
 import triton
 from torch import Tensor
 
+from nerf_core.cells import Cells
 from nerf_core.kernels import triton_loops
 from nerf_core.kernels.packed_kernels import BETA1, BETA2, EPSILON, HashLevels, Samples
-from nerf_core.kernels.torch_packed import TorchPacked
+from nerf_core.packing import Packed
+from nerf_core.spaces import BoxRays
 
 loops: Any = triton_loops  # what Triton types as a call is a launch, with other arguments
 POINTS, RAYS, ROWS = 128, 64, 256  # one program's share
 
 
-class TritonPacked(TorchPacked):
-    """What Triton does not do faster is inherited."""
+class TritonPacked:
+    """`PackedKernels` through Triton."""
 
     name = "triton"
+
+    def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor, room: int = 0) -> Samples:
+        count, device = len(rays), offsets.device
+        given = [v.contiguous() for v in (rays.origins, rays.directions, rays.near, rays.far, offsets)]
+        held = [v.contiguous().view(torch.uint8) for v in (cells.occupied, cells.leap)]
+        box = [float(v) for v in (*cells.origin, *(1 / cells.voxel))]
+
+        def launch(ends: Tensor, counts: Tensor, found: Samples, write: bool) -> None:
+            loops.march[(triton.cdiv(count, RAYS),)](
+                *given, *held, ends, counts, found.x, found.t, found.width, count, len(found.t), step, *box,
+                *cells.size, CONTRACTED=cells.contracted, WRITE=write, BLOCK=RAYS,
+            )  # fmt: skip
+
+        counts = torch.zeros(count, dtype=torch.long, device=device)
+        launch(counts, counts, _room_for(counts, 0), write=False)
+        ends = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
+        found = _room_for(ends, room or int(ends[-1]))
+        launch(ends, counts, found, write=True)
+        return Samples(ends.clamp(max=len(found.t)), found.t, found.width, found.x.clamp_(0, 1))
 
     def encode(self, table: Tensor, levels: HashLevels, x: Tensor) -> Tensor:
         count, rows, width = table.shape
@@ -27,7 +52,7 @@ class TritonPacked(TorchPacked):
         if len(x):
             grid = (triton.cdiv(len(x), POINTS), count)
             loops.encode[grid](
-                x.contiguous(), table, _resolutions(levels, x), features, len(x), rows, count, WIDTH=width,
+                x.contiguous(), table, _resolutions(levels, x.device), features, len(x), rows, count, WIDTH=width,
                 BLOCK=POINTS,
             )  # fmt: skip
         return features
@@ -37,11 +62,11 @@ class TritonPacked(TorchPacked):
         if len(x):
             grid = (triton.cdiv(len(x), POINTS), count)
             loops.encode_gradient[grid](
-                x.contiguous(), gradient.contiguous(), _resolutions(levels, x), into, len(x), rows, count, WIDTH=width,
-                BLOCK=POINTS,
+                x.contiguous(), gradient.contiguous(), _resolutions(levels, x.device), into, len(x), rows, count,
+                WIDTH=width, BLOCK=POINTS,
             )  # fmt: skip
 
-    def composite(self, tau: Tensor, rgb: Tensor, samples: Samples, background: Tensor) -> Tensor:
+    def composite(self, tau: Tensor, rgb: Tensor, samples: Packed, background: Tensor) -> Tensor:
         count = len(samples.ends) - 1
         pixel = torch.empty(count, 5, device=tau.device)
         given = (v.contiguous() for v in (tau, rgb, samples.t, samples.ends, background))
@@ -49,21 +74,25 @@ class TritonPacked(TorchPacked):
         return pixel
 
     def composite_gradient(
-        self, gradient: Tensor, tau: Tensor, rgb: Tensor, samples: Samples, background: Tensor
+        self, gradient: Tensor, tau: Tensor, rgb: Tensor, samples: Packed, background: Tensor
     ) -> tuple[Tensor, Tensor]:
         count = len(samples.ends) - 1
-        by_tau, by_rgb = torch.empty_like(tau), torch.empty_like(rgb)
+        by_tau, by_rgb = torch.zeros_like(tau), torch.zeros_like(rgb)  # samples behind the last ray have no gradient
         given = (v.contiguous() for v in (gradient, tau, rgb, samples.ends, background))
         loops.composite_gradient[(triton.cdiv(count, RAYS),)](*given, by_tau, by_rgb, count, BLOCK=RAYS)
         return by_tau, by_rgb
 
-    def adam(self, table: Tensor, gradient: Tensor, moments: tuple[Tensor, Tensor], rate: float, step: int) -> None:
+    def adam(self, table: Tensor, gradient: Tensor, moments: tuple[Tensor, Tensor], numbers: Tensor) -> None:
         count, width = table.numel() // table.shape[-1], table.shape[-1]
         loops.adam[(triton.cdiv(count, ROWS),)](
-            table, gradient, *moments, count, rate, 1 / (1 - BETA1**step), 1 / (1 - BETA2**step), EPSILON,
-            BETA1=BETA1, BETA2=BETA2, WIDTH=width, BLOCK=ROWS,
+            table, gradient, *moments, count, numbers, EPSILON, BETA1=BETA1, BETA2=BETA2, WIDTH=width, BLOCK=ROWS,
         )  # fmt: skip
 
 
-def _resolutions(levels: HashLevels, x: Tensor) -> Tensor:
-    return torch.tensor(levels.resolutions, dtype=torch.int32, device=x.device)
+def _room_for(ends: Tensor, count: int) -> Samples:
+    return Samples(ends, *(torch.zeros(*shape, device=ends.device) for shape in ((count,), (count,), (count, 3))))
+
+
+@lru_cache(maxsize=16)
+def _resolutions(levels: HashLevels, device: torch.device) -> Tensor:
+    return torch.tensor(levels.resolutions, dtype=torch.int32, device=device)

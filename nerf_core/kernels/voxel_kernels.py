@@ -8,6 +8,7 @@ from typing import NamedTuple, Protocol
 from torch import Tensor
 
 from nerf_core.fields.voxel_grid import VoxelGrid
+from nerf_core.packing import Packed
 from nerf_core.spaces import BoxRays
 
 
@@ -41,14 +42,9 @@ class Adam(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Traced:
-    """The S samples that made one pixel: t and width (box rays' parameter), raw density, α, T, colour (S, 3).
+class Traced(Packed):
+    """The samples that made R pixels (R, 5), as `render` has them: raw density with its bias, α, T (M,), rgb (M, 3)."""
 
-    pixel: (5,) colour, opacity, Σ w t.
-    """
-
-    t: Tensor
-    width: Tensor
     raw: Tensor
     alpha: Tensor
     light: Tensor
@@ -65,7 +61,9 @@ class VoxelKernels(Protocol):
         """(R, 5): colour over the background, opacity, Σ w t."""
         ...
 
-    def trace(self, grid: VoxelGrid, rays: BoxRays, how: March) -> list[Traced]: ...
+    def trace(self, grid: VoxelGrid, rays: BoxRays, how: March) -> Traced:
+        """`render` with what it composited kept."""
+        ...
 
     def accumulate(self, grid: VoxelGrid, rays: BoxRays, truth: Tensor, how: March) -> tuple[float, int]:
         """Add the gradient of ½ Σ squared error (and of smoothness); returns Σ squared error and the samples used."""

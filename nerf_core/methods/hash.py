@@ -7,8 +7,10 @@ lie packed in one list, since rays need different numbers of them.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from copy import deepcopy
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -18,9 +20,10 @@ from torch import Tensor
 from nerf_core.batches import Draw
 from nerf_core.cells import Cells
 from nerf_core.fields.hash_field import HashField
+from nerf_core.fixed_step import FixedStep
 from nerf_core.hash_config import HashConfig
 from nerf_core.kernels.choice import packed_kernels
-from nerf_core.kernels.packed_kernels import HashLevels, Samples
+from nerf_core.kernels.packed_kernels import HashLevels, Samples, adam_numbers
 from nerf_core.methods import METHODS
 from nerf_core.occupancy import Occupancy, softened
 from nerf_core.optimizers import adam_state, load_adam
@@ -31,6 +34,8 @@ from nerf_core.types import Rays, Rendering, Trace
 
 TILE = 2048
 PIECE = 1 << 13  # samples between two pumps on a CPU: some 10 ms
+ROOM = 1.25  # times the samples asked for: so many a recorded step can hold
+FEWEST = 1 << 12  # samples a step that can still be halved
 STOP = 1e-3  # transmittance behind which no colour is looked up: it could not change an 8-bit pixel by one step
 
 
@@ -68,46 +73,78 @@ class Hash:
         self.field.to(device)
         self.table_gradient = torch.zeros_like(self.field.table)
         self.moments = torch.zeros_like(self.field.table), torch.zeros_like(self.field.table)
+        # what changes from step to step lies in tensors: a recorded step reads it there
+        self.rate, self.numbers = torch.tensor(config.learning_rate, device=device), torch.zeros(3, device=device)
         self.optimizer = torch.optim.Adam(
-            self.field.networks(), lr=config.learning_rate, betas=(0.9, 0.99), eps=1e-15, fused=True
-        )
+            self.field.networks(), lr=self.rate, betas=(0.9, 0.99), eps=1e-15, fused=True,
+            capturable=device.type == "cuda",
+        )  # fmt: skip
         for parameter in self.field.networks():
             parameter.grad = torch.zeros_like(parameter)
         self.updates = 0
         self.average = 4.0 * config.cells  # samples a ray needed lately
+        self.fixed: FixedStep | None = None
 
     # ---- training ---------------------------------------------------------------------------------------------------
 
     def draw(self, step: int) -> Draw:
-        return Draw(int(min(max(self.config.samples / self.average, 64), self.config.most_rays)))
+        count = int(min(max(self.config.samples / self.average, 64), self.config.most_rays))
+        if self.kernels.name == "triton":  # one of few numbers, since each takes a recording
+            now = len(self.fixed.rays) if self.fixed is not None else 0
+            count = now if 0.4 * count <= now <= 1.1 * count else 2 ** int(math.log2(count))
+        return Draw(count)
 
     def train(self, rays: Rays, truth: Tensor, step: int, steps: int | None, pump: Callable[[], None]) -> float:
+        """Mean squared error; Adam on the networks and on the table's touched rows."""
+        rate = self.config.learning_rate / (1 + step / self.config.slowdown)
+        self.numbers.copy_(adam_numbers(rate, self.updates + 1))
+        self.rate.fill_(rate)
+        for group in self.optimizer.param_groups:  # loading a state puts another tensor there
+            group["lr"] = self.rate
+        self.optimizer.zero_grad(set_to_none=False)
         drawn = self.generator.get_state()
         offsets = torch.rand(len(rays), generator=self.generator).to(self.device)
-        self.optimizer.zero_grad(set_to_none=False)
-        error, found, start = 0.0, 0, 0
-        piece = max(1, int(PIECE / self.average)) if self.device.type == "cpu" else len(rays)
         try:
-            while start < len(rays):
-                part = slice(start, start + piece)
-                one, samples = self._accumulate(rays[part], offsets[part], truth[part], 2 / truth.numel())
-                error, found, start = error + one, found + samples, start + piece
-                pump()
+            # after memory ran out, rays drawn for a larger batch come once more, in pieces
+            if self.kernels.name == "triton" and len(rays) == self.draw(step).rays:
+                error, found = self._fixed(len(rays))(self.occupancy.cells, self.space.rays(rays), offsets, truth)
+            else:
+                error, found = self._pieces(rays, offsets, truth, pump)
+                self._update()
         except BaseException:
             self.generator.set_state(drawn)
             self.table_gradient.zero_()
             raise
         self.updates += 1
-        rate = self.config.learning_rate / (1 + step / self.config.slowdown)
-        for group in self.optimizer.param_groups:
-            group["lr"] = rate
-        self.optimizer.step()
-        self.kernels.adam(self.field.table.detach(), self.table_gradient, self.moments, rate, self.updates)
         self.average = max(1.0, 0.9 * self.average + 0.1 * found / len(rays))
         if self.updates % self.config.update_every == 0:
             whole = self.updates <= self.config.update_every * self.config.warm_updates
             self.occupancy.update(self._tau, whole, self.generator)
         return error / truth.numel()
+
+    def _pieces(self, rays: Rays, offsets: Tensor, truth: Tensor, pump: Callable[[], None]) -> tuple[float, int]:
+        """The gradient of all rays; returns the summed squared error and the number of samples."""
+        error, found = 0.0, 0
+        piece = max(1, int((PIECE if self.device.type == "cpu" else self.config.samples) / self.average))
+        for start in range(0, len(rays), piece):
+            part = slice(start, start + piece)
+            one, samples = self._accumulate(rays[part], offsets[part], truth[part], 2 / truth.numel())
+            error, found = error + one, found + samples
+            pump()
+        return error, found
+
+    def _fixed(self, rays: int) -> FixedStep:
+        if self.fixed is None or len(self.fixed.rays) != rays:
+            self.fixed = None  # its memory first
+            self.fixed = FixedStep(
+                self.field, self.kernels, self.occupancy.cells, rays, int(ROOM * self.config.samples),
+                self.step_cells, self.length, self.background, self.table_gradient, self._update,
+            )  # fmt: skip
+        return self.fixed
+
+    def _update(self) -> None:
+        self.optimizer.step()
+        self.kernels.adam(self.field.table.detach(), self.table_gradient, self.moments, self.numbers)
 
     def _accumulate(self, rays: Rays, offsets: Tensor, truth: Tensor, scale: float) -> tuple[float, int]:
         """Add the gradient of `scale`/2 times the squared error; returns that error, and how many samples it took."""
@@ -133,13 +170,13 @@ class Hash:
 
     def _lit(self, tau: Tensor, samples: Samples) -> Tensor:
         """Indices of the samples that light still reaches."""
-        before = tau.double().cumsum(0) - tau.double()
-        if len(tau):
-            before = before - before[samples.ends[:-1].clamp(max=len(tau) - 1)][samples.ray]
-        return (torch.exp(-before) > STOP).nonzero()[:, 0]
+        return (torch.exp(-samples.before(tau)) > STOP).nonzero()[:, 0]
 
     def halve(self) -> bool:
-        return False
+        if self.config.samples <= FEWEST:
+            return False
+        self.config, self.fixed = replace(self.config, samples=self.config.samples // 2), None
+        return True
 
     # ---- rendering --------------------------------------------------------------------------------------------------
 
@@ -178,7 +215,7 @@ class Hash:
     def frozen(self) -> Hash:
         copy = object.__new__(Hash)
         copy.__dict__ |= self.__dict__
-        copy.field = deepcopy(self.field)
+        copy.field, copy.fixed = deepcopy(self.field), None
         copy.occupancy = Occupancy(self.occupancy.cells, self.config.empty, self.config.decay)
         return copy
 
@@ -199,6 +236,10 @@ class Hash:
         for name, own in fits.items():
             if state[name].shape != own.shape or state[name].dtype != own.dtype:
                 raise ValueError(f"{name} does not fit")
+        updates, average = int(state["updates"]), float(state["average"])
+        if updates < 0 or not 1 <= average < 1e9:
+            raise ValueError("the progress of training is not of the kind that is written")
+        self.fixed = None  # what it recorded writes to the optimiser's old moments
         self.field.load_state_dict({k: state[f"field.{k}"] for k in self.field.state_dict()})
         load_adam(self.optimizer, self.field.networks(), state)
         for own, name in zip(self.moments, ("table_mean", "table_square"), strict=True):
@@ -206,5 +247,5 @@ class Hash:
         self.occupancy.absorbed.copy_(state["absorbed"])
         c = self.occupancy.cells
         self.occupancy.cells = Cells.of(c.origin, c.voxel, state["occupied"].to(self.device, copy=True), c.contracted)
-        self.updates, self.average = int(state["updates"]), float(state["average"])
+        self.updates, self.average = updates, average
         self.generator.set_state(state["generator"].cpu())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from copy import deepcopy
 from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
@@ -13,10 +12,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from nerf_core.batches import Draw
-from nerf_core.fields.mlp import MlpField
 from nerf_core.methods import METHODS
+from nerf_core.mlp_model import MlpModel, Parametrised
 from nerf_core.nerf_config import NerfConfig
-from nerf_core.optimizers import adam_state, load_adam
 from nerf_core.sampling import inverse_transform, spaced, stratified
 from nerf_core.scene import Scene
 from nerf_core.types import Rays, Rendering, Samples, Trace
@@ -30,18 +28,6 @@ SPARSE_BELOW = 0.6
 # which takes longer than to run it.
 BLOCK = 256
 TILE_PRODUCTS = 2.5e9  # multiplications of one tile on a CPU: some 10 ms on two cores that are fast at bfloat16
-
-
-class _Parametrised(NamedTuple):
-    """Rays in the space that the network sees: x = origins + u · directions, u in [near, far]; see `Ndc`."""
-
-    origins: Tensor
-    directions: Tensor
-    near: Tensor
-    far: Tensor
-    length: Tensor  # of `directions`: what turns steps of u into δ
-    exists: Tensor  # rays that never enter the frustum of NDC show background
-    encoded: Tensor  # γ(d)
 
 
 class _Pass(NamedTuple):
@@ -58,7 +44,7 @@ class _Pass(NamedTuple):
 
 
 @METHODS.register("nerf")
-class Nerf:
+class Nerf(MlpModel):
     """The published method, complete; on a CPU its matrix products run in bfloat16 where that is fast."""
 
     summary: ClassVar[str] = (
@@ -68,33 +54,14 @@ class Nerf:
     configure = staticmethod(NerfConfig.configure)
     restore = staticmethod(NerfConfig.restore)
 
-    def __init__(self, scene: Scene, config: NerfConfig, device: torch.device, seed: int) -> None:
-        self.config, self.device = config, device
-        self.ndc, self.disparity = scene.ndc, scene.disparity
-        self.background = torch.tensor(scene.background, device=device)
-        self.generator = torch.Generator(device).manual_seed(seed)
-        start = torch.Generator().manual_seed(seed)
-        self.networks = {"coarse": self._network(start)}
-        if config.fine_samples:
-            self.networks["fine"] = self._network(start)
-        self.tile = config.tile or self._fitting_tile()
-        # Adam's fused form reads and writes each parameter once; the equations are the same.
-        self.optimizer = torch.optim.Adam(
-            self.parameters(), lr=config.learning_rate, eps=config.adam_epsilon, fused=True
-        )
-        for parameter in self.parameters():  # Adam skips what has no gradient: a resumed run must not differ by that
-            parameter.grad = torch.zeros_like(parameter)
-        self._alive = dict.fromkeys(self.networks, 1.0)
+    config: NerfConfig
 
-    def _network(self, start: torch.Generator) -> MlpField:
-        c = self.config
-        precision = torch.bfloat16 if c.precision == "bfloat16" else torch.float32
-        field = MlpField(
-            c.depth, c.width, c.position_frequencies, c.direction_frequencies, c.include_input, c.pi, c.view_directions,
-            precision,
-        )  # fmt: skip
-        field.initialise(start)
-        return field.to(self.device)
+    def __init__(self, scene: Scene, config: NerfConfig, device: torch.device, seed: int) -> None:
+        names = ("coarse", "fine") if config.fine_samples else ("coarse",)
+        super().__init__(scene, config, device, torch.Generator(device).manual_seed(seed), names)
+        self.disparity = scene.disparity
+        self.tile = config.tile or self._fitting_tile()
+        self._alive = dict.fromkeys(self.networks, 1.0)
 
     def _fitting_tile(self) -> int:
         """As many rays as make products large enough for the device to be fast, and small enough to be done soon."""
@@ -106,16 +73,7 @@ class Nerf:
 
     # ---- sampling -------------------------------------------------------------------------------------------------
 
-    def _parametrise(self, rays: Rays) -> _Parametrised:
-        encoded = self.networks["coarse"].encode_directions(rays.directions)
-        if self.ndc is None:
-            one = torch.ones_like(rays.near)
-            return _Parametrised(rays.origins, rays.directions, rays.near, rays.far, one, one.bool(), encoded)
-        origins, directions, exists = self.ndc.rays(rays.origins, rays.directions)
-        first, one = self.ndc.first(rays.origins), torch.ones_like(rays.near)
-        return _Parametrised(origins, directions, first, one, directions.norm(dim=-1), exists, encoded)
-
-    def _coarse_u(self, p: _Parametrised, random: bool) -> Tensor:
+    def _coarse_u(self, p: Parametrised, random: bool) -> Tensor:
         u = spaced(p.near, p.far, self.config.coarse_samples, self.disparity and self.ndc is None)
         return stratified(u, self.generator) if random else u
 
@@ -129,7 +87,7 @@ class Nerf:
 
     # ---- evaluating -----------------------------------------------------------------------------------------------
 
-    def _field(self, name: str, p: _Parametrised, u: Tensor, index: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    def _field(self, name: str, p: Parametrised, u: Tensor, index: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Raw density (P,) and colour (P, 3) at all samples u (R, S), or at the flat `index` of some."""
         samples = u.shape[1]
         x = (p.origins[:, None] + u[..., None] * p.directions[:, None]).flatten(0, 1)
@@ -139,7 +97,7 @@ class Nerf:
             x, d = x[index], p.encoded[torch.div(index, samples, rounding_mode="floor")]
         return self.networks[name](x, d)
 
-    def _composite(self, name: str, p: _Parametrised, u: Tensor, raw: Tensor, rgb: Tensor, noise: bool) -> _Pass:
+    def _composite(self, name: str, p: Parametrised, u: Tensor, raw: Tensor, rgb: Tensor, noise: bool) -> _Pass:
         steps = u[:, 1:] - u[:, :-1]
         last = torch.full_like(u[:, :1], self.config.last_delta)
         delta = torch.cat([steps, last], -1) * p.length[:, None]
@@ -159,10 +117,7 @@ class Nerf:
 
     def train(self, rays: Rays, truth: Tensor, step: int, steps: int | None, pump: Callable[[], None]) -> float:
         """Loss: MSE of the coarse colour plus MSE of the fine one; Adam under an exponential decay."""
-        rate = self.config.learning_rate * self.config.decay ** (step / (steps or self.config.decay_steps))
-        for group in self.optimizer.param_groups:
-            group["lr"] = rate
-        self.optimizer.zero_grad(set_to_none=False)
+        self.begin_step(step, steps)
         scale = 1 / truth.numel()
         drawn = self.generator.get_state()
         try:
@@ -183,7 +138,7 @@ class Nerf:
         alive = dict.fromkeys(self.networks, 0)
         for start in range(0, len(rays), self.config.chunk_rays):
             chunk = slice(start, start + self.config.chunk_rays)
-            p = self._parametrise(rays[chunk])
+            p = self.parametrise(rays[chunk])
             u, weights, squared = self._coarse_u(p, random=True), torch.empty(0), error
             for name in self.networks:
                 if name == "fine":
@@ -195,7 +150,7 @@ class Nerf:
         return error, alive
 
     def _supervise(
-        self, name: str, p: _Parametrised, u: Tensor, truth: Tensor, scale: float
+        self, name: str, p: Parametrised, u: Tensor, truth: Tensor, scale: float
     ) -> tuple[Tensor, Tensor, int]:
         """Add one network's gradient of the loss; returns weights, summed squared error, number of living samples."""
         dense = self._alive[name] >= SPARSE_BELOW
@@ -233,7 +188,7 @@ class Nerf:
         """At most `tile` rays, always evaluated as a full tile: what a pixel is does not depend on its neighbours."""
         count = len(rays)
         padded = rays.to(self.device).padded(self.tile)
-        p = self._parametrise(padded)
+        p = self.parametrise(padded)
         u = self._coarse_u(p, random=False)
         passes: list[_Pass] = []
         for name in self.networks:
@@ -263,41 +218,13 @@ class Nerf:
             raise ValueError(f"trace opens at most {self.tile} rays at a time, got {len(rays)}")
         return self._tile(rays, "fine")
 
-    @torch.no_grad()
-    def radiance(self, point: Tensor, directions: Tensor) -> Tensor:
-        """The trunk once at the point, then only the view branch over the directions (K, 3)."""
-        name = list(self.networks)[-1]
-        network = self.networks[name]
-        x = point.to(self.device, torch.float32)
-        if self.ndc is not None:
-            x = self.ndc.point(x)
-        _, trunk = network.geometry(x[None])
-        encoded = network.encode_directions(directions.to(self.device, torch.float32))
-        return network.color(trunk.expand(len(encoded), -1), encoded)
-
     # ---- state ----------------------------------------------------------------------------------------------------
 
-    def frozen(self) -> Nerf:
-        copy = object.__new__(Nerf)
-        copy.__dict__ |= self.__dict__
-        copy.networks = {name: deepcopy(net) for name, net in self.networks.items()}
-        return copy
-
-    def parameters(self) -> list[Tensor]:
-        return [p for net in self.networks.values() for p in net.parameters()]
-
     def state(self) -> dict[str, Tensor]:
-        state = {f"{name}.{k}": v for name, net in self.networks.items() for k, v in net.state_dict().items()}
-        state |= adam_state(self.optimizer)
-        state["generator"] = self.generator.get_state()
-        state |= {f"alive.{name}": torch.tensor(share, dtype=torch.float64) for name, share in self._alive.items()}
-        return state
+        shares = {f"alive.{name}": torch.tensor(share, dtype=torch.float64) for name, share in self._alive.items()}
+        return super().state() | shares
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
-        for name, net in self.networks.items():
-            net.load_state_dict({k: state[f"{name}.{k}"] for k in net.state_dict()})
-            self._alive[name] = float(state[f"alive.{name}"])
-        load_adam(self.optimizer, self.parameters(), state)
-        generator = state["generator"].cpu()
-        if len(generator) == len(self.generator.get_state()):  # else of another kind of device: draws begin at the seed
-            self.generator.set_state(generator)
+        shares = {name: float(state[f"alive.{name}"]) for name in self.networks}
+        super().load_state(state)
+        self._alive = shares

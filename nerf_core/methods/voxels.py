@@ -28,9 +28,10 @@ from nerf_core.fields.voxel_grid import DENSITY, ROWS, VoxelGrid, bricks_of
 from nerf_core.kernels.choice import voxel_kernels
 from nerf_core.kernels.voxel_kernels import Adam, March, Traced
 from nerf_core.methods import METHODS
+from nerf_core.packing import to_trace
 from nerf_core.scene import Scene
 from nerf_core.spaces import Space, pixel_size
-from nerf_core.types import Rays, Rendering, Samples, Trace
+from nerf_core.types import Rays, Rendering, Trace
 from nerf_core.voxel_config import VoxelConfig
 
 PIECE = 4096  # rays between two pumps: some 5 ms on two cores
@@ -178,23 +179,16 @@ class Voxels:
         return self.space.rendering(rays, self.kernels.render(self.grid, self.space.rays(rays), march))
 
     def trace(self, rays: Rays) -> Trace:
-        boxed, march = self.space.rays(rays), self._march(torch.full((len(rays),), 0.5))
-        found = self.kernels.trace(self.grid, boxed, march)
-        count = max(1, *(len(one.t) for one in found)) if found else 1
-        pixel = torch.stack([one.pixel for one in found])
-        t = self.space.world_t(rays, torch.stack([_padded(one.t, count, float(boxed.near[i]))
-                                                  for i, one in enumerate(found)]))  # fmt: skip
-        stretch = boxed.directions.norm(dim=-1) if self.space.kind == "ndc" else torch.ones(len(rays))
-        delta = torch.stack([_padded(one.width, count, 1.0) for one in found]) * stretch[:, None]
-        raw = torch.stack([_padded(one.raw, count, -torch.inf, repeat=False) for one in found])
-        alpha = torch.stack([_padded(one.alpha, count, 0.0, repeat=False) for one in found])
-        light = torch.stack([_padded(one.light, count, 1.0) for one in found])
-        rgb = torch.stack([functional.pad(one.rgb, (0, 0, 0, count - len(one.rgb))) for one in found])
-        sigma = functional.softplus(raw) * self.config.step / delta
-        light = _after(light, alpha, found, count)
-        return Trace(
-            self.space.rendering(rays, pixel), (Samples("voxels", t, delta, sigma, alpha, light, alpha * light, rgb),)
-        )
+        found = self.traced(rays, torch.full((len(rays),), 0.5))
+        return to_trace("voxels", self.space, rays, found, self.tau(found), found.rgb, found.pixel)
+
+    def traced(self, rays: Rays, offsets: Tensor) -> Traced:
+        """The samples of `rays`, the first `offsets` (R,) of a step behind where the box begins."""
+        return self.kernels.trace(self.grid, self.space.rays(rays), self._march(offsets))
+
+    def tau(self, found: Traced) -> Tensor:
+        """Optical depths (M,) of samples."""
+        return functional.softplus(found.raw) * self.config.step
 
     @torch.no_grad()
     def radiance(self, point: Tensor, directions: Tensor) -> Tensor:
@@ -234,26 +228,12 @@ class Voxels:
             raise ValueError("the optimiser's moments do not fit the voxel grid")
         if state["seen"].shape != moments.shape[:1] or state["seen"].dtype != torch.bool:
             raise ValueError("what was seen does not fit the voxel grid")
-        if not 0 <= level < len(self.levels):
-            raise ValueError(f"level {level} of {len(self.levels)}")
+        if not 0 <= level < len(self.levels) or int(state["updates"]) < 0:
+            raise ValueError(f"level {level} of {len(self.levels)}, {int(state['updates'])} updates")
         self.grid, self.moments = grid, torch.empty_like(moments).copy_(moments)
         self.kernels.see(grid, state["seen"])
         self.level, self.updates = level, int(state["updates"])
         self.generator.set_state(state["generator"])
-
-
-def _padded(values: Tensor, count: int, empty: float, repeat: bool = True) -> Tensor:
-    """(S,) → (count,): the last value goes on, or `empty` where there is none or nothing may repeat."""
-    last = float(values[-1]) if repeat and len(values) else empty
-    return functional.pad(values, (0, count - len(values)), value=last)
-
-
-def _after(light: Tensor, alpha: Tensor, found: list[Traced], count: int) -> Tensor:
-    """The light that is left behind the last sample stands for all that is padded."""
-    for i, one in enumerate(found):
-        if 0 < len(one.t) < count:
-            light[i, len(one.t) :] = one.light[-1] * (1 - one.alpha[-1])
-    return light
 
 
 def finest_cells(scene: Scene, space: Space, c: VoxelConfig) -> np.ndarray:

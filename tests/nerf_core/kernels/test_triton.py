@@ -9,13 +9,15 @@ from pathlib import Path
 
 import pytest
 
-CHECKS = Path(__file__).with_name("interpreted_triton.py")
+HERE = Path(__file__).parent
+CHECKS = [HERE / "test_packed_kernels.py", HERE.parent / "test_fixed_step.py"]
 
 
-def test_the_interpreted_kernels_agree_with_the_plain_ones() -> None:
+def test_the_interpreted_kernels_pass_what_the_others_pass() -> None:
     pytest.importorskip("triton")
     environment = {**os.environ, "TRITON_INTERPRET": "1"}
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(CHECKS)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=200, check=False)
+    command = [sys.executable, "-m", "pytest", "-v", "-p", "no:cacheprovider", *map(str, CHECKS)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=250, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "4 passed" in done.stdout
+    assert done.stdout.count("[triton") >= 10
+    assert " skipped" not in done.stdout

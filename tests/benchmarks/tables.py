@@ -1,10 +1,11 @@
-"""How fast every method learns here: PSNR on held-out photos over seconds of training, rays a second, preview, memory.
+"""The tables of figures: how fast every method learns on this machine, what a step, a picture and a frame take.
 
-    python tests/benchmarks/fast.py --scenes DIR --out FOLDER [--rows lego100-voxels …] [--repeat 5]
+    xvfb-run -s '-screen 0 1600x1000x24' python tests/benchmarks/tables.py --scenes DIR [--rows lego100-voxels …]
 
 Each run is a process of its own: its peak memory is its own, and what numba compiles is there before its clock starts
-(the time to compile everything anew is measured apart). Rays a second take turns with the plain float32 step of the
-paper's model in one process. Writes FOLDER/fast.json and FOLDER/fast.png and prints medians with least and largest.
+(the time to compile everything anew is measured apart). PSNR is on held-out photos, seconds are of training alone.
+Rays a second take turns with the plain float32 step of the paper's model in one process. Where there is CUDA, the rows
+are other ones. Writes tables.json and tables.png to --out and prints medians with least and largest.
 """
 
 from __future__ import annotations
@@ -29,10 +30,15 @@ import nerf_core  # noqa: F401  before torch: it sets how OpenMP's threads wait
 # isort: split
 import numpy as np
 import torch
+from torch import Tensor
 
 from nerf_core.cameras import camera_rays
 from nerf_core.datasets import LoadOptions, load_scene
-from nerf_core.device import describe, usable_cores
+from nerf_core.device import describe, pick_device, usable_cores
+from nerf_core.fields.voxel_grid import VoxelGrid
+from nerf_core.kernels.shards import each_shard, split
+from nerf_core.kernels.voxel_kernels import Adam
+from nerf_core.methods.voxels import Voxels
 from nerf_core.metrics import psnr
 from nerf_core.render import render_camera
 from nerf_core.scene import Scene
@@ -60,7 +66,25 @@ ROWS = {
     "fern-voxels": Row("fern", 8, "voxels", 120, (22,), marks=10),
     "fox-voxels": Row("fox", 4, "voxels", 120, (22,), marks=8),
     "lego100-hash": Row("lego", 8, "hash", 30, (25, 30)),
+    "lego100-guided": Row("lego", 8, "nerf-guided", 120, (22, 24), marks=10),
+    "lego100-nerf": Row("lego", 8, "nerf", 300, (20,), marks=6),
 }
+CUDA_ROWS = {
+    "lego800-hash": Row("lego", 1, "hash", 120, (30, 33, 35)),
+    "lego100-hash": Row("lego", 8, "hash", 30, (25, 30)),
+    "lego100-guided": Row("lego", 8, "nerf-guided", 120, (22, 24), marks=10),
+}
+HERE = Path(__file__).parent
+SCRIPTS = {  # what they print is a row as it stands
+    "training": ("training.py",),
+    "demo-truth": ("demo_truth.py",),
+    "startup": ("startup.py",),
+    "window": ("window.py",),
+    "window-nerf": ("window.py", "--method", "nerf"),
+}
+CPU_MEASURES = ("compile", "rates", "preview", "growth", "determinism", "thousand")
+CUDA_MEASURES = ("frame", "official")
+UNITS = {"official": "rays/s"}
 
 
 def held_out_psnr(trainer: Trainer) -> float:
@@ -82,8 +106,7 @@ def learn(scene: Scene, row: Row, seed: int) -> dict[str, Any]:
             while marks and trainer.seconds >= marks[0]:
                 marks.pop(0)
             curve.append((trainer.seconds, held_out_psnr(trainer)))
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    return {"curve": curve, "steps": trainer.step_count, "peak_gib": peak}
+    return {"curve": curve, "steps": trainer.step_count, "peak_gib": peak_gib()}
 
 
 def passed(curve: list[tuple[float, float]], level: float) -> float | None:
@@ -148,6 +171,106 @@ def growth(scene: Scene, rounds: int) -> dict[str, list[float]]:
     return found
 
 
+def frame(scene: Scene, rounds: int) -> list[float]:
+    """Milliseconds to draw a photo of 800 × 800 pixels with the hash method, after 1,000 steps."""
+    trainer = Trainer(scene, RunSettings(method="hash"))
+    while trainer.step_count < 1000:
+        trainer.step()
+    camera = scene.views[scene.held_out()[1][0]].camera.resized(800, 800)
+    rays, times = camera_rays(camera, scene.near, scene.far).to(trainer.device), []
+    for _ in range(rounds + 1):
+        begin = time.perf_counter()
+        trainer.method.render(rays).color.cpu()
+        times.append(1e3 * (time.perf_counter() - begin))
+    return times[1:]
+
+
+def official(scene: Scene, rounds: int) -> list[float]:
+    """Training rays a second of the paper's official configuration."""
+    trainer = Trainer(scene, RunSettings(method="nerf", preset="complete"))
+    for _ in range(20):
+        trainer.step()
+    return [1 / statistics.mean(r.seconds / r.rays for r in (trainer.step() for _ in range(20))) for _ in range(rounds)]
+
+
+def thousand(rounds: int) -> dict[str, list[float]]:
+    """1,000 photos of 4 megapixels with the memory that photos may take unless it is set: seconds to open them,
+    milliseconds of a voxel step, most memory held (GiB)."""
+    from PIL import Image
+
+    count, width, height = 1000, 2464, 1632
+    scene = load_scene(None, LoadOptions())
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for i in range(8):  # different ones; the others are further links to their files
+            photo = Image.fromarray((scene.images[i] >> 8).astype(np.uint8)).resize((width, height))
+            photo.save(folder / f"{i}.jpg", quality=92)
+        frames = []
+        for i in range(count):
+            os.link(folder / f"{i % 8}.jpg", folder / f"photo{i:04}.jpg")
+            pose = np.vstack([scene.views[i % len(scene.views)].camera.c2w, [0, 0, 0, 1]])
+            frames.append({"file_path": f"photo{i:04}.jpg", "transform_matrix": pose.tolist()})
+        lens = {"fl_x": 2000, "fl_y": 2000, "cx": width / 2, "cy": height / 2, "w": width, "h": height}
+        (folder / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+        begin = time.perf_counter()
+        opened = load_scene(folder, LoadOptions())
+        seconds = time.perf_counter() - begin
+    print(*opened.notes, f"{len(opened.images)} of {opened.images[0].shape}", file=sys.stderr)
+    trainer = Trainer(opened, RunSettings(method="voxels"))
+    while trainer.step_count < 400:
+        trainer.step()
+    steps = [1e3 * statistics.mean(trainer.step().seconds for _ in range(20)) for _ in range(rounds)]
+    return {"seconds_to_open": [seconds], "ms_a_step": steps, "peak_gib": [peak_gib()]}
+
+
+def peak_gib() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+
+
+def determinism(scene: Scene, rounds: int) -> dict[str, list[float]]:
+    """Milliseconds of a voxel step whose shards have gradients of their own, and of one whose shards race for one."""
+    from nerf_core.kernels import numba_voxels as loops
+    from nerf_core.kernels.cpu_voxels import CpuVoxels
+
+    class Racing(CpuVoxels):
+        """All shards add to one array, and updates are lost where two do at once."""
+
+        def _fit(self, grid: VoxelGrid) -> None:
+            new = self._grid is None or self._grid.rows is not grid.rows
+            super()._fit(grid)
+            if new:
+                for name in ("_gradient", "_touched"):
+                    setattr(
+                        self,
+                        name,
+                        np.lib.stride_tricks.as_strided(one := getattr(self, name), strides=(0, one.itemsize)),
+                    )
+
+        def update(self, grid: VoxelGrid, moments: Tensor, adam: Adam) -> None:
+            rows, slots = grid.rows.numpy().ravel(), moments.numpy().ravel()
+            numbers = [np.float32(v) for v in adam]
+
+            def work(s: int) -> None:
+                part = split(grid.bricks, self.shards, s)
+                loops.adam(*part, rows, slots, self._gradient[:1], self._touched[:1], *numbers)
+
+            each_shard(self.shards, work)
+
+    trainers = {}
+    for name in ("private", "racing"):
+        trainers[name] = trainer = Trainer(scene, RunSettings(method="voxels"))
+        assert isinstance(trainer.method, Voxels)
+        if name == "racing":
+            trainer.method.kernels = Racing(torch.get_num_threads())
+        while trainer.step_count < 600:
+            trainer.step()
+    times: dict[str, list[float]] = {name: [] for name in trainers}
+    for _ in range(rounds):
+        for name, trainer in trainers.items():
+            times[name].append(1e3 * statistics.mean(trainer.step().seconds for _ in range(40)))
+    return times
+
+
 def compile_seconds() -> dict[str, float]:
     """A first step's preparation with an empty cache, and with a full one."""
     code = (
@@ -176,13 +299,22 @@ def one(args: argparse.Namespace) -> dict[str, Any]:
     """What a child process measures."""
     if args.child == "compile":
         return compile_seconds()
-    if args.child in ROWS:
-        row = ROWS[args.child]
+    if args.child == "thousand":
+        return {"value": thousand(args.repeat)}
+    if args.child in rows_here():
+        row = rows_here()[args.child]
         scene = load_scene(args.scenes / row.scene, LoadOptions(downscale=row.downscale))
         return learn(scene, row, args.seed)
-    scene = load_scene(args.scenes / "lego", LoadOptions(downscale=8))
-    measures: dict[str, Callable[[Scene, int], Any]] = {"rates": rates, "preview": preview, "growth": growth}
+    measures: dict[str, Callable[[Scene, int], Any]] = {
+        "rates": rates, "preview": preview, "growth": growth, "determinism": determinism, "frame": frame,
+        "official": official,
+    }  # fmt: skip
+    scene = load_scene(args.scenes / "lego", LoadOptions(downscale=1 if args.child in CUDA_MEASURES else 8))
     return {"value": measures[args.child](scene, args.repeat)}
+
+
+def rows_here() -> dict[str, Row]:
+    return CUDA_ROWS if torch.cuda.is_available() else ROWS
 
 
 def child(args: argparse.Namespace, name: str, seed: int = 0) -> dict[str, Any]:
@@ -199,8 +331,17 @@ def spread(values: list[float], digits: int = 1) -> str:
     return f"{statistics.median(values):.{digits}f} ({min(values):.{digits}f} – {max(values):.{digits}f})"
 
 
-def told(name: str, runs: list[dict[str, Any]]) -> None:
-    row = ROWS[name]
+def processor() -> str:
+    """Its name; the standard library knows none on Linux."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="ascii").splitlines()
+    except OSError:
+        lines = []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()
+
+
+def told(name: str, row: Row, runs: list[dict[str, Any]]) -> None:
     parts = [f"{spread([run['curve'][-1][1] for run in runs], 2)} dB after {row.seconds:.0f} s"]
     for level in row.levels:
         times = [passed(run["curve"], level) for run in runs]
@@ -210,7 +351,7 @@ def told(name: str, runs: list[dict[str, Any]]) -> None:
     print(f"{name}: {'; '.join(parts)}; peak {max(run['peak_gib'] for run in runs):.1f} GiB", flush=True)
 
 
-def plot(results: dict[str, list[dict[str, Any]]], file: Path) -> None:
+def plot(results: dict[str, list[dict[str, Any]]], machine: str, file: Path) -> None:
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -221,9 +362,7 @@ def plot(results: dict[str, list[dict[str, Any]]], file: Path) -> None:
         for k, run in enumerate(runs):
             t, value = zip(*run["curve"], strict=True)
             axes.plot(t, value, color=f"C{i}", alpha=1 if k == 0 else 0.35, label=name if k == 0 else None)
-    axes.set(
-        xscale="log", xlabel="seconds of training", ylabel="PSNR on held-out photos, dB", title=platform.processor()
-    )
+    axes.set(xscale="log", xlabel="seconds of training", ylabel="PSNR on held-out photos, dB", title=machine)
     axes.grid(alpha=0.3)
     axes.legend()
     figure.tight_layout()
@@ -231,10 +370,12 @@ def plot(results: dict[str, list[dict[str, Any]]], file: Path) -> None:
 
 
 def main() -> None:
+    rows, measures = rows_here(), CUDA_MEASURES if torch.cuda.is_available() else CPU_MEASURES
+    names = [*measures, *rows, *SCRIPTS]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", type=Path, required=True, help="folder with lego, fern and fox")
-    parser.add_argument("--out", type=Path, default=Path("runs/fast"))
-    parser.add_argument("--rows", nargs="*", default=["compile", "rates", "preview", "growth", *ROWS])
+    parser.add_argument("--out", type=Path, default=Path("runs/tables"))
+    parser.add_argument("--rows", nargs="*", default=names, metavar="ROW", help=f"some of {', '.join(names)}")
     parser.add_argument("--repeat", type=int, default=5, help="runs of each row (of those over 100 s one alone)")
     parser.add_argument("--child", default="", help=argparse.SUPPRESS)
     parser.add_argument("--seed", type=int, default=0, help=argparse.SUPPRESS)
@@ -242,25 +383,32 @@ def main() -> None:
     if args.child:
         print(json.dumps(one(args)))
         return
+    if unknown := set(args.rows) - set(names):
+        parser.error(f"--rows {' '.join(sorted(unknown))}: choose from {', '.join(names)}")
     args.out.mkdir(parents=True, exist_ok=True)
-    machine = f"{platform.processor() or platform.machine()}, {usable_cores()} cores, {describe(torch.device('cpu'))}"
+    machine = f"{processor()}, {usable_cores()} cores, {describe(pick_device('auto'))}"
     print(f"{machine}, torch {torch.__version__}")
     results: dict[str, Any] = {"machine": machine}
     for name in args.rows:
-        if name in ROWS:
-            count = args.repeat if ROWS[name].seconds <= 100 else 1
+        if name in rows:
+            count = args.repeat if rows[name].seconds <= 100 else 1
             results[name] = [child(args, name, seed) for seed in range(count)]
-            told(name, results[name])
+            told(name, rows[name], results[name])
+        elif name in SCRIPTS:
+            script, *words = SCRIPTS[name]
+            done = subprocess.run([sys.executable, HERE / script, *words], capture_output=True, text=True, check=False)
+            results[name] = done.stdout.splitlines() if done.returncode == 0 else [f"failed: {done.stderr[-400:]}"]
+            print(f"{name}:", *results[name], sep="\n  ", flush=True)
         else:
             results[name] = child(args, name)
             figures = results[name].get("value", results[name])
-            lists = figures if isinstance(figures, dict) else {"ms": figures}
+            lists = figures if isinstance(figures, dict) else {UNITS.get(name, "ms"): figures}
             text = {k: spread(v) if isinstance(v, list) else f"{v:.1f}" for k, v in lists.items()}
             print(f"{name}: " + "; ".join(f"{k} {v}" for k, v in text.items()), flush=True)
-        (args.out / "fast.json").write_text(json.dumps(results, indent=1))
-    curves = {name: results[name] for name in args.rows if name in ROWS}
+        (args.out / "tables.json").write_text(json.dumps(results, indent=1))
+    curves = {name: results[name] for name in args.rows if name in rows}
     if curves:
-        plot(curves, args.out / "fast.png")
+        plot(curves, machine, args.out / "tables.png")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,152 @@
+"""The guided method: the paper's network, asked only where a voxel grid says that something is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from nerf_core.cameras import camera_rays
+from nerf_core.errors import UserError
+from nerf_core.guided_config import GuidedConfig
+from nerf_core.methods.guided import GuidedNerf
+from nerf_core.methods.nerf import Nerf
+from nerf_core.nerf_config import NerfConfig
+from nerf_core.scene import Scene
+from nerf_core.settings import RunSettings
+from nerf_core.trainer import Trainer
+from nerf_core.types import Rays
+
+CPU = torch.device("cpu")
+SMALL = {"depth": "4", "width": "32", "precision": "float32", "rays": "128", "guide_steps": "60"}
+
+
+def run(scene: Scene, steps: int, **changes: object) -> Trainer:
+    words = {name: str(value) for name, value in changes.items()}
+    trainer = Trainer(scene, RunSettings(method="nerf-guided", changes=SMALL | words, threads=2))
+    for _ in range(steps):
+        trainer.step()
+    return trainer
+
+
+def guided(trainer: Trainer) -> GuidedNerf:
+    assert isinstance(trainer.method, GuidedNerf)
+    return trainer.method
+
+
+def first_rays(scene: Scene, count: int = 256) -> Rays:
+    return camera_rays(scene.views[0].camera, scene.near, scene.far)[:count]
+
+
+def test_the_network_is_the_papers(scene: Scene) -> None:
+    method = GuidedNerf(scene, GuidedConfig(), CPU, 0)
+    paper = Nerf(scene, NerfConfig(), CPU, 0).networks["fine"]
+    assert [p.shape for p in method.final.parameters()] == [p.shape for p in paper.parameters()]
+    assert sum(p.numel() for p in method.parameters()) == 595_844
+
+
+def test_until_the_guide_is_done_its_picture_is_shown_and_then_stays_as_it_is(scene: Scene) -> None:
+    trainer, rays = run(scene, 60), first_rays(scene)
+    method = guided(trainer)
+    begun = [p.clone() for p in method.parameters()]
+    rows = method.guide.grid.rows.clone()
+    assert [p.name for p in method.trace(rays).passes] == ["voxels", "fine"]
+    trainer.step()
+    assert torch.equal(method.guide.grid.rows, rows)
+    assert not torch.equal(method.parameters()[0], begun[0])
+    early = guided(run(scene, 59))
+    assert torch.equal(early.render(rays).color, early.guide.render(rays).color)
+    assert [p.name for p in early.trace(rays).passes] == ["voxels"]
+    assert torch.equal(early.radiance(torch.zeros(3), torch.eye(3)), early.guide.radiance(torch.zeros(3), torch.eye(3)))
+
+
+class _TheGuideItself(nn.Module):
+    """A network that knows what the guide knows: density per unit of world distance, and colour, at world points."""
+
+    def __init__(self, method: GuidedNerf) -> None:
+        super().__init__()
+        self.method, self.directions = method, torch.empty(0)
+
+    def encode_directions(self, directions: Tensor) -> Tensor:
+        return directions
+
+    def forward(self, x: Tensor, d: Tensor) -> tuple[Tensor, Tensor]:
+        guide = self.method.guide
+        rows = guide.grid.interpolate(*guide.grid.cells_of(guide.space.points(x)))
+        side = float(guide.grid.voxel[0]) * guide.space.extent  # of a cell, in the world
+        sigma = nn.functional.softplus(rows[:, 12] + guide.config.bias) / side
+        basis = torch.stack([torch.full_like(d[:, 0], 0.28209479), *(0.48860251 * d[:, a] for a in (1, 2, 0))], -1)
+        return sigma, torch.sigmoid((rows[:, :12].view(-1, 3, 4) * basis[:, None]).sum(-1))
+
+
+def test_with_the_guide_for_a_network_the_picture_is_the_guides(scene: Scene) -> None:
+    """Where samples lie, how long they are and how they are composited leaves no other difference than what is culled:
+    samples that weigh at most `least`."""
+    method = guided(run(scene, 60, least=1e-4))
+    rays = first_rays(scene)
+    wanted = method.guide.render(rays)
+    method.networks = {"fine": _TheGuideItself(method)}  # pyright: ignore[reportAttributeAccessIssue]
+    drawn = method.render(rays)
+    assert float(wanted.opacity.max()) > 0.5
+    torch.testing.assert_close(drawn.color, wanted.color, atol=5e-3, rtol=0)
+    torch.testing.assert_close(drawn.opacity, wanted.opacity, atol=5e-3, rtol=0)
+
+
+def test_what_weighs_too_little_is_not_asked_about(scene: Scene) -> None:
+    method, rays = guided(run(scene, 60, least=0.05)), first_rays(scene)
+    half = torch.full((len(rays),), 0.5)
+    found = method.guide.traced(rays, half)
+    placed = method._placed(rays, half)
+    weight = found.alpha * found.light
+    assert 0 < len(placed.t) < len(found.t)
+    assert torch.equal(placed.t, found.t[weight > 0.05])
+    assert torch.equal(placed.ray, found.ray[weight > 0.05])
+
+
+def test_all_that_lies_beyond_far_is_one_opaque_sample_there(scene: Scene) -> None:
+    place = replace(scene, synthetic=False, far=scene.near + 1.0)  # a space without end, cut off within what is there
+    method, rays = guided(run(place, 60)), first_rays(place)
+    half = torch.full((len(rays),), 0.5)
+    found, placed = method.guide.traced(rays, half), method._placed(rays, half)
+    weight = found.alpha * found.light
+    behind = torch.zeros(len(rays)).index_add(0, found.ray, torch.where(found.t > rays.far[found.ray], weight, 0))
+    some = behind > method.config.least
+    last = placed.ends[1:][some] - 1
+    assert some.any()
+    assert torch.equal(placed.t[last], rays.far[some])
+    assert (placed.width[last] == method.config.last_delta).all()
+    assert (placed.t <= rays.far[placed.ray]).all()
+    assert (placed.t.diff()[placed.ray.diff() == 0] >= 0).all()
+    assert method.render(rays).color.isfinite().all()
+
+
+def test_the_gradient_is_the_slope_of_the_loss(scene: Scene) -> None:
+    method, rays = guided(run(scene, 90)), first_rays(scene)
+    truth, offsets = torch.rand(len(rays), 3, generator=torch.Generator().manual_seed(1)), torch.full((len(rays),), 0.3)
+    method.optimizer.zero_grad(set_to_none=False)
+    method._accumulate(rays, offsets, truth, 2.0)
+    gradients = [p.grad.clone() for p in method.parameters() if p.grad is not None]
+    length = sum(float(g.square().sum()) for g in gradients) ** 0.5
+    step, values = 1e-3, []
+    for sign in (1, -2):  # to one side, then to the other
+        with torch.no_grad():
+            for parameter, gradient in zip(method.parameters(), gradients, strict=True):
+                parameter.add_(gradient, alpha=sign * step / length)
+        values.append(method._accumulate(rays, offsets, truth, 0.0)[0])
+    assert (values[0] - values[1]) / (2 * step) == pytest.approx(length, rel=0.02)
+
+
+def test_it_learns_with_few_samples_a_ray(scene: Scene) -> None:
+    trainer = run(scene, 61, learning_rate=2e-3)
+    losses = [trainer.step().loss for _ in range(150)]
+    assert sum(losses[-10:]) < 0.5 * sum(losses[:10])
+    assert guided(trainer).average < 16
+
+
+def test_an_unknown_preset_and_a_useless_threshold_are_refused(scene: Scene) -> None:
+    with pytest.raises(UserError, match="nerf-guided has none but auto"):
+        GuidedConfig.configure(scene, "quick", {}, CPU)
+    with pytest.raises(UserError, match=r"--set least=0\.7"):
+        GuidedConfig.configure(scene, "auto", {"least": "0.7"}, CPU)
