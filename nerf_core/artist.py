@@ -40,6 +40,7 @@ class Artist:
         self._shown: Preview | None = None  # the one that was handed out last
         self._moving = False
         self._rates: dict[str, float] = {}
+        self._level = 0, 0.0  # cells of the level under way that are drawn, and the seconds they took
 
     def inspect(self, command: Inspect | None) -> None:
         self._inspect = command
@@ -92,21 +93,28 @@ class Artist:
             seconds = picture.cells_left / self._rates.get(picture.quality, GUESSED_RATE)
             self._whole = not picture.first_level_done or seconds < WHOLE_SECONDS
             self._model = trainer.method if self._whole else self._frozen(trainer)
+            self._level = 0, 0.0
+        begin = time.perf_counter()
         cells = picture.take(self._model.tile)
         rays = camera_rays(picture.camera, trainer.scene.near, trainer.scene.far, picture.pixels(cells))
-        begin = time.perf_counter()
         drawn = self._model.render(rays, picture.quality)
         color, depth = drawn.color.cpu().numpy(), drawn.depth.cpu()
-        seconds = time.perf_counter() - begin
         # distance along the ray → depth along the optical axis: `far`, never 0, is that axis' bound on every ray
         z = depth * trainer.scene.far / rays.far
         picture.write(cells, color, z.numpy(), self._model_step)
         if picture.level_done and picture.coherent():  # the next piece may be of the next level, with other weights
             self._ready = picture.image()
-        if len(cells) == self._model.tile:  # a padded tile would be counted as slower than it is
-            rate = len(cells) / max(seconds, 1e-6)
-            self._rates[picture.quality] = 0.8 * self._rates.get(picture.quality, rate) + 0.2 * rate
+        self._note_rate(picture, len(cells), time.perf_counter() - begin)
         return True
+
+    def _note_rate(self, picture: Refinement, cells: int, seconds: float) -> None:
+        """Rays a second over whole levels: at its rim a picture is emptier, and faster, than in its middle."""
+        assert self._model is not None
+        self._level = self._level[0] + cells, self._level[1] + seconds
+        known = self._rates.get(picture.quality)
+        if self._level[0] >= self._model.tile and (picture.level_done or known is None):  # less is padded to a tile
+            rate = self._level[0] / max(self._level[1], 1e-6)
+            self._rates[picture.quality] = rate if known is None else 0.5 * known + 0.5 * rate
 
     def _frozen(self, trainer: Trainer) -> Method:
         """The model of now, which stays as it is while training goes on."""

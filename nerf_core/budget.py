@@ -9,7 +9,10 @@ MEMORY_SECONDS = 2.0  # the half-life of what the account remembers: yesterday's
 
 
 class Budget:
-    """While pictures are wanted, training keeps `share` of the time; with none wanted it has all of it."""
+    """While pictures are wanted, training keeps `share` of the time; with none wanted it has all of it.
+
+    The window's frames count as pictures.
+    """
 
     def __init__(self, share: float, clock: Callable[[], float] = time.monotonic) -> None:
         self.share = share
@@ -27,6 +30,11 @@ class Budget:
         self._decay()
         self._draw += seconds
         self._turns += 1
+
+    def showed(self, seconds: float) -> None:
+        """Spent on handing pictures over, or by the window on a frame."""
+        self._decay()
+        self._draw += seconds
 
     def may_draw(self) -> bool:
         """Whether drawing has used less than its part of what was spent lately."""

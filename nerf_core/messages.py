@@ -204,6 +204,7 @@ class Snapshot:
     scene: Scene | None = None
     method: str = ""
     method_reason: str = ""  # why this one
+    coarse: str = ""  # what draws its cheaper pictures; empty: it has none
     device: str = ""
     step: int = 0
     saved_step: int = 0  # of the newest checkpoint that was written or loaded

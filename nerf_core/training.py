@@ -102,7 +102,7 @@ class _Session:
             if isinstance(error, torch.OutOfMemoryError):
                 raise UserError(
                     f"out of memory on {device.describe(self.trainer.device)}; step {step:,} is saved: "
-                    "use a smaller --set chunk_rays, or fewer --set rays"
+                    "use a smaller step: --set rays, samples or chunk_rays"
                 ) from error
             raise
         self._log()

@@ -67,6 +67,7 @@ class Worker:
         self._thread = threading.Thread(target=self._run, name="nerf-worker", daemon=True)
         self._quit = threading.Event()  # Quit was sent; what was sent before it is still done
         self._ended = False  # and now it was its turn
+        self._painted: deque[float] = deque()  # the window's frames that are not yet in the budget
         self._arrived = threading.Event()
         self._scene: Scene | None = None
         self._trainer: Trainer | None = None
@@ -94,7 +95,8 @@ class Worker:
             self._quit.set()
         self._arrived.set()
 
-    def request_view(self, request: ViewRequest) -> None:
+    def request_view(self, request: ViewRequest | None) -> None:
+        """What to draw from now on; None: nothing."""
         self._view = request
         self._arrived.set()
 
@@ -108,6 +110,10 @@ class Worker:
                 found.append(self._notices.get_nowait())
             except queue.Empty:
                 return found
+
+    def painted(self, seconds: float) -> None:
+        """The window drew a frame, in so many seconds: they are part of what pictures take."""
+        self._painted.append(seconds)
 
     def stop(self, timeout: float = 5.0) -> bool:
         """Ask the thread to end; whether it did within `timeout` seconds."""
@@ -293,12 +299,20 @@ class Worker:
         except torch.OutOfMemoryError as error:
             self._training_until = None
             raise UserError(
-                f"out of device memory: {error}; use fewer rays a step or a smaller --set chunk_rays"
+                f"out of device memory: {error}; use a smaller step: --set rays, samples or chunk_rays"
             ) from None
-        self._budget.trained(time.perf_counter() - self._accounted, report.rays)
+        self._account_for_training(report.rays)
         self._history.add(report.step, report.loss)
         if report.note:
             self._notices.put(Notice("warning", report.note))
+
+    def _account_for_training(self, rays: int) -> None:
+        """Since `_accounted`, less the window's frames: without a graphics card they take the cores away meanwhile."""
+        seconds, painted = time.perf_counter() - self._accounted, 0.0
+        while self._painted:
+            painted += self._painted.popleft()
+        self._budget.trained(max(0.0, seconds - painted), rays)
+        self._budget.showed(painted)
 
     def _recover(self, trainer: Trainer, error: Diverged) -> None:
         """Back to the last weights that were known to be good, paused."""
@@ -323,7 +337,7 @@ class Worker:
             self._publish(force=True)
         if self._commands:
             raise _Abandoned
-        self._budget.trained(time.perf_counter() - self._accounted, 0)
+        self._account_for_training(0)
         view = self._wanted_view()
         served = False
         while self._artist.urgent(view) and (view is self._view or (view and view.moving)) and self._draw(view):
@@ -410,7 +424,7 @@ class Worker:
         now = time.monotonic()
         if not force and now - self._published < PUBLISH_SECONDS:
             return
-        self._published = now
+        self._published, begin = now, time.perf_counter()
         status, trainer = self._status(), self._trainer
         common = replace(
             self._snapshot, status=status, loading=self._loading, loaded=self._loaded, scene=self._scene,
@@ -424,6 +438,7 @@ class Worker:
             common = replace(
                 common,
                 method=trainer.method_name,
+                coarse=trainer.method.coarse,
                 method_reason=trainer.reason,
                 device=describe(trainer.device),
                 step=trainer.step_count,
@@ -442,6 +457,7 @@ class Worker:
             )
         self._snapshot = common
         self.wake()
+        self._budget.showed(time.perf_counter() - begin)
 
 
 def _memory(device: torch.device) -> int:

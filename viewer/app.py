@@ -99,8 +99,10 @@ class App:
         self._pacer.note(now, hand=moved or force)
         drew = False
         if (force or self._pacer.due(now)) and min(self.window.size()) > 0:
+            begin = clock.perf_counter()
             self._draw(now)
             self._show(now)
+            self.link.painted(clock.perf_counter() - begin)
             drew = True
             moved = self.state.camera.update(now)  # by what the hands did in this frame
             self._pacer.note(now, hand=moved)

@@ -103,7 +103,8 @@ class Layout:
             for title in self._raise_next:
                 imgui.set_window_focus(title)
             self._raise_next = ()
-        imgui.dock_space_over_viewport(space, area)
+        # nothing is painted under the docks: in software GL a layer over the whole window takes a quarter of the frame
+        imgui.dock_space_over_viewport(space, area, imgui.DockNodeFlags_.passthru_central_node)
 
     @property
     def raising(self) -> bool:

@@ -28,7 +28,7 @@ class ViewportPanel:
         self._picture = ViewportPicture(context)
         self._renderer = renderer
         self.input = ViewportInput()
-        self.stale = False
+        self.stale = self._docked = False
 
     def draw(self, ui: PanelUi, state: AppState, alone: bool) -> None:
         """`alone`: it fills what the bars leave of the window."""
@@ -36,6 +36,8 @@ class ViewportPanel:
         imgui.push_style_var(imgui.StyleVar_.window_border_size, 0.0)  # it would cover the picture's outermost pixels
         imgui.push_style_color(imgui.Col_.window_bg, ui.theme.ground)
         flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
+        if alone or self._docked:  # the framebuffer was cleared to the ground's colour
+            flags |= imgui.WindowFlags_.no_background
         if alone:
             area = imgui.get_main_viewport()
             imgui.set_next_window_pos(area.work_pos)
@@ -49,6 +51,7 @@ class ViewportPanel:
         imgui.begin(f"{VIEWPORT}##alone" if alone else VIEWPORT, None, flags)
         imgui.pop_style_color()
         imgui.pop_style_var(2)
+        self._docked = imgui.is_window_docked()
         self._draw_content(ui, state)
         imgui.end()
 
@@ -82,7 +85,8 @@ class ViewportPanel:
             return
         self.stale = self._picture.draw(preview, camera, scene.background)
         far = ImVec2(origin.x + camera.width, origin.y + camera.height)
-        draw.add_image(self._renderer.add(self._picture.texture), origin, far)
+        texture, first, last = self._picture.shown
+        draw.add_image(self._renderer.add(texture, opaque=True), origin, far, ImVec2(*first), ImVec2(*last))
 
     def _draw_space(self, ui: PanelUi, state: AppState, scene: Scene, overlay: Overlay) -> None:
         theme, thin = ui.theme, max(1.0, ui.em / 14)
@@ -116,8 +120,8 @@ class ViewportPanel:
         words = []
         if self.stale:
             words.append(f"{icons.ICON_FA_CLOCK}  stale: the last picture, warped")
-        if snapshot.preview.quality == "coarse":
-            words.append("coarse network")
+        if snapshot.preview.quality == "coarse" and snapshot.coarse:
+            words.append(snapshot.coarse)
         if words:
             _chip(ui, draw, ImVec2(origin.x + 0.6 * ui.em, origin.y + size.y - 2.2 * ui.em), "  ·  ".join(words))
         if state.show_cameras and snapshot.scene is not None:

@@ -1,7 +1,7 @@
 """The paper's NeRF made fast without touching its model: a voxel grid, trained first, says where samples are spent.
 
 The network, its encoding and volume rendering are those of `nerf_core.methods.nerf`. What the paper's coarse network is
-for, finding the few depths that matter, a `Voxels` grid does better after seconds: of the samples that it takes along a
+for, finding the few depths that matter, a voxel grid does better after seconds: of the samples that it takes along a
 ray, those that weigh more than `least` in its own picture are kept, with their δ, and only they are put to the network.
 A ray then needs some 3 samples instead of 192 + 64, and one that hits nothing needs none.
 """
@@ -20,12 +20,12 @@ from nerf_core.batches import Draw
 from nerf_core.guided_config import GuidedConfig
 from nerf_core.kernels.choice import packed_kernels
 from nerf_core.methods import METHODS
-from nerf_core.methods.voxels import Voxels
 from nerf_core.mlp_model import MlpModel, Parametrised
 from nerf_core.packing import Packed, opened
 from nerf_core.scene import Scene
 from nerf_core.types import Rays, Rendering, Trace
 from nerf_core.voxel_config import VoxelConfig
+from nerf_core.voxel_model import VoxelModel
 
 CPU = torch.device("cpu")
 TILE = 512  # rays: some 10 ms on two cores
@@ -41,6 +41,7 @@ class GuidedNerf(MlpModel):
     """See the module."""
 
     summary: ClassVar[str] = "The paper's network, its samples placed by a voxel grid trained first: minutes, not days."
+    coarse: ClassVar[str] = "the guide's picture"
 
     configure = staticmethod(GuidedConfig.configure)
     restore = staticmethod(GuidedConfig.restore)
@@ -50,7 +51,7 @@ class GuidedNerf(MlpModel):
     def __init__(self, scene: Scene, config: GuidedConfig, device: torch.device, seed: int) -> None:
         super().__init__(scene, config, device, torch.Generator().manual_seed(seed), ("fine",))
         # on a CPU whatever the device: it is quick there, and asked little
-        self.guide = Voxels(scene, VoxelConfig.configure(scene, "auto", {}, CPU), CPU, seed)
+        self.guide = VoxelModel(scene, VoxelConfig.configure(scene, "auto", {}, CPU), CPU, seed)
         self.space = self.guide.space
         self.kernels = packed_kernels(device)
         self.tile = config.tile or TILE

@@ -44,6 +44,7 @@ class Hash:
     """See the module."""
 
     summary: ClassVar[str] = "Instant-ngp (2022): a hash grid and two small MLPs; the sharpest in minutes on a GPU."
+    coarse: ClassVar[str] = ""
 
     configure = staticmethod(HashConfig.configure)
     restore = staticmethod(HashConfig.restore)

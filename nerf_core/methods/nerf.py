@@ -51,6 +51,8 @@ class Nerf(MlpModel):
         "The paper's NeRF (2020): two MLPs, every sample through a network; slow, and the reference."
     )
 
+    coarse: ClassVar[str] = "coarse network"
+
     configure = staticmethod(NerfConfig.configure)
     restore = staticmethod(NerfConfig.restore)
 

@@ -168,6 +168,9 @@ class ScriptedWorker:
     def snapshot(self) -> Snapshot:
         return self.current
 
+    def painted(self, seconds: float) -> None:
+        pass
+
     def notices(self) -> list[Notice]:
         found, self.waiting_notices = self.waiting_notices, []
         return found

@@ -48,6 +48,7 @@ class ImguiRenderer:
         self._indices = context.buffer(reserve=1 << 20, dynamic=True)
         self._arrays = self._make_arrays()
         self._textures: dict[int, moderngl.Texture] = {}
+        self._opaque: set[int] = set()
         # Indices have 32 bits in this build, so no list outgrows them and vertex offsets are not needed.
         imgui.get_io().backend_flags |= imgui.BackendFlags_.renderer_has_textures
         largest = context.info["GL_MAX_TEXTURE_SIZE"]
@@ -62,13 +63,20 @@ class ImguiRenderer:
             index_element_size=imgui.INDEX_SIZE,
         )
 
-    def add(self, texture: moderngl.Texture) -> imgui.ImTextureRef:
-        """Let draw commands name `texture`, which stays the caller's; `remove` it before releasing it."""
+    def add(self, texture: moderngl.Texture, opaque: bool = False) -> imgui.ImTextureRef:
+        """Let draw commands name `texture`, which stays the caller's; `remove` it before releasing it.
+
+        opaque: it has no transparent texel, and nothing that lies under it has to be read.
+        """
         self._textures[texture.glo] = texture
+        self._opaque.discard(texture.glo)  # GL gives a released texture's name to another
+        if opaque:
+            self._opaque.add(texture.glo)
         return imgui.ImTextureRef(texture.glo)
 
     def remove(self, texture: moderngl.Texture) -> None:
         self._textures.pop(texture.glo, None)
+        self._opaque.discard(texture.glo)
 
     def render(self, data: imgui.ImDrawData, target: moderngl.Framebuffer) -> None:
         """Draw over what `target` holds, in its viewport."""
@@ -78,7 +86,6 @@ class ImguiRenderer:
         if width <= 0 or height <= 0:
             return
         target.use()
-        self.context.enable_only(moderngl.BLEND)
         self.context.blend_func = BLEND  # pyright: ignore[reportAttributeAccessIssue]  write-only in moderngl's stubs
         x, y = data.display_pos
         self._program["place"] = (2 / width, -2 / height, -1 - 2 * x / width, 1 + 2 * y / height)
@@ -114,7 +121,9 @@ class ImguiRenderer:
         if x2 <= x or y2 <= y or not command.elem_count:
             return
         self.context.scissor = (x, height - y2, x2 - x, y2 - y)
-        self._textures[command.tex_ref.get_tex_id()].use()
+        name = command.tex_ref.get_tex_id()
+        self._textures[name].use()
+        self.context.enable_only(moderngl.NOTHING if name in self._opaque else moderngl.BLEND)
         self._arrays.render(moderngl.TRIANGLES, vertices=command.elem_count, first=command.idx_offset)
 
     def _update(self, texture: imgui.ImTextureData) -> None:
@@ -122,8 +131,7 @@ class ImguiRenderer:
         if texture.status == status.want_create:
             mine = self.context.texture((texture.width, texture.height), 4, _pixels(texture).tobytes())
             mine.repeat_x = mine.repeat_y = False
-            self._textures[mine.glo] = mine
-            texture.set_tex_id(mine.glo)
+            texture.set_tex_id(self.add(mine).get_tex_id())
             texture.status = status.ok
         elif texture.status == status.want_updates:
             mine, pixels = self._textures[texture.tex_id], _pixels(texture)

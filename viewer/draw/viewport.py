@@ -2,33 +2,13 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import moderngl
 import numpy as np
 
 from nerf_core.cameras import Camera
 from nerf_core.messages import Preview
-
-FLAT_VERTEX = """
-#version 330
-void main() {  // one triangle over the whole framebuffer
-    gl_Position = vec4(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0, 0.0, 1.0);
-}
-"""
-
-FLAT_FRAGMENT = """
-#version 330
-uniform sampler2D image;
-uniform float stride;
-out vec4 fragment;
-void main() {
-    if (stride == 1.0) {
-        fragment = texelFetch(image, ivec2(gl_FragCoord.xy), 0);
-    } else {  // texel (i, j) was computed at pixel centre (i * stride + 0.5, j * stride + 0.5)
-        vec2 texel = (gl_FragCoord.xy - 0.5) / stride + 0.5;
-        fragment = texture(image, texel / vec2(textureSize(image, 0)));
-    }
-}
-"""
 
 WARP_VERTEX = """
 #version 330
@@ -75,16 +55,25 @@ JUMP = 1.1  # far over near depth in one cell: an edge with something hidden beh
 MESH_CELLS = 160  # along the longer side: fine enough for silhouettes, 30,000 triangles even software GL likes
 
 
+class Shown(NamedTuple):
+    """A texture, row 0 at the top, and the texture coordinates of the viewport's corners."""
+
+    texture: moderngl.Texture
+    first: tuple[float, float]
+    last: tuple[float, float]
+
+
 class ViewportPicture:
-    """Draws into a texture of the camera's size, row 0 at the top, and only when something changed."""
+    """Keeps what the viewport shows: the preview itself, or a warp of it in a texture of the camera's size, drawn anew
+    only when something changed."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
-        self._flat = context.program(vertex_shader=FLAT_VERTEX, fragment_shader=FLAT_FRAGMENT)
-        self._flat_arrays = context.vertex_array(self._flat, [])
         self._warp = context.program(vertex_shader=WARP_VERTEX, fragment_shader=WARP_FRAGMENT)
         self._warp["image"], self._warp["depth"] = 0, 1
         self._target: moderngl.Framebuffer | None = None
+        self._warped: moderngl.Texture | None = None
+        self._shown: Shown | None = None
         self._image: moderngl.Texture | None = None
         self._depth: moderngl.Texture | None = None
         self._mesh: tuple[moderngl.VertexArray, moderngl.Buffer, moderngl.Buffer] | None = None
@@ -94,26 +83,21 @@ class ViewportPicture:
         self._background: tuple[float, float, float] | None = None
 
     @property
-    def texture(self) -> moderngl.Texture:
-        """What `draw` filled last."""
-        assert self._target is not None, "draw first"
-        texture = self._target.color_attachments[0]
-        assert isinstance(texture, moderngl.Texture)
-        return texture
+    def shown(self) -> Shown:
+        """What `draw` was last asked for."""
+        assert self._shown is not None, "draw first"
+        return self._shown
 
     def draw(self, preview: Preview, camera: Camera, background: tuple[float, float, float]) -> bool:
-        """Bring `texture` up to date for a pinhole `camera`; whether it shows a warp of an older view."""
+        """Bring `shown` up to date for a pinhole `camera`; whether it is a warp of an older view."""
         stale = not same_view(preview.camera, camera)
         unchanged = self._drawn is not None and preview is self._preview and same_view(self._drawn, camera)
         if unchanged and background == self._background:
             return stale
-        if preview is not self._preview:
-            self._upload(preview)
-        self._resize(camera.width, camera.height)
         if stale:
             self.draw_warped(preview, camera, background)
         else:
-            self._draw_flat(preview)
+            self._show(preview)
         self._drawn, self._background = camera, background
         return stale
 
@@ -130,30 +114,38 @@ class ViewportPicture:
         self._depth = self._mesh = None  # made when a warp needs them
         self._preview = preview
 
-    def _resize(self, width: int, height: int) -> None:
-        if self._target is not None and self._target.size == (width, height):
-            return
-        self._release_target()
-        texture = self._context.texture((width, height), 4)
-        texture.filter = (moderngl.NEAREST, moderngl.NEAREST)  # shown pixel for pixel
-        self._target = self._context.framebuffer([texture], self._context.depth_renderbuffer((width, height)))
+    def _resize(self, width: int, height: int) -> moderngl.Texture:
+        """The texture that warps are drawn into."""
+        if self._warped is None or self._warped.size != (width, height):
+            self._release_target()
+            self._warped = self._context.texture((width, height), 4)
+            self._warped.filter = (moderngl.NEAREST, moderngl.NEAREST)  # shown pixel for pixel
+            depth = self._context.depth_renderbuffer((width, height))
+            self._target = self._context.framebuffer([self._warped], depth)
+        return self._warped
 
-    def _draw_flat(self, preview: Preview) -> None:
-        assert self._target is not None
+    def _show(self, preview: Preview) -> None:
+        """The preview as it is. Texel (i, j) was computed at pixel centre (i · stride + ½, j · stride + ½)."""
+        if preview is not self._preview:
+            self._upload(preview)
         assert self._image is not None
-        self._target.use()
-        self._context.enable_only(moderngl.NOTHING)
-        self._flat["stride"] = float(preview.stride)
-        self._image.use(0)
-        self._flat_arrays.render(moderngl.TRIANGLES, vertices=3)
+        sharp = preview.stride == 1
+        self._image.filter = (moderngl.NEAREST, moderngl.NEAREST) if sharp else (moderngl.LINEAR, moderngl.LINEAR)
+        camera, stride = preview.camera, preview.stride
+        first, last = (
+            tuple(((end - 0.5) / stride + 0.5) / size for end, size in zip(ends, self._image.size, strict=True))
+            for ends in ((0, 0), (camera.width, camera.height))
+        )
+        self._shown = Shown(self._image, first, last)
 
     def draw_warped(self, preview: Preview, camera: Camera, background: tuple[float, float, float]) -> None:
         """Move every pixel of `preview` to where its depth puts it in `camera`."""
         if preview is not self._preview:
             self._upload(preview)
-        self._resize(camera.width, camera.height)
+        texture = self._resize(camera.width, camera.height)
         assert self._target is not None
         assert self._image is not None
+        self._shown = Shown(texture, (0.0, 0.0), (1.0, 1.0))
         self._target.use()
         self._target.clear(*_paler(background), 1.0, depth=1.0)
         if self._mesh is None or self._depth is None:
@@ -169,6 +161,7 @@ class ViewportPicture:
         self._warp["near"] = self._near
         self._warp["stride"] = float(preview.stride)
         self._context.enable_only(moderngl.DEPTH_TEST)
+        self._image.filter = (moderngl.LINEAR, moderngl.LINEAR)
         self._image.use(0)
         self._depth.use(1)
         self._mesh[0].render(moderngl.TRIANGLES)
@@ -195,16 +188,15 @@ class ViewportPicture:
 
     def _release_target(self) -> None:
         if self._target is not None:
-            self._release(self.texture)
+            self._release(self._warped)
             if self._target.depth_attachment is not None:
                 self._target.depth_attachment.release()
             self._target.release()
-            self._target = None
+            self._target = self._warped = None
 
     def release(self) -> None:
         self._release_target()
-        self._release(self._image, self._depth, *(self._mesh or ()), self._flat_arrays)
-        self._flat.release()
+        self._release(self._image, self._depth, *(self._mesh or ()))
         self._warp.release()
 
 

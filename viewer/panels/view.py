@@ -62,7 +62,8 @@ def _preview_state(ui: Ui, state: AppState) -> tuple[str, ImVec4]:
         return "No picture yet.", muted
     if not same_view(preview.camera, state.camera.camera(*state.viewport)):
         return "The last picture, warped: the next one is being drawn.", ui.theme.warning
-    network = ", coarse network" if preview.quality == "coarse" else ""
+    coarse = state.snapshot.coarse
+    network = f", {coarse}" if preview.quality == "coarse" and coarse else ""
     if preview.complete and preview.step == state.snapshot.step:
         return f"Full resolution{network}", ui.theme.good
     sharp = f"1/{preview.stride} resolution" if preview.stride > 1 else "Full resolution"

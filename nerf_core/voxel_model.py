@@ -1,0 +1,254 @@
+"""A grid of density and spherical-harmonic colour, trained directly, coarse to fine: fast on a plain CPU.
+
+The deck's "RGBα volume" carried to its end. Every vertex of the occupied cells holds a raw density s and, for each
+colour channel, the four coefficients k of spherical harmonics up to degree 1. Between vertices they are interpolated
+trilinearly; then σ = softplus(s + bias), c(d) = sigmoid(Σ_b k_b Y_b(d)), and pixels follow from volume rendering (NeRF
+Eq. 3). There is no network: a sample touches 8 rows, and so does its gradient. Close relatives are Plenoxels
+(arXiv:2112.05131) and DVGO (arXiv:2111.11215).
+
+Training begins on a coarse grid and shrunken photos. When a level is done, cells that absorb no light are dropped, the
+others are divided, and a finer level begins: time goes where surfaces are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import NamedTuple, Self
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from nerf_core.batches import Draw
+from nerf_core.cells import grow
+from nerf_core.fields.voxel_grid import DENSITY, ROWS, VoxelGrid, bricks_of
+from nerf_core.kernels.choice import voxel_kernels
+from nerf_core.kernels.voxel_kernels import Adam, March, Traced
+from nerf_core.packing import to_trace
+from nerf_core.scene import Scene
+from nerf_core.spaces import Space, pixel_size
+from nerf_core.types import Rays, Rendering, Trace
+from nerf_core.voxel_config import VoxelConfig
+
+PIECE = 4096  # rays between two pumps: some 5 ms on two cores
+TILE = 8192
+SHORTEST_LEVEL = 1.25  # a last level that is less finer than the one before is not worth a refinement
+CROP_MARGIN = 1  # cells kept around the content when the box shrinks to it
+SH = (0.28209479, 0.48860251)  # 1/√4π, √(3/4π): real spherical harmonics of degree 0 and 1
+
+
+class Level(NamedTuple):
+    """scale: how many times larger its cells are than the finest. begin: its first step. shrink: of photos."""
+
+    scale: float
+    begin: int
+    shrink: int
+
+
+class VoxelModel:
+    """See the module."""
+
+    def __init__(self, scene: Scene, config: VoxelConfig, device: torch.device, seed: int) -> None:
+        self.config, self.device = config, device
+        self.space = Space.of(scene)
+        self.background = torch.tensor(scene.background, device=device)
+        self.generator = torch.Generator().manual_seed(seed)
+        self.kernels = voxel_kernels(device)
+        self.tile = TILE
+        self.finest = finest_cells(scene, self.space, config)
+        self.levels = planned(scene, self.space, config, self.finest)
+        self.level = 0
+        low, high = self.space.low, self.space.high
+        voxel = self.finest * self.levels[0].scale
+        size = np.ceil((high - low) / voxel - 1e-6).astype(int)
+        everything = torch.ones(*size.tolist(), dtype=torch.bool, device=device)
+        self.grid = VoxelGrid.over(low, voxel, everything, self.space.kind == "contracted")
+        self.moments = torch.zeros_like(self.grid.rows)
+        self.updates = 0  # of Adam since the level began
+
+    # ---- training ---------------------------------------------------------------------------------------------------
+
+    def draw(self, step: int) -> Draw:
+        level = self._level_at(step)
+        return Draw(self.config.first_rays if level == 0 else self.config.rays, shrink=self.levels[level].shrink)
+
+    def _level_at(self, step: int) -> int:
+        return max(i for i, level in enumerate(self.levels) if level.begin <= step)
+
+    def train(self, rays: Rays, truth: Tensor, step: int, steps: int | None, pump: Callable[[], None]) -> float:
+        """Mean squared error; its gradient is a ray's own, so that Adam's ε means the same for every batch."""
+        c = self.config
+        while self.level < self._level_at(step):
+            pump()
+            self._refine()
+        since = step - self.levels[self.level].begin
+        if self._half_way(since):
+            self._look_anew()  # in a level's first half much is still fog: it shall not count
+        elif self.level == len(self.levels) - 1 and since and since % c.prune_every == 0:
+            self.grid = self.grid.with_cells(self._filled() & self.grid.occupied)
+            self._look_anew()
+        drawn = self.generator.get_state()
+        offsets = torch.rand(len(rays), generator=self.generator)
+        error = 0.0
+        try:
+            for start in range(0, len(rays), PIECE):
+                part = slice(start, start + PIECE)
+                march = self._march(offsets[part], c.smoothness, c.prune)
+                boxed = self.space.rays(rays[part])
+                error += self.kernels.accumulate(self.grid, boxed, truth[part], march)[0]
+                pump()
+        except BaseException:
+            self.generator.set_state(drawn)
+            self.kernels.forget()
+            raise
+        self.updates += 1
+        slower = 1 / (1 + since / c.slowdown)
+        warm, warm_square = (1 / (1 - beta**self.updates) for beta in (c.keep, c.keep_square))
+        self.kernels.update(
+            self.grid, self.moments,
+            Adam(c.rate_color * slower, c.rate_density * slower, c.keep, c.keep_square, warm, warm_square, c.epsilon),
+        )  # fmt: skip
+        return error / (3 * len(rays))
+
+    def halve(self) -> bool:
+        return False
+
+    def _march(self, offsets: Tensor, smoothness: float = 0.0, threshold: float = 1.0) -> March:
+        return March(self.config.step, self.config.bias, self.background, offsets, smoothness, threshold)
+
+    # ---- coarse to fine ---------------------------------------------------------------------------------------------
+
+    def _half_way(self, since: int) -> bool:
+        last = self.level == len(self.levels) - 1
+        end = self.config.prune_every if last else self.levels[self.level + 1].begin - self.levels[self.level].begin
+        return since == end // 2
+
+    def _look_anew(self) -> None:
+        self.kernels.see(self.grid, torch.zeros(len(self.grid.rows), dtype=torch.bool, device=self.device))
+
+    def _filled(self) -> Tensor:
+        """Cells that were part of some pixel since last asked, and their neighbours."""
+        x, y, z = self.grid.size
+        return grow(self.grid.dense(self.kernels.seen(self.grid))[:x, :y, :z])
+
+    def _refine(self) -> None:
+        """The next level: a smaller box around what is there, divided into smaller cells."""
+        self.level += 1
+        old, level = self.grid, self.levels[self.level]
+        cells = self._filled() & old.occupied
+        if not cells.any():  # nothing learnt yet: begin with everything once more
+            cells = old.occupied
+        found = cells.nonzero()
+        low, high = found.amin(0).numpy(), found.amax(0).numpy() + 1
+        origin, far = old.origin + low * old.voxel, old.origin + high * old.voxel
+        voxel = self.finest * level.scale
+        while True:
+            size = np.ceil((far - origin) / voxel - 1e-6).astype(int)
+            centres = [torch.from_numpy(((np.arange(n) + 0.5) * voxel[a] + origin[a] - old.origin[a]) / old.voxel[a])
+                       for a, n in enumerate(size)]  # fmt: skip
+            x, y, z = (v.floor().long().clamp(0, n - 1) for v, n in zip(centres, old.size, strict=True))
+            occupied = cells[x][:, y][:, :, z]
+            rows = ROWS * int(bricks_of(occupied).sum())
+            if rows <= self.config.most_rows:
+                break
+            voxel = voxel * max(1.05, (rows / self.config.most_rows) ** (1 / 3))
+        grid = old.resampled(origin, voxel, occupied)
+        # density is per cell: a smaller one absorbs as much less
+        ratio = float(np.prod(voxel / old.voxel) ** (1 / 3))
+        sigma = functional.softplus(grid.rows[:, DENSITY] + self.config.bias) * ratio
+        grid.rows[:, DENSITY] = sigma + torch.log(-torch.expm1(-sigma)) - self.config.bias  # softplus, inverted
+        self.grid, self.moments, self.updates = grid, torch.zeros_like(grid.rows), 0
+
+    # ---- rendering --------------------------------------------------------------------------------------------------
+
+    def render(self, rays: Rays, quality: str = "fine") -> Rendering:
+        return Rendering.cat([self._tile(rays[i : i + TILE]) for i in range(0, len(rays), TILE)])
+
+    def _tile(self, rays: Rays) -> Rendering:
+        march = self._march(torch.full((len(rays),), 0.5))
+        return self.space.rendering(rays, self.kernels.render(self.grid, self.space.rays(rays), march))
+
+    def trace(self, rays: Rays) -> Trace:
+        found = self.traced(rays, torch.full((len(rays),), 0.5))
+        return to_trace("voxels", self.space, rays, found, self.tau(found), found.rgb, found.pixel)
+
+    def traced(self, rays: Rays, offsets: Tensor) -> Traced:
+        """The samples of `rays`, the first `offsets` (R,) of a step behind where the box begins."""
+        return self.kernels.trace(self.grid, self.space.rays(rays), self._march(offsets))
+
+    def tau(self, found: Traced) -> Tensor:
+        """Optical depths (M,) of samples."""
+        return functional.softplus(found.raw) * self.config.step
+
+    @torch.no_grad()
+    def radiance(self, point: Tensor, directions: Tensor) -> Tensor:
+        x = self.space.points(point.to(torch.float32)[None])
+        row = self.grid.interpolate(*self.grid.cells_of(x))[0]
+        d = directions.to(torch.float32)
+        basis = torch.stack([torch.full_like(d[:, 0], SH[0]), SH[1] * d[:, 1], SH[1] * d[:, 2], SH[1] * d[:, 0]], -1)
+        return torch.sigmoid(basis @ row[:DENSITY].view(3, 4).T)
+
+    # ---- state ------------------------------------------------------------------------------------------------------
+
+    def frozen(self) -> Self:
+        """The same picture, whatever training does meanwhile."""
+        copy = object.__new__(type(self))
+        copy.__dict__ |= self.__dict__
+        copy.grid = replace(self.grid, rows=self.grid.rows.clone())
+        return copy
+
+    def parameters(self) -> list[Tensor]:
+        return [self.grid.rows]
+
+    def state(self) -> dict[str, Tensor]:
+        numbers = {"level": self.level, "updates": self.updates}
+        return (
+            {f"grid.{k}": v for k, v in self.grid.state().items()}
+            | {k: torch.tensor(v) for k, v in numbers.items()}
+            | {"moments": self.moments, "seen": self.kernels.seen(self.grid), "generator": self.generator.get_state()}
+        )
+
+    def load_state(self, state: Mapping[str, Tensor]) -> None:
+        grid = VoxelGrid.restored(
+            {k.removeprefix("grid."): v for k, v in state.items() if k.startswith("grid.")},
+            self.space.kind == "contracted",
+        )
+        moments, level = state["moments"], int(state["level"])
+        if moments.shape != grid.rows.shape or moments.dtype != torch.float32:
+            raise ValueError("the optimiser's moments do not fit the voxel grid")
+        if state["seen"].shape != moments.shape[:1] or state["seen"].dtype != torch.bool:
+            raise ValueError("what was seen does not fit the voxel grid")
+        if not 0 <= level < len(self.levels) or int(state["updates"]) < 0:
+            raise ValueError(f"level {level} of {len(self.levels)}, {int(state['updates'])} updates")
+        self.grid, self.moments = grid, torch.empty_like(moments).copy_(moments)
+        self.kernels.see(grid, state["seen"])
+        self.level, self.updates = level, int(state["updates"])
+        self.generator.set_state(state["generator"])
+
+
+def finest_cells(scene: Scene, space: Space, c: VoxelConfig) -> np.ndarray:
+    """Sides (3,) of the finest cells in box coordinates: `pixels` pixels of a photo, as seen at the scene's centre."""
+    cameras = [scene.views[i].camera for i in scene.split("train")]
+    if space.kind == "ndc":
+        width, height = (max(getattr(v, side) for v in cameras) for side in ("width", "height"))
+        voxel = np.array([2 * c.pixels / width, 2 * c.pixels / height, 2 / c.planes])
+    else:
+        voxel = np.full(3, c.pixels * pixel_size(scene, space))
+    return np.maximum(voxel, (space.high - space.low).max() / c.resolution)
+
+
+def planned(scene: Scene, space: Space, c: VoxelConfig, finest: np.ndarray) -> list[Level]:
+    """From `start` cells to the finest in steps of `growth`, the last one as large as it must be."""
+    coarsest = (space.high - space.low).max() / c.start / finest.min()
+    count = max(0, math.ceil(math.log(max(coarsest, 1) / SHORTEST_LEVEL) / math.log(c.growth)))
+    levels, begin, steps = [], 0, float(c.level_steps)
+    for i in range(count + 1):
+        scale = max(coarsest, 1.0) ** (1 - i / count) if count else 1.0
+        shrink = 2 ** max(0, int(math.log2(max(scale * c.pixels, 1))))
+        levels.append(Level(scale, begin, shrink))
+        begin += round(steps)
+        steps *= c.growth
+    return levels
