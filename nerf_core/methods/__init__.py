@@ -25,7 +25,9 @@ class Method(Protocol):
     summary: ClassVar[str]
     coarse: ClassVar[str]
     config: Any
-    tile: int
+
+    @property
+    def tile(self) -> int: ...
 
     @staticmethod
     def configure(scene: Scene, preset: str, changes: Mapping[str, str], device: torch.device) -> Any:

@@ -32,7 +32,8 @@ from nerf_core.scene import Scene
 from nerf_core.spaces import Space, pixel_size
 from nerf_core.types import Rays, Rendering, Trace
 
-TILE = 2048
+TILE = 2048  # rays drawn at once on a CPU: some 10 ms
+TILE_SAMPLES = 1 << 21  # drawn at once on a GPU: enough to keep it busy, under a gigabyte of activations
 PIECE = 1 << 13  # samples between two pumps on a CPU: some 10 ms
 ROOM = 1.25  # times the samples asked for: so many a recorded step can hold
 FEWEST = 1 << 12  # samples a step that can still be halved
@@ -50,7 +51,7 @@ class Hash:
     restore = staticmethod(HashConfig.restore)
 
     def __init__(self, scene: Scene, config: HashConfig, device: torch.device, seed: int) -> None:
-        self.config, self.device, self.tile = config, device, TILE
+        self.config, self.device = config, device
         self.space = Space.of(scene)
         self.background = torch.tensor(scene.background, device=device)
         self.generator = torch.Generator().manual_seed(seed)
@@ -181,6 +182,10 @@ class Hash:
 
     # ---- rendering --------------------------------------------------------------------------------------------------
 
+    @property
+    def tile(self) -> int:
+        return TILE if self.device.type == "cpu" else int(min(max(TILE_SAMPLES / self.average, 2**10), 2**17))
+
     @torch.no_grad()
     def _evaluated(self, rays: Rays) -> tuple[Samples, Tensor, Tensor, Tensor]:
         """The samples of at most a tile of rays, with their optical depths and colours, and the pixels (R, 5)."""
@@ -195,7 +200,7 @@ class Hash:
         return samples, tau, rgb, self.kernels.composite(tau, rgb, samples, self.background)
 
     def render(self, rays: Rays, quality: str = "fine") -> Rendering:
-        parts = [rays[i : i + TILE] for i in range(0, len(rays), TILE)]
+        parts = [rays[i : i + self.tile] for i in range(0, len(rays), self.tile)]
         return Rendering.cat([self.space.rendering(part, self._evaluated(part)[3]) for part in parts])
 
     def trace(self, rays: Rays) -> Trace:
