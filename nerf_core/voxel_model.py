@@ -81,15 +81,7 @@ class VoxelModel:
     def train(self, rays: Rays, truth: Tensor, step: int, steps: int | None, pump: Callable[[], None]) -> float:
         """Mean squared error; its gradient is a ray's own, so that Adam's ε means the same for every batch."""
         c = self.config
-        while self.level < self._level_at(step):
-            pump()
-            self._refine()
         since = step - self.levels[self.level].begin
-        if self._half_way(since):
-            self._look_anew()  # in a level's first half much is still fog: it shall not count
-        elif self.level == len(self.levels) - 1 and since and since % c.prune_every == 0:
-            self.grid = self.grid.with_cells(self._filled() & self.grid.occupied)
-            self._look_anew()
         drawn = self.generator.get_state()
         offsets = torch.rand(len(rays), generator=self.generator)
         error = 0.0
@@ -111,7 +103,19 @@ class VoxelModel:
             self.grid, self.moments,
             Adam(c.rate_color * slower, c.rate_density * slower, c.keep, c.keep_square, warm, warm_square, c.epsilon),
         )  # fmt: skip
+        self._get_ready(step + 1)
         return error / (3 * len(rays))
+
+    def _get_ready(self, step: int) -> None:
+        """What comes between two steps; here nothing can abandon it half done."""
+        while self.level < self._level_at(step):
+            self._refine()
+        since = step - self.levels[self.level].begin
+        if self._half_way(since):
+            self._look_anew()  # in a level's first half much is still fog: it shall not count
+        elif self.level == len(self.levels) - 1 and since and since % self.config.prune_every == 0:
+            self.grid = self.grid.with_cells(self._filled() & self.grid.occupied)
+            self._look_anew()
 
     def halve(self) -> bool:
         return False

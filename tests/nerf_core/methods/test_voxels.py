@@ -147,17 +147,25 @@ def test_the_same_seed_gives_the_same_bits_and_another_does_not(scene: Scene) ->
 
 
 def test_an_abandoned_step_has_not_happened(scene: Scene) -> None:
-    trainer, calm = run(scene, 8), run(scene, 8)
+    """At every step: those at which a level begins, and those at which cells are dropped, are among them."""
+    trainer, calm = run(scene, 8, prune_every=7), run(scene, 8, prune_every=7)
+    method = trainer.method
+    assert isinstance(method, Voxels)
 
     def interrupt() -> None:
         raise KeyboardInterrupt
 
-    for _ in range(3):
-        with pytest.raises(KeyboardInterrupt):
-            trainer.step(interrupt)
-    for _ in range(9):
+    levels, cells = set(), set()
+    for _ in range(60):
+        for _ in range(2):
+            with pytest.raises(KeyboardInterrupt):
+                trainer.step(interrupt)
         trainer.step()
         calm.step()
+        levels.add(method.level)
+        cells.add((method.level, int(method.grid.occupied.sum())))
+    assert len(levels) > 1
+    assert len(cells) > len(levels)
     a, b = trainer.state(), calm.state()
     assert [name for name in a if not torch.equal(a[name], b[name])] == []
 
