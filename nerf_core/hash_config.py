@@ -21,6 +21,7 @@ LEAST = {
     "samples": 1, "most_rays": 1, "levels": 1, "features": 1, "log2_rows": 4, "coarsest": 2, "hidden": 1, "cells": 4,
     "update_every": 1, "total_steps": 1, "pixels": 0.05, "slowdown": 1,
 }  # fmt: skip
+MOST_FEATURES = 2**28  # 1 GiB, and as much again for the gradient and for each moment
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,14 @@ class HashConfig:
         for name in ("empty", "decay"):
             if not 0 < getattr(self, name) < 1:
                 raise UserError(f"--set {name}={getattr(self, name)}: must lie between 0 and 1")
+
+        if self.features & (self.features - 1):
+            raise UserError(f"--set features={self.features}: must be 1, 2, 4 or 8")
+        if self.levels * self.features << self.log2_rows > MOST_FEATURES:
+            raise UserError(
+                f"--set levels={self.levels}, features={self.features}, log2_rows={self.log2_rows}: a table of "
+                f"{self.levels * self.features << self.log2_rows:,} numbers; at most {MOST_FEATURES:,}"
+            )
 
     @property
     def rays(self) -> int:

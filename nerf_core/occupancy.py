@@ -16,8 +16,8 @@ FEW = 1 << 15  # cells looked at once, where not all are
 class Occupancy:
     """absorbed: (x, y, z) the optical depth that one sample would have in a cell, as last seen, decaying.
 
-    A cell is taken for empty when that is under `empty`, and under the mean of all: a fog in which nothing stands out
-    yet is all of it occupied (instant-ngp, appendix C, arXiv:2201.05989).
+    A cell is taken for occupied when that is above `empty`, or above the mean of all: of a fog in which nothing stands
+    out yet the denser half stays (instant-ngp, appendix C, arXiv:2201.05989).
     """
 
     def __init__(self, cells: Cells, empty: float, decay: float) -> None:

@@ -102,6 +102,9 @@ class RadianceProbe:
         return (float(x), float(y)) if z >= 0 else None
 
 
+MOST_RAYS = 512  # traced together: every ray takes the room of the longest one
+
+
 def disc_grid() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """x, y (y up) of the disc's pixel centres and which of them lie inside: three (DISC_SIZE, DISC_SIZE) arrays."""
     centres = (np.arange(DISC_SIZE) + 0.5) / DISC_SIZE * 2 - 1
@@ -112,15 +115,15 @@ def disc_grid() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def open_ray(method: Method, scene: Scene, camera: Camera, pixel: tuple[int, int], step: int) -> RayProbe:
     """Everything that made integer `pixel` (column, row) of `camera`. Raises UserError outside the picture.
 
-    The tile that the full-resolution renderer puts this pixel in runs through the same code, so the composited
-    colour is the rendered one. A median is the first sample at which the accumulated weight reaches 0.5.
+    The pixel runs through the same code as in the full-resolution picture, a tile's share of its neighbours with it, so
+    the composited colour is the rendered one. A median is the first sample at which the accumulated weight reaches 0.5.
     """
     column, row = pixel
     if not (0 <= column < camera.width and 0 <= row < camera.height):
         raise UserError(f"pixel {column}, {row} lies outside the {camera.width}×{camera.height} picture")
     flat = row * camera.width + column
-    rays = tile_rays(method, camera, scene, flat - flat % method.tile)
-    i = flat % method.tile
+    count = min(method.tile, MOST_RAYS)
+    rays, i = tile_rays(camera, scene, flat - flat % count, count), flat % count
     trace, rendered = method.trace(rays), method.render(rays)
     names = [f.name for f in fields(PassProbe)][1:]
     passes = tuple(PassProbe(s.name, *(getattr(s, name)[i].cpu().numpy() for name in names)) for s in trace.passes)

@@ -15,12 +15,12 @@ from nerf_core.types import Rays, Rendering
 def tiles(method: Method, camera: Camera, scene: Scene) -> Iterator[Rays]:
     """The camera's rays in row order, `method.tile` at a time: the full-resolution renderer's own division."""
     for start in range(0, camera.width * camera.height, method.tile):
-        yield tile_rays(method, camera, scene, start)
+        yield tile_rays(camera, scene, start, method.tile)
 
 
-def tile_rays(method: Method, camera: Camera, scene: Scene, start: int) -> Rays:
-    """The tile that begins at pixel `start`, counted row by row."""
-    flat = np.arange(start, min(start + method.tile, camera.width * camera.height))
+def tile_rays(camera: Camera, scene: Scene, start: int, count: int) -> Rays:
+    """The rays of `count` pixels from `start` on, counted row by row."""
+    flat = np.arange(start, min(start + count, camera.width * camera.height))
     return camera_rays(camera, scene.near, scene.far, np.stack([flat % camera.width, flat // camera.width], -1))
 
 

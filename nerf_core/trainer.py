@@ -83,12 +83,12 @@ class Trainer:
         return trainer
 
     def _build(self, scene: Scene, name: str, config: Any, steps: int, seed: int, threads: int) -> None:
-        if self.device.type == "cpu":
-            torch.set_num_threads(max(threads, 1))
+        torch.set_num_threads(max(threads, 1))  # some methods use the CPU on any device
         self.scene, self.method_name = scene, name
         self.steps, self.seed, self.threads = steps, seed, max(threads, 1)
         self.total_steps: int = steps or config.total_steps
         self.method: Method = METHODS.get(name)(scene, config, self.device, seed)
+        self.device = self.method.device
         self.batches = PixelSampler(scene, config.train_images, self.device, seed)
         self.step_count = 0
         self.seconds = 0.0

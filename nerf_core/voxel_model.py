@@ -1,6 +1,6 @@
 """A grid of density and spherical-harmonic colour, trained directly, coarse to fine: fast on a plain CPU.
 
-The deck's "RGBα volume" carried to its end. Every vertex of the occupied cells holds a raw density s and, for each
+An "RGBα volume" carried to its end. Every vertex of the occupied cells holds a raw density s and, for each
 colour channel, the four coefficients k of spherical harmonics up to degree 1. Between vertices they are interpolated
 trilinearly; then σ = softplus(s + bias), c(d) = sigmoid(Σ_b k_b Y_b(d)), and pixels follow from volume rendering (NeRF
 Eq. 3). There is no network: a sample touches 8 rows, and so does its gradient. Close relatives are Plenoxels
@@ -24,7 +24,7 @@ from torch.nn import functional
 
 from nerf_core.batches import Draw
 from nerf_core.cells import grow
-from nerf_core.fields.voxel_grid import DENSITY, ROWS, VoxelGrid, bricks_of
+from nerf_core.fields.voxel_grid import BRICK, DENSITY, ROWS, VoxelGrid, bricks_of
 from nerf_core.kernels.choice import voxel_kernels
 from nerf_core.kernels.voxel_kernels import Adam, March, Traced
 from nerf_core.packing import to_trace
@@ -36,7 +36,7 @@ from nerf_core.voxel_config import VoxelConfig
 PIECE = 4096  # rays between two pumps: some 5 ms on two cores
 TILE = 8192
 SHORTEST_LEVEL = 1.25  # a last level that is less finer than the one before is not worth a refinement
-CROP_MARGIN = 1  # cells kept around the content when the box shrinks to it
+SMALLEST = 1e-5  # a cell's side, as a share of the box: finer than any configuration allows
 SH = (0.28209479, 0.48860251)  # 1/√4π, √(3/4π): real spherical harmonics of degree 0 and 1
 
 
@@ -52,19 +52,24 @@ class VoxelModel:
     """See the module."""
 
     def __init__(self, scene: Scene, config: VoxelConfig, device: torch.device, seed: int) -> None:
-        self.config, self.device = config, device
+        # on a CPU whatever the device: its kernels are made for one
+        self.config, self.device = config, torch.device("cpu")
         self.space = Space.of(scene)
-        self.background = torch.tensor(scene.background, device=device)
+        self.background = torch.tensor(scene.background)
         self.generator = torch.Generator().manual_seed(seed)
-        self.kernels = voxel_kernels(device)
+        self.kernels = voxel_kernels(self.device)
         self.tile = TILE
         self.finest = finest_cells(scene, self.space, config)
         self.levels = planned(scene, self.space, config, self.finest)
         self.level = 0
         low, high = self.space.low, self.space.high
         voxel = self.finest * self.levels[0].scale
-        size = np.ceil((high - low) / voxel - 1e-6).astype(int)
-        everything = torch.ones(*size.tolist(), dtype=torch.bool, device=device)
+        while True:
+            size = np.ceil((high - low) / voxel - 1e-6).astype(int)
+            if ROWS * math.prod(size // BRICK + 1) <= config.most_rows:
+                break
+            voxel = 1.05 * voxel
+        everything = torch.ones(*size.tolist(), dtype=torch.bool)
         self.grid = VoxelGrid.over(low, voxel, everything, self.space.kind == "contracted")
         self.moments = torch.zeros_like(self.grid.rows)
         self.updates = 0  # of Adam since the level began
@@ -80,8 +85,9 @@ class VoxelModel:
 
     def train(self, rays: Rays, truth: Tensor, step: int, steps: int | None, pump: Callable[[], None]) -> float:
         """Mean squared error; its gradient is a ray's own, so that Adam's ε means the same for every batch."""
+        rays, truth = rays.to(self.device), truth.to(self.device)
         c = self.config
-        since = step - self.levels[self.level].begin
+        since = max(0, step - self.levels[self.level].begin)
         drawn = self.generator.get_state()
         offsets = torch.rand(len(rays), generator=self.generator)
         error = 0.0
@@ -114,7 +120,9 @@ class VoxelModel:
         if self._half_way(since):
             self._look_anew()  # in a level's first half much is still fog: it shall not count
         elif self.level == len(self.levels) - 1 and since and since % self.config.prune_every == 0:
-            self.grid = self.grid.with_cells(self._filled() & self.grid.occupied)
+            cells = self._filled() & self.grid.occupied
+            if cells.any():  # a picture of nothing but background must still be able to change
+                self.grid = self.grid.with_cells(cells)
             self._look_anew()
 
     def halve(self) -> bool:
@@ -140,8 +148,7 @@ class VoxelModel:
 
     def _refine(self) -> None:
         """The next level: a smaller box around what is there, divided into smaller cells."""
-        self.level += 1
-        old, level = self.grid, self.levels[self.level]
+        old, level = self.grid, self.levels[self.level + 1]
         cells = self._filled() & old.occupied
         if not cells.any():  # nothing learnt yet: begin with everything once more
             cells = old.occupied
@@ -164,11 +171,13 @@ class VoxelModel:
         ratio = float(np.prod(voxel / old.voxel) ** (1 / 3))
         sigma = functional.softplus(grid.rows[:, DENSITY] + self.config.bias) * ratio
         grid.rows[:, DENSITY] = sigma + torch.log(-torch.expm1(-sigma)) - self.config.bias  # softplus, inverted
+        self.level += 1
         self.grid, self.moments, self.updates = grid, torch.zeros_like(grid.rows), 0
 
     # ---- rendering --------------------------------------------------------------------------------------------------
 
     def render(self, rays: Rays, quality: str = "fine") -> Rendering:
+        rays = rays.to(self.device)
         return Rendering.cat([self._tile(rays[i : i + TILE]) for i in range(0, len(rays), TILE)])
 
     def _tile(self, rays: Rays) -> Rendering:
@@ -176,6 +185,7 @@ class VoxelModel:
         return self.space.rendering(rays, self.kernels.render(self.grid, self.space.rays(rays), march))
 
     def trace(self, rays: Rays) -> Trace:
+        rays = rays.to(self.device)
         found = self.traced(rays, torch.full((len(rays),), 0.5))
         return to_trace("voxels", self.space, rays, found, self.tau(found), found.rgb, found.pixel)
 
@@ -189,9 +199,9 @@ class VoxelModel:
 
     @torch.no_grad()
     def radiance(self, point: Tensor, directions: Tensor) -> Tensor:
-        x = self.space.points(point.to(torch.float32)[None])
+        x = self.space.points(point.to(self.device, torch.float32)[None])
         row = self.grid.interpolate(*self.grid.cells_of(x))[0]
-        d = directions.to(torch.float32)
+        d = directions.to(self.device, torch.float32)
         basis = torch.stack([torch.full_like(d[:, 0], SH[0]), SH[1] * d[:, 1], SH[1] * d[:, 2], SH[1] * d[:, 0]], -1)
         return torch.sigmoid(basis @ row[:DENSITY].view(3, 4).T)
 
@@ -217,7 +227,7 @@ class VoxelModel:
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         grid = VoxelGrid.restored(
-            {k.removeprefix("grid."): v for k, v in state.items() if k.startswith("grid.")},
+            {k.removeprefix("grid."): v.to(self.device) for k, v in state.items() if k.startswith("grid.")},
             self.space.kind == "contracted",
         )
         moments, level = state["moments"], int(state["level"])
@@ -227,6 +237,10 @@ class VoxelModel:
             raise ValueError("what was seen does not fit the voxel grid")
         if not 0 <= level < len(self.levels) or int(state["updates"]) < 0:
             raise ValueError(f"level {level} of {len(self.levels)}, {int(state['updates'])} updates")
+        reach = float((self.space.high - self.space.low).max())
+        within = (grid.origin >= self.space.low - reach).all() and (grid.origin <= self.space.high).all()
+        if not within or not ((grid.voxel > reach * SMALLEST) & (grid.voxel < reach)).all():
+            raise ValueError("the voxel grid does not lie in this scene's box")
         self.grid, self.moments = grid, torch.empty_like(moments).copy_(moments)
         self.kernels.see(grid, state["seen"])
         self.level, self.updates = level, int(state["updates"])

@@ -67,7 +67,7 @@ class Worker:
         self._thread = threading.Thread(target=self._run, name="nerf-worker", daemon=True)
         self._quit = threading.Event()  # Quit was sent; what was sent before it is still done
         self._ended = False  # and now it was its turn
-        self._painted: deque[float] = deque()  # the window's frames that are not yet in the budget
+        self._painted: deque[float] = deque(maxlen=1000)  # the window's frames that are not yet in the budget
         self._arrived = threading.Event()
         self._scene: Scene | None = None
         self._trainer: Trainer | None = None
@@ -77,6 +77,7 @@ class Worker:
         self._failed = False
         self._loading = ""
         self._saved_step = 0
+        self._rays_a_step = 0
         self._good: LastGood | None = None
         self._accounted = 0.0  # up to when the step under way is in the budget
         self._history = HistoryLog()
@@ -290,6 +291,7 @@ class Worker:
     def _train_step(self, trainer: Trainer) -> None:
         try:
             self._accounted = time.perf_counter()
+            self._painted.clear()  # before this step they took nothing from training
             report = trainer.step(self._pump)
             if self._good is not None and self._good.due():
                 self._good.remember(trainer)
@@ -302,6 +304,7 @@ class Worker:
                 f"out of device memory: {error}; use a smaller step: --set rays, samples or chunk_rays"
             ) from None
         self._account_for_training(report.rays)
+        self._rays_a_step = report.rays
         self._history.add(report.step, report.loss)
         if report.note:
             self._notices.put(Notice("warning", report.note))
@@ -434,7 +437,7 @@ class Worker:
             rate = self._budget.rays_per_second() if status == "training" else 0.0
             left = None
             if rate and self._training_until is not None:
-                left = (self._training_until - trainer.step_count) * trainer.config.rays / rate
+                left = (self._training_until - trainer.step_count) * self._rays_a_step / rate
             common = replace(
                 common,
                 method=trainer.method_name,

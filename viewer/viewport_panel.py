@@ -29,6 +29,7 @@ class ViewportPanel:
         self._renderer = renderer
         self.input = ViewportInput()
         self.stale = self._docked = False
+        self._named: moderngl.Texture | None = None  # what the renderer knows of the picture
 
     def draw(self, ui: PanelUi, state: AppState, alone: bool) -> None:
         """`alone`: it fills what the bars leave of the window."""
@@ -86,6 +87,9 @@ class ViewportPanel:
         self.stale = self._picture.draw(preview, camera, scene.background)
         far = ImVec2(origin.x + camera.width, origin.y + camera.height)
         texture, first, last = self._picture.shown
+        if self._named is not None and self._named is not texture:
+            self._renderer.remove(self._named)
+        self._named = texture
         draw.add_image(self._renderer.add(texture, opaque=True), origin, far, ImVec2(*first), ImVec2(*last))
 
     def _draw_space(self, ui: PanelUi, state: AppState, scene: Scene, overlay: Overlay) -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import importlib.util
 import os
 import shutil
+import sysconfig
 from functools import lru_cache
+from pathlib import Path
 
 import torch
 
@@ -13,13 +15,15 @@ from nerf_core.kernels.numba_here import numba_obstacle
 from nerf_core.kernels.packed_kernels import PackedKernels
 from nerf_core.kernels.voxel_kernels import VoxelKernels
 
+MOST_SHARDS = 16  # of the voxel grid: each has gradients of its own, 64 bytes a row
+
 
 def voxel_kernels(device: torch.device) -> VoxelKernels:
     """On a CPU numba's loops, as many at once as torch has threads; elsewhere, or without numba, torch operations."""
     if device.type == "cpu" and not numba_obstacle():
         from nerf_core.kernels.cpu_voxels import CpuVoxels
 
-        return CpuVoxels(torch.get_num_threads())
+        return CpuVoxels(min(torch.get_num_threads(), MOST_SHARDS))
     from nerf_core.kernels.torch_voxels import TorchVoxels
 
     return TorchVoxels()
@@ -48,6 +52,8 @@ def triton_obstacle() -> str:
         return "Triton is not installed"
     if not (os.environ.get("CC") or any(shutil.which(name) for name in ("cc", "gcc", "clang"))):
         return "Triton finds no C compiler (install gcc)"
+    if not Path(sysconfig.get_paths()["include"], "Python.h").is_file():
+        return "Triton finds no Python.h (install python3-dev)"
     return ""
 
 

@@ -1,9 +1,11 @@
-"""Whether numba can be used, asked before anything imports it: where it keeps compiled loops is read only once."""
+"""Whether numba can be used, and where it keeps compiled loops."""
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import os
+import shutil
 import tempfile
 from functools import lru_cache
 from pathlib import Path
@@ -11,9 +13,7 @@ from pathlib import Path
 
 @lru_cache
 def numba_obstacle() -> str:
-    """Why numba cannot be used; empty where it can. Before importing it, says where compiled loops are kept."""
-    if "NUMBA_CACHE_DIR" not in os.environ:
-        os.environ["NUMBA_CACHE_DIR"] = str(_cache_folder())
+    """Why numba cannot be used; empty where it can."""
     try:
         import numba  # noqa: F401
     except ImportError as error:
@@ -21,7 +21,13 @@ def numba_obstacle() -> str:
     return ""
 
 
-def _cache_folder() -> Path:
+@lru_cache
+def cache_folder() -> str:
+    """Where compiled loops are kept: NUMBA_CACHE_DIR, or a folder of ours."""
+    return os.environ.get("NUMBA_CACHE_DIR") or str(_own_folder())
+
+
+def _own_folder() -> Path:
     """The user's own; where that cannot be written, one for this process alone.
 
     Its name tells the loops' sources: numba compiles a function anew when its own file has changed, but not when
@@ -41,4 +47,6 @@ def _cache_folder() -> Path:
     except (ImportError, OSError):
         pass
     # what lies there is loaded as code: a name that others can guess could be filled by them
-    return Path(tempfile.mkdtemp(prefix="nerf-viewer-"))
+    folder = Path(tempfile.mkdtemp(prefix="nerf-viewer-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder

@@ -15,7 +15,7 @@ from nerf_core.kernels.numba_vectors import jit
 
 F = np.float32
 NEVER = F(1e30)
-STRAIGHT = F(0.25)  # of its distance from the centre: so far a contracted ray counts as straight when it leaps
+STRAIGHT = F(0.1)  # of its distance from the centre: so far a contracted ray counts as straight when it leaps
 # What a ray keeps of each sample, in one row of `notes`. Its cell and the place in it make way for what is found there.
 # The cell is kept, not found again: a point that is rounded once more on its way through memory might by then lie in
 # the empty neighbour.
@@ -73,6 +73,7 @@ def march(cells: Any, rays: Any, r: Any, step: Any, notes: Any) -> Any:  # noqa:
         t, last = _clipped(gx, vx, F(nx), t, last)
         t, last = _clipped(gy, vy, F(ny), t, last)
         t, last = _clipped(gz, vz, F(nz), t, last)
+    reach_far = STRAIGHT / math.sqrt(dx * dx + dy * dy + dz * dz)  # in t: the norm is of box coordinates
     straight = step / math.sqrt(vx * vx + vy * vy + vz * vz)
     dt = straight
     t += rays.offsets[r] * dt
@@ -99,7 +100,7 @@ def march(cells: Any, rays: Any, r: Any, step: Any, notes: Any) -> Any:  # noqa:
             side = F(4 + 2 * reach)
             gap = min(_gap(px, ux, x, x + side), _gap(py, uy, y, y + side), _gap(pz, uz, z, z + side))
             if norm > 1:
-                gap = min(gap, STRAIGHT * norm)
+                gap = min(gap, reach_far * norm)
             t += max(np.floor(gap / dt) + F(1), F(1)) * dt
         elif cells.occupied[np.uint64((i * ny + j) * nz + k)] == 0:
             t += dt

@@ -13,7 +13,7 @@ from torch import Tensor
 from nerf_core.cells import BLOCK, Cells
 from nerf_core.spaces import BoxRays
 
-STRAIGHT = 0.25  # of its distance from the centre: so far a contracted ray counts as straight when it leaps
+STRAIGHT = 0.1  # of its distance from the centre: so far a contracted ray counts as straight when it leaps
 
 
 class Marched(NamedTuple):
@@ -86,7 +86,8 @@ def march(cells: Cells, rays: BoxRays, step: float, offsets: Tensor) -> Marched:
         gap = torch.maximum((lower - here.position) / here.velocity, (upper - here.position) / here.velocity)
         gap = torch.where(here.velocity == 0, torch.inf, gap).amin(-1)
         if cells.contracted:
-            gap = torch.where(here.norm > 1, gap.minimum(STRAIGHT * here.norm), gap)
+            farthest = STRAIGHT * here.norm / rays.directions[alive].norm(dim=-1)  # in t
+            gap = torch.where(here.norm > 1, gap.minimum(farthest), gap)
         steps = torch.where(leap > 0, (gap / dt).floor().clamp(min=0) + 1, 1.0)
         sampled = inside & (leap == 0) & cells.occupied[tuple(cell.unbind(-1))]
         found.append((alive[sampled], t[alive][sampled], dt[sampled], cell[sampled], (here.position - cell)[sampled]))

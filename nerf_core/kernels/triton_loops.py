@@ -10,6 +10,8 @@ from __future__ import annotations
 import triton
 import triton.language as tl
 
+STRAIGHT = tl.constexpr(0.1)  # as `nerf_core.kernels.torch_march.STRAIGHT`
+
 
 @triton.jit
 def clipped(x, v, side, first, last):
@@ -56,6 +58,7 @@ def march(  # noqa: PLR0915  one loop, with all that it needs in registers
         t, last = clipped(gx, vx, nx, t, last)
         t, last = clipped(gy, vy, ny, t, last)
         t, last = clipped(gz, vz, nz, t, last)
+    length = tl.sqrt(dx * dx + dy * dy + dz * dz)
     straight = step / tl.sqrt(vx * vx + vy * vy + vz * vz)
     t += tl.load(offsets + r, mask=real, other=0.0) * straight
     first = tl.load(ends + r, mask=real, other=0)
@@ -84,7 +87,7 @@ def march(  # noqa: PLR0915  one loop, with all that it needs in registers
             uz = tl.where(bent, (dz * f + wz * slope) * sz, vz)
             speed = tl.sqrt(ux * ux + uy * uy + uz * uz)  # toward infinity it can round to nothing: the march is done
             dt = tl.where(bent, step / tl.maximum(speed, 1e-30), straight)
-            farthest = tl.where(bent, 0.25 * norm, farthest)
+            farthest = tl.where(bent, STRAIGHT * norm / length, farthest)  # in t
         i, j, k = px.to(tl.int32), py.to(tl.int32), pz.to(tl.int32)
         inside = alive & (px >= 0) & (py >= 0) & (pz >= 0) & (i < nx) & (j < ny) & (k < nz)
         block = ((i >> 2) * blocks_y + (j >> 2)) * blocks_z + (k >> 2)

@@ -18,13 +18,14 @@ class Method(Protocol):
     """A model of one scene with its optimiser; owned by one thread.
 
     `summary` is the sentence that menus show, `coarse` what draws the cheaper picture (empty: there is none).
-    `config`: as `configure` or `restore` made it. `tile` is how many rays one call of `render` works on at a time: a
-    preview asks for no more, so that it can be dropped between two calls.
+    `config`: as `configure` or `restore` made it. `device`: where it runs, whatever was asked for. `tile` is how many
+    rays one call of `render` works on at a time: a preview asks for no more, so that it can be dropped between two.
     """
 
     summary: ClassVar[str]
     coarse: ClassVar[str]
     config: Any
+    device: torch.device
 
     @property
     def tile(self) -> int: ...

@@ -40,7 +40,7 @@ BLOCK = 256  # rows in training are rounded up to a multiple: oneDNN compiles a 
 class GuidedNerf(MlpModel):
     """See the module."""
 
-    summary: ClassVar[str] = "The paper's network, its samples placed by a voxel grid trained first: minutes, not days."
+    summary: ClassVar[str] = "The paper's network, its samples placed by a voxel grid trained first: minutes on a CPU."
     coarse: ClassVar[str] = "the guide's picture"
 
     configure = staticmethod(GuidedConfig.configure)
@@ -50,8 +50,7 @@ class GuidedNerf(MlpModel):
 
     def __init__(self, scene: Scene, config: GuidedConfig, device: torch.device, seed: int) -> None:
         super().__init__(scene, config, device, torch.Generator().manual_seed(seed), ("fine",))
-        # on a CPU whatever the device: it is quick there, and asked little
-        self.guide = VoxelModel(scene, VoxelConfig.configure(scene, "auto", {}, CPU), CPU, seed)
+        self.guide = VoxelModel(scene, VoxelConfig.configure(scene, "auto", {}, CPU), device, seed)
         self.space = self.guide.space
         self.kernels = packed_kernels(device)
         self.tile = config.tile or TILE
@@ -106,7 +105,7 @@ class GuidedNerf(MlpModel):
     def train(self, rays: Rays, truth: Tensor, step: int, steps: int | None, pump: Callable[[], None]) -> float:
         """First the guide's steps; then MSE of the network's colour, Adam under an exponential decay."""
         if not self._ready:
-            error = self.guide.train(rays.to(CPU), truth.to(CPU), step, None, pump)
+            error = self.guide.train(rays, truth, step, None, pump)
             self.guided += 1
             return error
         self.begin_step(step, steps)
@@ -147,7 +146,6 @@ class GuidedNerf(MlpModel):
     @torch.no_grad()
     def _evaluated(self, rays: Rays) -> tuple[Packed, Tensor, Tensor, Tensor]:
         """Samples of at most a tile of rays, their optical depths and colours, and the pixels (R, 5)."""
-        rays = rays.to(self.device)
         p, samples = self.parametrise(rays), self._placed(rays, torch.full((len(rays),), 0.5))
         count = len(samples.t)
         x, d = self._inputs(p, samples, ROWS)
@@ -159,17 +157,19 @@ class GuidedNerf(MlpModel):
     def render(self, rays: Rays, quality: str = "fine") -> Rendering:
         """ "coarse", and all there is before the network begins: the guide's picture."""
         if quality == "coarse" or not self._ready:
-            return self.guide.render(rays.to(CPU)).to(self.device)
+            return self.guide.render(rays).to(self.device)
+        rays = rays.to(self.device)
         parts = [rays[i : i + self.tile] for i in range(0, len(rays), self.tile)]
         return Rendering.cat([self.space.rendering(part, self._evaluated(part)[3]) for part in parts])
 
     def trace(self, rays: Rays) -> Trace:
         """The guide's pass, before those of its samples that the network was asked about."""
-        guide = self.guide.trace(rays.to(CPU))
+        guide = self.guide.trace(rays)
         if not self._ready:
             return guide
+        rays = rays.to(self.device)
         samples, tau, rgb, pixel = self._evaluated(rays)
-        passes = (*guide.passes, opened("fine", self.space, rays.to(self.device), samples, tau, rgb))
+        passes = (*guide.passes, opened("fine", self.space, rays, samples, tau, rgb))
         return Trace(self.space.rendering(rays, pixel), passes)
 
     def radiance(self, point: Tensor, directions: Tensor) -> Tensor:

@@ -23,7 +23,7 @@ from nerf_core.fields.hash_field import HashField
 from nerf_core.fixed_step import FixedStep
 from nerf_core.hash_config import HashConfig
 from nerf_core.kernels.choice import packed_kernels
-from nerf_core.kernels.packed_kernels import HashLevels, Samples, adam_numbers
+from nerf_core.kernels.packed_kernels import BETA1, BETA2, EPSILON, HashLevels, Samples, adam_numbers
 from nerf_core.methods import METHODS
 from nerf_core.occupancy import Occupancy, softened
 from nerf_core.optimizers import adam_state, load_adam
@@ -33,7 +33,7 @@ from nerf_core.spaces import Space, pixel_size
 from nerf_core.types import Rays, Rendering, Trace
 
 TILE = 2048  # rays drawn at once on a CPU: some 10 ms
-TILE_SAMPLES = 1 << 21  # drawn at once on a GPU: enough to keep it busy, under a gigabyte of activations
+TILE_SAMPLES = 1 << 20  # drawn at once on a GPU: enough to keep it busy, under a gigabyte of activations
 PIECE = 1 << 13  # samples between two pumps on a CPU: some 10 ms
 ROOM = 1.25  # times the samples asked for: so many a recorded step can hold
 FEWEST = 1 << 12  # samples a step that can still be halved
@@ -44,7 +44,7 @@ STOP = 1e-3  # transmittance behind which no colour is looked up: it could not c
 class Hash:
     """See the module."""
 
-    summary: ClassVar[str] = "Instant-ngp (2022): a hash grid and two small MLPs; the sharpest in minutes on a GPU."
+    summary: ClassVar[str] = "Instant-ngp (2022): a hash grid and two small MLPs; made for a GPU."
     coarse: ClassVar[str] = ""
 
     configure = staticmethod(HashConfig.configure)
@@ -78,7 +78,7 @@ class Hash:
         # what changes from step to step lies in tensors: a recorded step reads it there
         self.rate, self.numbers = torch.tensor(config.learning_rate, device=device), torch.zeros(3, device=device)
         self.optimizer = torch.optim.Adam(
-            self.field.networks(), lr=self.rate, betas=(0.9, 0.99), eps=1e-15, fused=True,
+            self.field.networks(), lr=self.rate, betas=(BETA1, BETA2), eps=EPSILON, fused=True,
             capturable=device.type == "cuda",
         )  # fmt: skip
         for parameter in self.field.networks():
@@ -189,7 +189,6 @@ class Hash:
     @torch.no_grad()
     def _evaluated(self, rays: Rays) -> tuple[Samples, Tensor, Tensor, Tensor]:
         """The samples of at most a tile of rays, with their optical depths and colours, and the pixels (R, 5)."""
-        rays = rays.to(self.device)
         offsets = torch.full((len(rays),), 0.5, device=self.device)
         samples = self.kernels.march(self.occupancy.cells, self.space.rays(rays), self.step_cells, offsets)
         raw, geometry = self.field.geometry(self.field.encode(samples.x))
@@ -200,10 +199,12 @@ class Hash:
         return samples, tau, rgb, self.kernels.composite(tau, rgb, samples, self.background)
 
     def render(self, rays: Rays, quality: str = "fine") -> Rendering:
+        rays = rays.to(self.device)
         parts = [rays[i : i + self.tile] for i in range(0, len(rays), self.tile)]
         return Rendering.cat([self.space.rendering(part, self._evaluated(part)[3]) for part in parts])
 
     def trace(self, rays: Rays) -> Trace:
+        rays = rays.to(self.device)
         samples, tau, rgb, pixel = self._evaluated(rays)
         return to_trace("hash", self.space, rays, samples, tau, rgb, pixel)
 
@@ -246,6 +247,7 @@ class Hash:
         if updates < 0 or not 1 <= average < 1e9:
             raise ValueError("the progress of training is not of the kind that is written")
         self.fixed = None  # what it recorded writes to the optimiser's old moments
+        self.table_gradient.zero_()
         self.field.load_state_dict({k: state[f"field.{k}"] for k in self.field.state_dict()})
         load_adam(self.optimizer, self.field.networks(), state)
         for own, name in zip(self.moments, ("table_mean", "table_square"), strict=True):

@@ -66,13 +66,13 @@ ROWS = {
     "fern-voxels": Row("fern", 8, "voxels", 120, (22,), marks=10),
     "fox-voxels": Row("fox", 4, "voxels", 120, (22,), marks=8),
     "lego100-hash": Row("lego", 8, "hash", 30, (25, 30)),
-    "lego100-guided": Row("lego", 8, "nerf-guided", 120, (22, 24), marks=10),
+    "lego100-guided": Row("lego", 8, "nerf-guided", 120, marks=10),
     "lego100-nerf": Row("lego", 8, "nerf", 300, (20,), marks=6),
 }
 CUDA_ROWS = {
     "lego800-hash": Row("lego", 1, "hash", 120, (30, 33, 35)),
     "lego100-hash": Row("lego", 8, "hash", 30, (25, 30)),
-    "lego100-guided": Row("lego", 8, "nerf-guided", 120, (22, 24), marks=10),
+    "lego100-guided": Row("lego", 8, "nerf-guided", 120, marks=10),
 }
 HERE = Path(__file__).parent
 SCRIPTS = {  # what they print is a row as it stands

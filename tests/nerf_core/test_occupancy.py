@@ -36,7 +36,7 @@ def test_what_was_once_seen_fades() -> None:
     assert o.cells.occupied[7].all()
 
 
-def test_a_fog_without_features_is_all_occupied_and_so_is_nothing_at_all() -> None:
+def test_of_a_fog_without_features_the_denser_half_stays_and_of_nothing_all() -> None:
     o, g = occupancy(), torch.Generator().manual_seed(0)
     o.update(lambda x: 1e-4 + 1e-6 * x[:, 0], everywhere=True, generator=g)
     assert 0.3 < float(o.cells.occupied.float().mean()) < 0.7  # above their mean: half of a fog that grows evenly

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -73,6 +75,28 @@ def test_a_march_finds_the_same_samples(kernels: PackedKernels, contracted: bool
     torch.testing.assert_close(mine.width[near], theirs.width[near], atol=1e-2, rtol=1e-2)
     assert a.x.min() >= 0
     assert a.x.max() <= 1
+
+
+@pytest.mark.parametrize("extent", [0.1, 1.0, 10.0])
+@each
+def test_leaps_leave_next_to_nothing_out(kernels: PackedKernels, extent: float) -> None:
+    """In contracted space a leap follows the tangent of a bent ray: here of rays from far outside to the middle.
+
+    Box coordinates are the world's / extent.
+    """
+    g = generator()
+    occupied = torch.rand(12, 12, 12, generator=g) < 0.02
+    for axis in range(3):
+        occupied = occupied.repeat_interleave(4, axis)
+    cells = Cells.of(np.full(3, -2.0), np.full(3, 4 / 48), occupied, contracted=True)
+    origins = 8 * (torch.rand(300, 3, generator=g) * 2 - 1)
+    d = torch.nn.functional.normalize(2 * torch.randn(300, 3, generator=g) - origins, dim=-1)
+    rays = BoxRays(origins, d / extent, d, torch.full((300,), 0.01 * extent), torch.full((300,), 1e6 * extent))
+    offsets = torch.rand(300, generator=g)
+    leaping = kernels.march(cells, rays, 0.6, offsets)
+    walking = kernels.march(replace(cells, leap=torch.zeros_like(cells.leap)), rays, 0.6, offsets)
+    assert len(walking.t) > 400
+    assert len(leaping.t) > 0.97 * len(walking.t)
 
 
 @each_fast

@@ -8,7 +8,6 @@ import pytest
 import torch
 
 from nerf_core.cameras import camera_rays
-from nerf_core.device import fast_precision
 from nerf_core.methods import METHODS, Method
 from nerf_core.scene import Scene
 from nerf_core.types import Rays
@@ -21,6 +20,8 @@ SMALL: dict[str, dict[str, str]] = {
     "hash": {"samples": "2000", "levels": "4", "log2_rows": "10", "cells": "16", "update_every": "2", "hidden": "16"},
     "voxels": {"start": "6", "growth": "1.5", "level_steps": "1", "pixels": "0.5"},
 }
+# What samples weighed in an abandoned step is noted, and noted again when the same step is done.
+TOLD_AGAIN = {"seen", "guide.seen"}
 MakeMethod = Callable[..., Method]
 
 
@@ -140,10 +141,29 @@ def test_radiance_is_a_colour_a_direction(make: MakeMethod, scene: Scene) -> Non
     assert ((rgb >= 0) & (rgb <= 1)).all()
 
 
-def test_both_precisions_are_tested_where_the_hardware_has_both(
-    make: MakeMethod, scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The tests above ran in the fast precision of this machine; here the pixel's independence in the other."""
-    other = "bfloat16" if fast_precision(CPU) == "float32" else "float32"
-    monkeypatch.setattr("nerf_core.nerf_config.fast_precision", lambda device: other)
-    test_a_pixel_does_not_depend_on_its_neighbours(make, scene)
+@pytest.mark.parametrize("name", ["nerf", "nerf-guided"])
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+def test_a_pixel_does_not_depend_on_its_neighbours_in_either_precision(scene: Scene, name: str, precision: str) -> None:
+    kind = METHODS.get(name)
+    config = kind.configure(scene, "auto", SMALL[name] | {"precision": precision}, CPU)
+    method = trained(kind(scene, config, CPU, 0), scene)
+    rays = some_rays(scene)[0]
+    together = method.render(rays)
+    for i in (0, 31, 76):
+        torch.testing.assert_close(method.render(rays[i : i + 1]).color[0], together.color[i], atol=1e-5, rtol=0)
+
+
+def test_an_abandoned_step_leaves_the_state_as_it_was(make: MakeMethod, scene: Scene) -> None:
+    method = make()
+
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    for step in range(8):
+        before = {name: value.clone() for name, value in method.state().items()}
+        rays, truth = some_rays(scene)
+        with pytest.raises(KeyboardInterrupt):
+            method.train(rays, truth, step, None, interrupt)
+        after = method.state()
+        assert [k for k in before if k not in TOLD_AGAIN and not torch.equal(before[k], after[k])] == []
+        method.train(rays, truth, step, None, lambda: None)
