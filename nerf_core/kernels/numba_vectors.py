@@ -8,15 +8,16 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 from llvmlite import ir
 from numba import njit, types
+from numba.core import config
 from numba.extending import intrinsic as _intrinsic
 
 from nerf_core.kernels.numba_here import cache_folder
 
-numba.config.CACHE_DIR = cache_folder()  # read by numba only when it is imported, which may be long ago
+# numba reads the environment only when it is imported, which may be long ago
+config.CACHE_DIR = cache_folder()  # pyright: ignore[reportAttributeAccessIssue]  set there by name
 FAST = ("fast",)  # sums may be reordered and contracted to fused multiply-adds
 _FLOAT, _I8, _I32, _I64 = ir.FloatType(), ir.IntType(8), ir.IntType(32), ir.IntType(64)
 _ROW = ir.VectorType(_FLOAT, 16)
