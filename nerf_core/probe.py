@@ -13,6 +13,7 @@ from nerf_core.errors import UserError
 from nerf_core.methods import Method
 from nerf_core.render import tile_rays
 from nerf_core.scene import Scene
+from nerf_core.types import Samples
 
 SPHERE_ROWS, SPHERE_COLUMNS = 32, 64  # 2,048 directions over the sphere
 DISC_SIZE = 57  # about 2,500 more over the hemisphere that faces the viewer
@@ -112,6 +113,12 @@ def disc_grid() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return x, y, x * x + y * y < 1
 
 
+def _own(samples: Samples, i: int) -> int:
+    """How many samples ray i has: rays that were traced with it may have more, for which its own were filled up."""
+    again = (samples.t[i].diff() == 0) & (samples.alpha[i, 1:] == 0)
+    return len(again) + 1 - int(again.flip(0).int().cumprod(0).sum())
+
+
 def open_ray(method: Method, scene: Scene, camera: Camera, pixel: tuple[int, int], step: int) -> RayProbe:
     """Everything that made integer `pixel` (column, row) of `camera`. Raises UserError outside the picture.
 
@@ -126,7 +133,9 @@ def open_ray(method: Method, scene: Scene, camera: Camera, pixel: tuple[int, int
     rays, i = tile_rays(camera, scene, flat - flat % count, count), flat % count
     trace, rendered = method.trace(rays), method.render(rays)
     names = [f.name for f in fields(PassProbe)][1:]
-    passes = tuple(PassProbe(s.name, *(getattr(s, name)[i].cpu().numpy() for name in names)) for s in trace.passes)
+    passes = tuple(
+        PassProbe(s.name, *(getattr(s, name)[i, : _own(s, i)].cpu().numpy() for name in names)) for s in trace.passes
+    )
     last = passes[-1]
     opacity = min(float(last.weights.sum(dtype=np.float64)), 1.0)  # rounding may carry it a little over
     background = np.array(scene.background, dtype=np.float32)

@@ -21,7 +21,7 @@ X1, Y1 = implot.ImAxis_.x1, implot.ImAxis_.y1
 PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
 LOG_DECADES = 4  # how far below its peak density is still told from empty space on a log axis
 DRAG_ID = 0
-TICKS_EM, COLORS_EM = 0.5, 0.75  # heights of the strip's rows
+ROW_EM = 1.0  # height of the strip's rows, which all passes' ticks share one of: their names must not overlap
 
 Glyph = Callable[[imgui.ImDrawList, ImVec2, float, int], None]
 
@@ -93,7 +93,7 @@ class RayPlots:
         implot.push_style_var(implot.StyleVar_.plot_padding, ImVec2(pad, pad))
         implot.push_style_var(implot.StyleVar_.label_padding, ImVec2(pad, pad))
         reading, dragged = None, None
-        strip = (TICKS_EM * len(passes) + 2 * COLORS_EM) * ui.em + 2 * pad
+        strip = (3 if passes else 2) * ROW_EM * ui.em + 2 * pad
         gap = ImVec2(0, 0.1 * ui.em)
         imgui.push_style_var(imgui.StyleVar_.item_spacing, gap)
         axis = imgui.get_text_line_height() + pad  # the density plot also carries the t axis
@@ -170,7 +170,7 @@ class RayPlots:
         """Where each pass placed its samples, what colour those of the last have, and what each of them paints."""
         if not implot.begin_plot("##strip", size, PLOT):
             return None
-        bounds = np.cumsum([0.0, *(TICKS_EM for _ in passes), COLORS_EM, COLORS_EM]).tolist()
+        bounds = np.cumsum([0.0, *(ROW_EM / len(passes) for _ in passes), ROW_EM, ROW_EM]).tolist()
         self._share_t(implot.AxisFlags_.no_decorations)
         implot.setup_axis(Y1, None, implot.AxisFlags_.lock | implot.AxisFlags_.invert | implot.AxisFlags_.no_grid_lines)
         implot.setup_axis_limits(Y1, 0, bounds[-1], implot.Cond_.always)

@@ -14,8 +14,9 @@ from nerf_core.errors import UserError
 from nerf_core.methods.nerf import Nerf
 from nerf_core.nerf_config import NerfConfig
 from nerf_core.probe import SPHERE_COLUMNS, SPHERE_ROWS, RadianceProbe, RayProbe, disc_grid, open_radiance, open_ray
-from nerf_core.render import render_camera
+from nerf_core.render import render_camera, tile_rays
 from nerf_core.scene import Scene
+from nerf_core.settings import RunSettings
 from nerf_core.trainer import Trainer
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -107,6 +108,23 @@ def test_the_opened_pixel_is_the_pixel_of_the_full_picture(make_trainer: Callabl
         for samples in ray.passes:
             for name, value in vars(samples).items():
                 assert name == "name" or np.isfinite(value).all(), name
+
+
+@pytest.mark.parametrize("method", ["voxels", "hash"])
+def test_a_ray_is_opened_without_what_filled_it_up_beside_longer_ones(scene: Scene, method: str) -> None:
+    trainer = Trainer(scene, RunSettings(method=method, changes={"samples": "2000"} if method == "hash" else {}))
+    for _ in range(3):
+        trainer.step()
+    camera, counts = scene.views[0].camera, set()
+    for pixel in ((0, 0), (8, 8), (3, 12)):
+        ray = open_ray(trainer.method, scene, camera, pixel, 3)
+        rays = tile_rays(camera, scene, pixel[1] * camera.width + pixel[0], 1)
+        alone = trainer.method.trace(rays).passes[-1]
+        t = ray.passes[-1].t
+        assert (np.diff(t) > 0).all()
+        assert len(t) == alone.t.shape[1]
+        counts.add(len(t))
+    assert len(counts) > 1
 
 
 @pytest.mark.parametrize("pixel", [(16, 0), (0, -1), (3, 16)])
