@@ -89,6 +89,7 @@ class Train:
 
             def show(p: Progress) -> None:
                 text = f"step {p.step:,}, {p.rays_per_second:,.0f} rays/s, {p.psnr:.2f} dB"
+                text += f"; {trainer.method.stage}" if trainer.method.stage else ""
                 display.show(p.fraction, text, p.seconds_left)
 
             finished = train_run(
@@ -132,6 +133,7 @@ class Eval:
         file = run.path / "metrics.json"
         write_atomically(file, json.dumps(metrics, indent=2, allow_nan=False) + "\n")
         _print_metrics(metrics, count)
+        _tell([trainer.method.stage] if trainer.method.stage else [])
         print(f"wrote {file} and {run.path / 'eval'}")
         return 0
 
@@ -213,9 +215,7 @@ def _warn(text: str) -> None:
 
 def _summary(trainer: Trainer) -> str:
     text = f"step {trainer.step_count:,} after {duration(trainer.seconds)} of training"
-    if trainer.seconds > 0:
-        text += f", {trainer.step_count * trainer.config.rays / trainer.seconds:,.0f} rays/s"
-    return text
+    return f"{text} ({trainer.method.stage})" if trainer.method.stage else text
 
 
 def _print_metrics(metrics: dict[str, Any], count: int) -> None:

@@ -204,6 +204,7 @@ class Snapshot:
     scene: Scene | None = None
     method: str = ""
     method_reason: str = ""  # why this one
+    stage: str = ""  # where training stands, if there is something to tell
     coarse: str = ""  # what draws its cheaper pictures; empty: it has none
     device: str = ""
     step: int = 0

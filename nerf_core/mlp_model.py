@@ -55,6 +55,8 @@ class MlpModel:
         field.initialise(start)
         return field.to(self.device)
 
+    stage = ""
+
     @property
     def final(self) -> MlpField:
         """The network that makes the picture."""

@@ -51,6 +51,8 @@ class Level(NamedTuple):
 class VoxelModel:
     """See the module."""
 
+    stage = ""
+
     def __init__(self, scene: Scene, config: VoxelConfig, device: torch.device, seed: int) -> None:
         # on a CPU whatever the device: its kernels are made for one
         self.config, self.device = config, torch.device("cpu")

@@ -258,6 +258,10 @@ class Worker:
         for note in trainer.notes(description):
             self._notices.put(Notice("warning", note))
         self._saved_step = description["step"]
+        if self.settings.method not in ("auto", trainer.method_name):
+            asked = self.settings.method
+            text = f"{path.name} holds a model of method {trainer.method_name}: --method {asked} is not used"
+            self._notices.put(Notice("warning", text))
         self._notices.put(Notice("info", f"loaded {path.name}: step {description['step']:,}, paused", path))
 
     def _save(self, path: Path) -> None:
@@ -442,6 +446,7 @@ class Worker:
                 common,
                 method=trainer.method_name,
                 coarse=trainer.method.coarse,
+                stage=trainer.method.stage,
                 method_reason=trainer.reason,
                 device=describe(trainer.device),
                 step=trainer.step_count,

@@ -265,7 +265,7 @@ class Script:
         self.app.perform(command)
 
         def and_show(s: Snapshot) -> bool:
-            if bar is not None:
+            if bar is not None and s.loading:
                 bar.show(0, s.loading)
             return done(s)
 

@@ -126,6 +126,8 @@ class ViewportPanel:
             words.append(f"{icons.ICON_FA_CLOCK}  stale: the last picture, warped")
         if snapshot.preview.quality == "coarse" and snapshot.coarse:
             words.append(snapshot.coarse)
+        if snapshot.stage:
+            words.append(snapshot.stage)
         if words:
             _chip(ui, draw, ImVec2(origin.x + 0.6 * ui.em, origin.y + size.y - 2.2 * ui.em), "  ·  ".join(words))
         if state.show_cameras and snapshot.scene is not None:

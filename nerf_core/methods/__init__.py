@@ -30,6 +30,11 @@ class Method(Protocol):
     @property
     def tile(self) -> int: ...
 
+    @property
+    def stage(self) -> str:
+        """What the user should know of where training stands; mostly nothing."""
+        ...
+
     @staticmethod
     def configure(scene: Scene, preset: str, changes: Mapping[str, str], device: torch.device) -> Any:
         """The configuration (a frozen dataclass) of `preset` with `changes` by name. Raises UserError."""

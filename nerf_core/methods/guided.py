@@ -58,6 +58,12 @@ class GuidedNerf(MlpModel):
         self.average = 8.0  # samples a ray needed lately
 
     @property
+    def stage(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]  only read
+        if self._ready:
+            return ""
+        return f"the guide learns, {self.guided:,} of {self.config.guide_steps:,} steps: the picture is its own"
+
+    @property
     def _ready(self) -> bool:
         return self.guided >= self.config.guide_steps
 

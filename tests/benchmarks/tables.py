@@ -208,9 +208,12 @@ def thousand(rounds: int) -> dict[str, list[float]]:
         frames = []
         for i in range(count):
             os.link(folder / f"{i % 8}.jpg", folder / f"photo{i:04}.jpg")
-            pose = np.vstack([scene.views[i % len(scene.views)].camera.c2w, [0, 0, 0, 1]])
+            pose = np.vstack([scene.views[i % 8].camera.c2w, [0, 0, 0, 1]])
             frames.append({"file_path": f"photo{i:04}.jpg", "transform_matrix": pose.tolist()})
-        lens = {"fl_x": 2000, "fl_y": 2000, "cx": width / 2, "cy": height / 2, "w": width, "h": height}
+        camera = scene.views[0].camera.resized(width, height)
+        lens = {
+            "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy, "w": width, "h": height,
+        }  # fmt: skip
         (folder / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
         begin = time.perf_counter()
         opened = load_scene(folder, LoadOptions())
@@ -363,6 +366,9 @@ def plot(results: dict[str, list[dict[str, Any]]], machine: str, file: Path) -> 
             t, value = zip(*run["curve"], strict=True)
             axes.plot(t, value, color=f"C{i}", alpha=1 if k == 0 else 0.35, label=name if k == 0 else None)
     axes.set(xscale="log", xlabel="seconds of training", ylabel="PSNR on held-out photos, dB", title=machine)
+    marks = [1, 3, 10, 30, 100, 300, 600]
+    axes.set_xticks(marks, [str(mark) for mark in marks])
+    axes.minorticks_off()
     axes.grid(alpha=0.3)
     axes.legend()
     figure.tight_layout()

@@ -53,10 +53,12 @@ def test_until_the_guide_is_done_its_picture_is_shown_and_then_stays_as_it_is(sc
     begun = [p.clone() for p in method.parameters()]
     rows = method.guide.grid.rows.clone()
     assert [p.name for p in method.trace(rays).passes] == ["voxels", "fine"]
+    assert method.stage == ""
     trainer.step()
     assert torch.equal(method.guide.grid.rows, rows)
     assert not torch.equal(method.parameters()[0], begun[0])
     early = guided(run(scene, 59))
+    assert early.stage == "the guide learns, 59 of 60 steps: the picture is its own"
     assert torch.equal(early.render(rays).color, early.guide.render(rays).color)
     assert [p.name for p in early.trace(rays).passes] == ["voxels"]
     assert torch.equal(early.radiance(torch.zeros(3), torch.eye(3)), early.guide.radiance(torch.zeros(3), torch.eye(3)))
