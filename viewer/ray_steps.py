@@ -21,12 +21,13 @@ class Steps:
 
 
 def steps_of(ray: RayProbe) -> tuple[Steps, ...]:
-    """The passes that hold samples. The last sample of a ray reaches to its far end."""
+    """The passes that hold samples. The last sample of a ray reaches as far as its δ, at most to the far end."""
     return tuple(_steps(p, ray.far) for p in ray.passes if len(p.t))
 
 
 def _steps(p: PassProbe, far: float) -> Steps:
-    edges = np.append(p.t, max(far, float(p.t[-1]))).astype(np.float64)
+    last = float(p.t[-1])
+    edges = np.append(p.t, min(max(far, last), last + float(p.delta[-1]))).astype(np.float64)
     left = np.append(p.transmittance, p.transmittance[-1] * (1 - p.alpha[-1]))
     clean = [np.nan_to_num(v).astype(np.float64) for v in (_hold(p.weights), _hold(p.sigma), left)]
     return Steps(p, np.nan_to_num(edges), *clean)
