@@ -25,7 +25,8 @@ class FixedStep:
     """Gradients and updates for `rays` rays with at most `room` samples in all.
 
     A ray whose samples do not all find room has no say in the step: it would be composited wrongly.
-    update: what follows the gradients, the optimisers' steps; recorded as well. numbers: see `adam_numbers`.
+    step: of the march, in cells; length: of a sample, which turns density into optical depth. into: the table's
+    gradient. update: what follows the gradients, the optimisers' steps; recorded as well.
     """
 
     def __init__(
@@ -44,7 +45,7 @@ class FixedStep:
         self.graph: torch.cuda.CUDAGraph | None = None
 
     def __call__(self, cells: Cells, rays: BoxRays, offsets: Tensor, truth: Tensor) -> tuple[float, int]:
-        """One step; returns the summed squared error and the number of samples."""
+        """One step; returns the summed squared error, rays without room counted like the others, and the samples."""
         for f in fields(BoxRays):
             getattr(self.rays, f.name).copy_(getattr(rays, f.name))
         self.offsets.copy_(offsets)
@@ -86,6 +87,5 @@ class FixedStep:
         assert features.grad is not None
         self.kernels.encode_gradient(features.grad, self.field.levels, samples.x, self.into)
         self.update()
-        # as if those without a say were like the others
         self.error.copy_(off.square().sum() * len(whole) / whole.sum().clamp(min=1))
         self.found.copy_(total)

@@ -242,7 +242,7 @@ class VoxelModel:
         reach = float((self.space.high - self.space.low).max())
         within = (grid.origin >= self.space.low - reach).all() and (grid.origin <= self.space.high).all()
         if not within or not ((grid.voxel > reach * SMALLEST) & (grid.voxel < reach)).all():
-            raise ValueError("the voxel grid does not lie in this scene's box")
+            raise ValueError("the voxel grid does not lie in this scene's box, or its cells have no size")
         self.grid, self.moments = grid, torch.empty_like(moments).copy_(moments)
         self.kernels.see(grid, state["seen"])
         self.level, self.updates = level, int(state["updates"])

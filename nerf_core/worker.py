@@ -20,7 +20,7 @@ from nerf_core import checkpoint, messages
 from nerf_core.artist import Artist
 from nerf_core.budget import Budget
 from nerf_core.datasets import load_scene
-from nerf_core.device import describe
+from nerf_core.device import describe, memory_held
 from nerf_core.errors import UserError
 from nerf_core.export import FilmJob, Job, StillJob
 from nerf_core.history import HistoryLog
@@ -456,7 +456,7 @@ class Worker:
                 rays_per_second=rate,
                 seconds_left=left,
                 train_share=self._budget.train_share(),
-                memory_bytes=_memory(trainer.device),
+                memory_bytes=memory_held(trainer.device),
                 history=self._history.view(),
                 preview=self._artist.preview(common.preview),
                 ray=self._artist.ray,
@@ -466,17 +466,3 @@ class Worker:
         self._snapshot = common
         self.wake()
         self._budget.showed(time.perf_counter() - begin)
-
-
-def _memory(device: torch.device) -> int:
-    """Bytes this process holds: on the device, or resident in memory."""
-    if device.type == "cuda":
-        return torch.cuda.memory_allocated(device)
-    try:
-        with open("/proc/self/statm", encoding="ascii") as file:
-            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    except OSError:  # not Linux: the peak is what the standard library can tell
-        import resource
-
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        return peak if sys.platform == "darwin" else peak * 1024

@@ -1,0 +1,50 @@
+"""The hash method beyond its kernels and its step: what it refuses."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from nerf_core.errors import UserError
+from nerf_core.hash_config import HashConfig
+from nerf_core.methods.hash import Hash
+from nerf_core.scene import Scene
+
+CPU = torch.device("cpu")
+SMALL = {"samples": "2000", "levels": "4", "log2_rows": "10", "cells": "16", "hidden": "16"}
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "error"),
+    [
+        ("occupied", torch.ones(2, 2, 2, dtype=torch.bool), ValueError),
+        ("absorbed", torch.zeros(16, 16, 16, dtype=torch.float64), ValueError),
+        ("table_mean", torch.zeros(4, 8, 4), ValueError),
+        ("field.table", torch.zeros(4, 8, 4), RuntimeError),
+        ("updates", torch.tensor(-1), ValueError),
+        ("average", torch.tensor(float("nan")), ValueError),
+        ("average", torch.tensor(0.0), ValueError),
+    ],
+)
+def test_a_state_that_does_not_fit_is_refused(
+    scene: Scene, name: str, value: torch.Tensor, error: type[Exception]
+) -> None:
+    method = Hash(scene, Hash.configure(scene, "auto", SMALL, CPU), CPU, 0)
+    state = method.state()
+    assert name in state
+    with pytest.raises(error):
+        method.load_state(state | {name: value})
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"features": "3"}, "--set features=3: must be 1, 2, 4 or 8"),
+        ({"levels": "32", "features": "8", "log2_rows": "24"}, "4,294,967,296 numbers; at most 268,435,456"),
+        ({"decay": "1"}, "--set decay=1.0: must lie between 0 and 1"),
+    ],
+)
+def test_constants_that_no_machine_can_use_are_refused(scene: Scene, changes: dict[str, str], text: str) -> None:
+    with pytest.raises(UserError) as caught:
+        HashConfig.configure(scene, "auto", changes, CPU)
+    assert text in str(caught.value)
