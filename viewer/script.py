@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from nerf_core.checkpoint import write_atomically
-from nerf_core.console import Display
+from nerf_core.console import Display, duration
 from nerf_core.errors import UserError
 from nerf_core.messages import (
     CancelExport,
@@ -204,11 +204,13 @@ class Script:
         if seconds is not None and snapshot.scene is not None:
             width, height = training_size(snapshot.scene)
             form.frames, form.fps = SHORT_FRAMES, SHORT_FPS
-            affordable = max(snapshot.preview_rays_per_second, SLOWEST) * seconds / form.frames
+            speed = max(snapshot.preview_rays_per_second, SLOWEST)
+            affordable = speed * seconds / form.frames
             scale = min(math.sqrt(affordable / (width * height)), 1.0)
             form.width, form.height = (max(round(scale * side), SMALLEST) for side in (width, height))
+            takes = duration(form.frames * form.width * form.height / speed)
             self.say(
-                f"orbit: {form.frames} frames of {form.width}×{form.height}, to take about {seconds / 60:.0f} min; "
+                f"orbit: {form.frames} frames of {form.width}×{form.height}, to take about {takes}; "
                 f"--orbit FILE writes one in the photos' {width}×{height}"
             )
         self._export(StartOrbitExport(), "orbit")
