@@ -8,6 +8,9 @@ from collections.abc import Callable
 MEMORY_SECONDS = 2.0  # the half-life of what the account remembers: yesterday's idle hour earns no burst today
 
 
+PATIENCE_SECONDS = 1 / 4  # how long a hand that moves the camera waits at most for the next picture
+
+
 class Budget:
     """While pictures are wanted, training keeps `share` of the time; with none wanted it has all of it.
 
@@ -20,6 +23,7 @@ class Budget:
         self._last = clock()
         self._train = self._draw = self._rays = 0.0
         self._turns = 0
+        self._next_at = self._last  # when a moving camera's next picture may begin
 
     def trained(self, seconds: float, rays: int) -> None:
         self._decay()
@@ -39,6 +43,16 @@ class Budget:
     def may_draw(self) -> bool:
         """Whether drawing has used less than its part of what was spent lately."""
         return self._draw * self.share <= self._train * (1 - self.share)
+
+    def followed(self, seconds: float) -> None:
+        """So long took the first pixels of a new view, which were drawn whatever else drawing had used."""
+        part = (1 - self.share) / 2
+        self._next_at = self._clock() + min(seconds * (1 / part - 1), PATIENCE_SECONDS)
+
+    def may_follow(self) -> bool:
+        """Whether a moving camera's next picture may begin: such pictures take half of what training leaves, since
+        the window's frames want the other half, or more while nothing else is drawn."""
+        return self._clock() >= self._next_at or self.may_draw()
 
     def artist_is_next(self) -> bool:
         """Preview and export take turns."""

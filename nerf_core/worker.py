@@ -336,8 +336,8 @@ class Worker:
 
         A step can take long. Commands that need it to end, to close the window or to pause, say, abandon it: it has
         then not happened.
-        A new view gets its first pixels at once, but only one new view each time: a hand that keeps moving must
-        not stop the training.
+        A new view gets its first pixels at once, but only one new view each time, and a hand that keeps moving only as
+        many as the budget allows: it must not stop the training.
         """
         while self._commands and isinstance(self._commands[0], QUICK):
             self._obey(self._commands.popleft())
@@ -347,8 +347,12 @@ class Worker:
         self._account_for_training(0)
         view = self._wanted_view()
         served = False
-        while self._artist.urgent(view) and (view is self._view or (view and view.moving)) and self._draw(view):
-            served = True
+        if view is not None and (not view.moving or self._budget.may_follow()):
+            begin = time.perf_counter()
+            while self._artist.urgent(view) and (view is self._view or view.moving) and self._draw(view):
+                served = True
+            if served:
+                self._budget.followed(time.perf_counter() - begin)
         while self._budget.may_draw() and not self._artist.urgent(self._view) and self._draw(self._wanted_view()):
             self._publish()
         self._publish(force=served)

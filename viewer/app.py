@@ -101,8 +101,10 @@ class App:
         if (force or self._pacer.due(now)) and min(self.window.size()) > 0:
             begin = clock.perf_counter()
             self._draw(now)
-            self._show(now)
-            self.link.painted(clock.perf_counter() - begin)
+            self._show()
+            seconds = clock.perf_counter() - begin
+            self.link.painted(seconds)
+            self._pacer.drew(now, seconds, self._frames_part())
             drew = True
             moved = self.state.camera.update(now)  # by what the hands did in this frame
             self._pacer.note(now, hand=moved)
@@ -158,17 +160,21 @@ class App:
         target = self.window.framebuffer
         target.use()
         self.window.context.scissor = None
-        ground = self.theme.ground
-        target.clear(ground.x, ground.y, ground.z, 1.0)
+        surface = self.theme.surface  # docked panels paint no background of their own
+        target.clear(surface.x, surface.y, surface.z, 1.0)
         self._renderer.render(imgui.get_draw_data(), target)
         for action in actions:
             self._actions.perform(action)
         self._save_screenshots()
 
-    def _show(self, now: float) -> None:
+    def _frames_part(self) -> float:
+        """Half of what training leaves for pictures: the worker's pictures want the other half."""
+        snapshot = self.state.snapshot
+        return (1 - snapshot.wanted_share) / 2 if snapshot.status == "training" else 1.0
+
+    def _show(self) -> None:
         self.window.swap()
         self.window.set_cursor(imgui.get_mouse_cursor())
-        self._pacer.drew(now)
         self._warn(self._layout.save_if_changed())
 
     def _draw_interface(self) -> list[Action]:
@@ -245,7 +251,8 @@ class App:
         self.frame(force=True)  # takes what is waiting
         self._draw(self.state.time)
         pixels = self.window.read_pixels()
-        self._show(self.state.time)
+        self._show()
+        self._pacer.drew(self.state.time)
         return pixels
 
     def screenshot(self, path: Path) -> None:

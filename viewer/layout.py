@@ -7,7 +7,7 @@ import zlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from imgui_bundle import ImVec2, imgui
+from imgui_bundle import ImVec2, ImVec4, imgui
 
 from viewer.panels import Panel
 
@@ -104,7 +104,9 @@ class Layout:
                 imgui.set_window_focus(title)
             self._raise_next = ()
         # nothing is painted under the docks: in software GL a layer over the whole window takes a quarter of the frame
-        imgui.dock_space_over_viewport(space, area, imgui.DockNodeFlags_.passthru_central_node)
+        imgui.push_style_color(imgui.Col_.window_bg, ImVec4(0, 0, 0, 0))
+        imgui.dock_space_over_viewport(space, area)
+        imgui.pop_style_color()
 
     @property
     def raising(self) -> bool:
@@ -114,6 +116,12 @@ class Layout:
     def bring_forward(self, titles: Sequence[str]) -> None:
         """From the next frame on these are the tabs in front; docks that return show their last ones otherwise."""
         self._raise_next = tuple(titles)
+
+
+def in_docks() -> bool:
+    """Whether the current window is docked in the main window: the cleared framebuffer is then right behind it."""
+    node = imgui.internal.get_window_dock_node()
+    return node is not None and imgui.internal.dock_node_get_root_node(node).is_dock_space()
 
 
 def _has_place(body: str, title: str) -> bool:

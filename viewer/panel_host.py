@@ -10,6 +10,7 @@ from imgui_bundle import imgui, implot
 
 from nerf_core.messages import Notice
 from viewer.draw.textures import TextureCache
+from viewer.layout import in_docks
 from viewer.panels import PANELS, Panel
 from viewer.state import Action, AppState
 from viewer.theme import DarkTheme
@@ -49,6 +50,7 @@ class PanelHost:
         self.notices: list[Notice] = []  # faults that nobody has been told of
         self.in_front: tuple[str, ...] = ()  # the panels that were not behind another's tab when they were last drawn
         self._broken: dict[str, str] = {}
+        self._docked: set[str] = set()  # over the cleared framebuffer, which has the panels' colour already
 
     def draw(self, ui: PanelUi, state: AppState) -> Iterator[Action]:
         """The panels that have a window."""
@@ -56,8 +58,10 @@ class PanelHost:
         for panel in self.panels:
             if panel.dock == "overlay":
                 continue
-            if imgui.begin(panel.title)[0]:  # False for a tab that lies behind another
+            flags = imgui.WindowFlags_.no_background if panel.title in self._docked else imgui.WindowFlags_.none
+            if imgui.begin(panel.title, None, flags)[0]:  # False for a tab that lies behind another
                 in_front.append(panel.title)
+                (self._docked.add if in_docks() else self._docked.discard)(panel.title)
                 if panel.title in self._broken:
                     self._draw_broken(ui, panel.title)
                 else:

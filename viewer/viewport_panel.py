@@ -28,7 +28,7 @@ class ViewportPanel:
         self._picture = ViewportPicture(context)
         self._renderer = renderer
         self.input = ViewportInput()
-        self.stale = self._docked = False
+        self.stale = False
         self._named: moderngl.Texture | None = None  # what the renderer knows of the picture
 
     def draw(self, ui: PanelUi, state: AppState, alone: bool) -> None:
@@ -37,7 +37,7 @@ class ViewportPanel:
         imgui.push_style_var(imgui.StyleVar_.window_border_size, 0.0)  # it would cover the picture's outermost pixels
         imgui.push_style_color(imgui.Col_.window_bg, ui.theme.ground)
         flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
-        if alone or self._docked:  # the framebuffer was cleared to the ground's colour
+        if state.snapshot.preview is not None:  # it covers the window
             flags |= imgui.WindowFlags_.no_background
         if alone:
             area = imgui.get_main_viewport()
@@ -52,7 +52,6 @@ class ViewportPanel:
         imgui.begin(f"{VIEWPORT}##alone" if alone else VIEWPORT, None, flags)
         imgui.pop_style_color()
         imgui.pop_style_var(2)
-        self._docked = imgui.is_window_docked()
         self._draw_content(ui, state)
         imgui.end()
 

@@ -50,6 +50,7 @@ def main() -> None:
         begin = time.perf_counter()
         if app.frame():
             frames.append((time.perf_counter() - begin) * 1e3)
+            link.shown(app.state.snapshot)
 
     turn(phases[0])
     print(f"first frame (layout, fonts, shaders): {frames[0]:.0f} ms")
@@ -121,7 +122,7 @@ def _tell(name: str, milliseconds: list[float]) -> None:
 
 
 class _Stopwatch:
-    """A worker that notes how long a view waited for its first pixels."""
+    """A worker that notes how long a view waited until its first pixels were on the screen."""
 
     def __init__(self, worker: Worker) -> None:
         self._worker = worker
@@ -135,12 +136,14 @@ class _Stopwatch:
         self._worker.request_view(request)
 
     def snapshot(self) -> Snapshot:
-        snapshot = self._worker.snapshot()
+        return self._worker.snapshot()
+
+    def shown(self, snapshot: Snapshot) -> None:
+        """A frame with it is on the screen."""
         if snapshot.preview is not None and snapshot.preview.stamp in self._asked:
             answered = snapshot.preview.stamp
             self.delays.append((time.perf_counter() - self._asked[answered]) * 1e3)
             self._asked = {stamp: t for stamp, t in self._asked.items() if stamp > answered}
-        return snapshot
 
 
 if __name__ == "__main__":

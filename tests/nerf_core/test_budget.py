@@ -82,3 +82,31 @@ def test_preview_and_export_take_turns() -> None:
         turns.append(budget.artist_is_next())
         budget.drew(0.01)
     assert turns == [True, False, True, False]
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
+def test_a_moving_camera_has_half_of_what_training_leaves(share: float) -> None:
+    clock = Clock()
+    budget = Budget(share, clock)
+    followed = 0.0
+    while clock.now < 60:
+        clock.now += 0.004
+        budget.trained(0.004 * share, 64)
+        budget.showed(0.004 * (1 - share))  # a window that leaves nothing of the budget
+        if budget.may_follow():
+            clock.now += 0.01
+            budget.drew(0.01)
+            budget.followed(0.01)
+            followed += 0.01
+    assert followed / clock.now == pytest.approx((1 - share) / 2, rel=0.2)
+
+
+def test_a_hand_waits_a_quarter_of_a_second_at_most() -> None:
+    clock = Clock()
+    budget = Budget(0.95, clock)
+    budget.drew(10.0)
+    budget.followed(0.1)
+    clock.now += 0.2
+    assert not budget.may_follow()
+    clock.now += 0.06
+    assert budget.may_follow()

@@ -7,8 +7,10 @@ import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 import scripted
+from imgui_bundle import imgui
 
 from viewer.app import App
 from viewer.layout import HEADER, _checksum, _has_place
@@ -169,3 +171,26 @@ def test_the_default_comes_back_on_demand(opened: Open) -> None:
     app._layout.reset()
     app.settle(5)
     assert viewport_of(app) == pytest.approx(default, abs=2)
+
+
+def test_a_panel_that_floats_covers_what_is_under_it(opened: Open) -> None:
+    """Docked panels paint no background: what was cleared lies behind them, but the picture behind one that floats."""
+    app = opened(None)
+    left, top, right, bottom = (round(edge) for edge in viewport_of(app))
+    x, y = (left + right) // 2, (top + bottom) // 2
+    surface = [round(255 * channel) for channel in (app.theme.surface.x, app.theme.surface.y, app.theme.surface.z)]
+
+    def float_the_panel() -> None:
+        imgui.internal.dock_builder_dock_window("Training", 0)
+        imgui.set_window_pos("Training", imgui.ImVec2(x - 150, y - 60))
+        imgui.set_window_size("Training", imgui.ImVec2(300, 120))
+
+    assert app.pixels()[y, x].tolist() != surface
+    assert (app.pixels() == surface).all(-1).mean() > 0.2  # the panels in their docks
+    float_the_panel()
+    app.settle(5)
+    float_the_panel()  # undocking gives it the size of its dock
+    app.settle(5)
+    covered = app.pixels()[y - 20 : y + 40, x - 100 : x + 100]
+    ground, fields = surface, [round(255 * c) for c in (app.theme.raised.x, app.theme.raised.y, app.theme.raised.z)]
+    assert np.logical_or((covered == ground).all(-1), (covered == fields).all(-1)).mean() > 0.5

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from viewer.pacing import FASTEST, FIGURES, PICTURE, SETTLE_SECONDS, Pacer
+import pytest
+
+from viewer.pacing import FASTEST, FIGURES, PICTURE, SETTLE_SECONDS, SLOWEST, Pacer
 
 
 def frames(pacer: Pacer, seconds: float, *, start: float = 100.0, **news: bool) -> int:
@@ -48,3 +50,32 @@ def test_the_wait_ends_when_a_frame_is_due() -> None:
     assert pacer.wait(10.0) == 0
     pacer.drew(10.0)
     assert 0 < pacer.wait(10.001) <= FASTEST
+
+
+def test_frames_that_take_long_keep_to_their_part_of_the_time() -> None:
+    def per_second(seconds: float, part: float) -> float:
+        pacer, drawn, now = Pacer(), 0, 0.0
+        while now < 10:
+            pacer.note(now, hand=True)
+            if pacer.due(now):
+                now += seconds
+                pacer.drew(now - seconds, seconds, part)
+                drawn += 1
+            else:
+                now += 0.001
+        return drawn / 10
+
+    assert per_second(0.008, 1.0) == pytest.approx(1 / FASTEST, rel=0.1)
+    assert per_second(0.002, 0.2) == pytest.approx(1 / FASTEST, rel=0.1)
+    assert 0.008 * per_second(0.008, 0.2) == pytest.approx(0.2, rel=0.1)
+    assert per_second(0.04, 0.2) == pytest.approx(1 / SLOWEST, rel=0.1)
+
+
+def test_a_picture_that_a_hand_waits_for_is_shown_at_once() -> None:
+    pacer = Pacer()
+    for k in range(50):
+        pacer.drew(k / 20, 0.04, 0.2)
+    pacer.note(2.47, hand=True)
+    assert not pacer.due(2.47)
+    pacer.note(2.47, picture=True)
+    assert pacer.due(2.47)

@@ -75,6 +75,8 @@ class GlfwWindow:
         glfw.window_hint(glfw.CONTEXT_VERSION_MINOR, 3)
         glfw.window_hint(glfw.OPENGL_PROFILE, glfw.OPENGL_CORE_PROFILE)
         glfw.window_hint(glfw.OPENGL_FORWARD_COMPAT, True)  # macOS gives a core profile only to those who ask
+        glfw.window_hint(glfw.DEPTH_BITS, 0)  # nothing in the window is tested for depth, and clearing it takes time
+        glfw.window_hint(glfw.STENCIL_BITS, 0)
         glfw.window_hint(glfw.SRGB_CAPABLE, False)  # values reach the screen as they are
         glfw.window_hint(glfw.VISIBLE, visible)
         glfw.window_hint(glfw.SCALE_TO_MONITOR, visible)
