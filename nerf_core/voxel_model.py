@@ -34,6 +34,7 @@ from nerf_core.types import Rays, Rendering, Trace
 from nerf_core.voxel_config import VoxelConfig
 
 PIECE = 4096  # rays between two pumps: some 5 ms on two cores
+BRICKS = 2048  # of a new grid between two pumps: some 10 ms on two cores
 TILE = 8192
 SHORTEST_LEVEL = 1.25  # a last level that is less finer than the one before is not worth a refinement
 SMALLEST = 1e-5  # a cell's side, as a share of the box: finer than any configuration allows
@@ -88,12 +89,15 @@ class VoxelModel:
     def train(self, rays: Rays, truth: Tensor, step: int, steps: int | None, pump: Callable[[], None]) -> float:
         """Mean squared error; its gradient is a ray's own, so that Adam's ε means the same for every batch."""
         rays, truth = rays.to(self.device), truth.to(self.device)
-        c = self.config
-        since = max(0, step - self.levels[self.level].begin)
-        drawn = self.generator.get_state()
-        offsets = torch.rand(len(rays), generator=self.generator)
+        c, drawn = self.config, self.generator.get_state()
+        before = self.grid, self.moments, self.level, self.updates
+        refines = self.level < self._level_at(step)
+        seen = self.kernels.seen(self.grid) if refines else None
         error = 0.0
         try:
+            while self.level < self._level_at(step):
+                self._refine(pump)
+            offsets = torch.rand(len(rays), generator=self.generator)
             for start in range(0, len(rays), PIECE):
                 part = slice(start, start + PIECE)
                 march = self._march(offsets[part], c.smoothness, c.prune)
@@ -103,25 +107,26 @@ class VoxelModel:
         except BaseException:
             self.generator.set_state(drawn)
             self.kernels.forget()
+            if seen is not None:
+                self.grid, self.moments, self.level, self.updates = before
+                self.kernels.see(self.grid, seen)
             raise
         self.updates += 1
+        since = max(0, step - self.levels[self.level].begin)
         slower = 1 / (1 + since / c.slowdown)
         warm, warm_square = (1 / (1 - beta**self.updates) for beta in (c.keep, c.keep_square))
         self.kernels.update(
             self.grid, self.moments,
             Adam(c.rate_color * slower, c.rate_density * slower, c.keep, c.keep_square, warm, warm_square, c.epsilon),
         )  # fmt: skip
-        self._get_ready(step + 1)
+        self._drop_cells(since + 1)
         return error / (3 * len(rays))
 
-    def _get_ready(self, step: int) -> None:
-        """What comes between two steps; here nothing can abandon it half done."""
-        while self.level < self._level_at(step):
-            self._refine()
-        since = step - self.levels[self.level].begin
+    def _drop_cells(self, since: int) -> None:
+        """After so many steps of a level. Nothing abandons it half done."""
         if self._half_way(since):
             self._look_anew()  # in a level's first half much is still fog: it shall not count
-        elif self.level == len(self.levels) - 1 and since and since % self.config.prune_every == 0:
+        elif self.level == len(self.levels) - 1 and since % self.config.prune_every == 0:
             cells = self._filled() & self.grid.occupied
             if cells.any():  # a picture of nothing but background must still be able to change
                 self.grid = self.grid.with_cells(cells)
@@ -148,8 +153,9 @@ class VoxelModel:
         x, y, z = self.grid.size
         return grow(self.grid.dense(self.kernels.seen(self.grid))[:x, :y, :z])
 
-    def _refine(self) -> None:
-        """The next level: a smaller box around what is there, divided into smaller cells."""
+    def _refine(self, pump: Callable[[], None]) -> None:
+        """The next level: a smaller box around what is there, divided into smaller cells. Where the pump raises, there
+        is no such level yet."""
         old, level = self.grid, self.levels[self.level + 1]
         cells = self._filled() & old.occupied
         if not cells.any():  # nothing learnt yet: begin with everything once more
@@ -168,11 +174,16 @@ class VoxelModel:
             if rows <= self.config.most_rows:
                 break
             voxel = voxel * max(1.05, (rows / self.config.most_rows) ** (1 / 3))
-        grid = old.resampled(origin, voxel, occupied)
-        # density is per cell: a smaller one absorbs as much less
+        grid = VoxelGrid.over(origin, voxel, occupied, old.contracted)
         ratio = float(np.prod(voxel / old.voxel) ** (1 / 3))
-        sigma = functional.softplus(grid.rows[:, DENSITY] + self.config.bias) * ratio
-        grid.rows[:, DENSITY] = sigma + torch.log(-torch.expm1(-sigma)) - self.config.bias  # softplus, inverted
+        for first in range(0, grid.bricks, BRICKS):
+            pump()
+            last = min(first + BRICKS, grid.bricks)
+            self.kernels.resample(old, grid, first, last)
+            raw = grid.rows[ROWS * first : ROWS * last, DENSITY]
+            # density is per cell: a smaller one absorbs as much less
+            sigma = functional.softplus(raw + self.config.bias) * ratio
+            raw.copy_(sigma + torch.log(-torch.expm1(-sigma)) - self.config.bias)  # softplus, inverted
         self.level += 1
         self.grid, self.moments, self.updates = grid, torch.zeros_like(grid.rows), 0
 

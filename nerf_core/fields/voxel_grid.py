@@ -20,7 +20,6 @@ BRICK = 4  # vertices a side
 ROWS = BRICK**3
 WIDTH = 16  # floats of a row
 DENSITY = 12  # where a row's raw density lies
-CHUNK = 1 << 18  # vertices resampled at once
 
 
 class GridArrays(NamedTuple):
@@ -73,11 +72,9 @@ class VoxelGrid(Cells):
         x, y, z = self.size
         return whole[: x + 1, : y + 1, : z + 1]
 
-    def vertices(self) -> Tensor:
-        """(M, 3) int64: the vertex of each row."""
-        brick = (self.table >= 0).nonzero()
-        inside = torch.stack(torch.meshgrid(*[torch.arange(BRICK, device=brick.device)] * 3, indexing="ij"), -1)
-        return (BRICK * brick[:, None] + inside.reshape(-1, 3)).reshape(-1, 3)
+    def places(self) -> Tensor:
+        """(M / 64, 3) int64: where in the table the bricks lie, in the order of their rows."""
+        return (self.table >= 0).nonzero().contiguous()  # torch gives it column by column
 
     def row_of(self, vertex: Tensor) -> Tensor:
         """(P, 3) vertices → rows (P,), −1 where none is stored or outside."""
@@ -100,15 +97,15 @@ class VoxelGrid(Cells):
             total.addcmul_(weight[:, None].to(self.rows.dtype), self.rows[row.clamp(min=0)])
         return total
 
-    def resampled(self, origin: np.ndarray, voxel: np.ndarray, occupied: Tensor) -> VoxelGrid:
-        """A grid for `occupied` cells of another size, with this one's values interpolated at its vertices."""
-        new = VoxelGrid.over(origin, voxel, occupied, self.contracted)
-        vertices, size = new.vertices(), torch.from_numpy(voxel).to(self.rows)
-        for start in range(0, len(vertices), CHUNK):
-            part = vertices[start : start + CHUNK]
-            x = torch.from_numpy(origin).to(self.rows) + part * size
-            new.rows[start : start + CHUNK] = self.interpolate(*self.cells_of(x))
-        return new
+    def vertices(self, first: int = 0, last: int | None = None) -> Tensor:
+        """(64 · bricks, 3) int64: the vertex of each row of bricks first ≤ b < last."""
+        brick = self.places()[first:last]
+        inside = torch.cartesian_prod(*[torch.arange(BRICK, device=brick.device)] * 3)
+        return (BRICK * brick[:, None] + inside).reshape(-1, 3)
+
+    def at_vertex(self, other: VoxelGrid) -> tuple[np.ndarray, np.ndarray]:
+        """(first, step), each (3,): in cells of this grid, vertex v of the `other` lies at first + v · step."""
+        return (other.origin - self.origin) / self.voxel, other.voxel / self.voxel
 
     def state(self) -> dict[str, Tensor]:
         return {
@@ -124,7 +121,7 @@ class VoxelGrid(Cells):
         sound = (
             occupied.dtype == bricks.dtype == torch.bool and occupied.ndim == bricks.ndim == 3
             and rows.dtype == torch.float32 and origin.shape == voxel.shape == (3,)
-            and min(occupied.shape) > 0 and np.isfinite(origin).all() and (voxel > 0).all()
+            and bool(occupied.any()) and np.isfinite(origin).all() and (voxel > 0).all()
         )  # fmt: skip
         if not sound:
             raise ValueError("the voxel grid is not of the kind that is written")

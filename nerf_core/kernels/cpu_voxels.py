@@ -92,6 +92,17 @@ class CpuVoxels:
             light=notes[:, note.LIGHT], rgb=notes[:, note.RED : note.RED + 3], pixel=pixel,
         )  # fmt: skip
 
+    def resample(self, old: VoxelGrid, new: VoxelGrid, first: int, last: int) -> None:
+        begin, step = old.at_vertex(new)
+        arrays, places = old.arrays(), new.places()[first:last].numpy()
+        rows, out = old.rows.numpy().ravel(), new.rows[ROWS * first : ROWS * last].numpy().ravel()
+
+        def work(s: int) -> None:
+            scratch = _scratch(1)
+            loops.resample(arrays, rows, begin, step, places, *split(len(places), self.shards, s), scratch, out)
+
+        each_shard(self.shards, work)
+
     def accumulate(self, grid: VoxelGrid, rays: BoxRays, truth: Tensor, how: March) -> tuple[float, int]:
         arrays, given, scratch = grid.arrays(), ray_arrays(rays, how.offsets), self._buffers(grid, how)
         self._fit(grid)
@@ -150,14 +161,16 @@ class CpuVoxels:
         # a little longer
         capacity = int(1.5 * sum(grid.size) / how.step) + 8
         if not self._scratch or len(self._scratch[0].corners) < 8 * capacity:
-            self._scratch = [
-                _Scratch(
-                    torch.empty(8 * capacity, dtype=torch.int64).numpy(), torch.empty(8 * capacity).numpy(),
-                    torch.zeros(64).numpy(), torch.empty(note.NOTES * capacity).numpy(),
-                )
-                for _ in range(self.shards)
-            ]  # fmt: skip
+            self._scratch = [_scratch(capacity) for _ in range(self.shards)]
         return self._scratch
+
+
+def _scratch(samples: int) -> _Scratch:
+    """Torch's tensors begin at a cache line, as the loops' vectors must."""
+    return _Scratch(
+        torch.empty(8 * samples, dtype=torch.int64).numpy(), torch.empty(8 * samples).numpy(), torch.zeros(64).numpy(),
+        torch.empty(note.NOTES * samples).numpy(),
+    )  # fmt: skip
 
 
 @cache
@@ -172,6 +185,7 @@ def _compile() -> None:
     kernels.render(grid, rays, march)
     kernels.trace(grid, rays, march)
     kernels.accumulate(grid, rays, torch.zeros(1, 3), march)
+    kernels.resample(grid, grid, 0, grid.bricks)
     kernels.update(grid, torch.zeros_like(grid.rows), Adam(0.1, 0.1, 0.9, 0.9, 1.0, 1.0, 1e-4))
     index, pair = torch.zeros(1, dtype=torch.long), torch.ones(1, 2, dtype=torch.float64)
     lens, c2w = torch.zeros(1, 5, dtype=torch.float64), torch.eye(4, dtype=torch.float64)[None, :3]

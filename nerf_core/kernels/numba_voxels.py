@@ -228,6 +228,33 @@ def gradients(
 
 
 @jit
+def resample(
+    grid: Any, rows: Any, begin: Any, step: Any, places: Any, first: Any, last: Any, scratch: Any, out: Any
+) -> None:  # fmt: skip
+    """Rows of bricks first ≤ b < last, which lie at `places`; vertex v is at begin + v · step, in cells of `grid`."""
+    corners, weights, values = scratch.corners, scratch.weights, scratch.values
+    bricks_y, bricks_z = (grid.size[1] >> 2) + 1, (grid.size[2] >> 2) + 1
+    for b in range(first, last):
+        for q in range(64):
+            x = begin[0] + step[0] * ((places[b, 0] << 2) + (q >> 4))
+            y = begin[1] + step[1] * ((places[b, 1] << 2) + ((q >> 2) & 3))
+            z = begin[2] + step[2] * ((places[b, 2] << 2) + (q & 3))
+            i = min(max(math.floor(x), 0), grid.size[0] - 1)
+            j = min(max(math.floor(y), 0), grid.size[1] - 1)
+            k = min(max(math.floor(z), 0), grid.size[2] - 1)
+            _corners(i, j, k, bricks_y, bricks_z, grid.table, corners, 0)
+            fx, fy, fz = F(min(max(x - i, 0.0), 1.0)), F(min(max(y - j, 0.0), 1.0)), F(min(max(z - k, 0.0), 1.0))
+            _weigh(fx, fy, fz, weights, 0)
+            for c in range(8):
+                if corners[c] < 0:  # the table has no brick for it
+                    corners[c], weights[c] = 0, F(0)
+            gather(values, 0, rows, corners, weights, 0)
+            at = (b * 64 + q) * 16
+            for c in range(16):
+                out[at + c] = values[c]
+
+
+@jit
 def adam(
     first: Any, last: Any, rows: Any, moments: Any, gradient: Any, touched: Any, rate_color: Any, rate_density: Any,
     keep: Any, keep_square: Any, warm: Any, warm_square: Any, epsilon: Any,

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from nerf_core.fields.voxel_grid import DENSITY, WIDTH, VoxelGrid
+from nerf_core.fields.voxel_grid import DENSITY, ROWS, WIDTH, VoxelGrid
 from nerf_core.kernels.torch_march import march
 from nerf_core.kernels.voxel_kernels import Adam, March, Traced
 from nerf_core.spaces import BoxRays
@@ -104,6 +104,12 @@ class TorchVoxels:
         ends = torch.searchsorted(samples.ray[done.used], torch.arange(len(rays) + 1, device=samples.ray.device))
         parts = (samples.t, samples.width, done.raw, done.alpha, done.light, done.rgb)
         return Traced(ends, *(v[done.used] for v in parts), pixel=done.pixel)
+
+    def resample(self, old: VoxelGrid, new: VoxelGrid, first: int, last: int) -> None:
+        begin, step = (torch.from_numpy(v).to(new.rows.device) for v in old.at_vertex(new))
+        at = begin + new.vertices(first, last) * step
+        cell = at.floor().long().clamp(min=0).minimum(torch.tensor(old.size, device=at.device) - 1)
+        new.rows[ROWS * first : ROWS * last] = old.interpolate(cell, (at - cell).clamp(0, 1).to(new.rows.dtype))
 
     def accumulate(self, grid: VoxelGrid, rays: BoxRays, truth: Tensor, how: March) -> tuple[float, int]:
         self._fit(grid)

@@ -65,6 +65,10 @@ class VoxelKernels(Protocol):
         """`render` with what it composited kept."""
         ...
 
+    def resample(self, old: VoxelGrid, new: VoxelGrid, first: int, last: int) -> None:
+        """Interpolate `old` at the vertices of bricks first ≤ b < last of `new`; what it does not store counts as 0."""
+        ...
+
     def accumulate(self, grid: VoxelGrid, rays: BoxRays, truth: Tensor, how: March) -> tuple[float, int]:
         """Add the gradient of ½ Σ squared error (and of smoothness); returns Σ squared error and the samples used."""
         ...

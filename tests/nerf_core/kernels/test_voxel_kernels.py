@@ -113,6 +113,19 @@ def test_a_ray_through_one_opaque_cell_has_the_colour_of_its_coefficients() -> N
         assert float(pixel[4]) == pytest.approx(5.125, abs=0.3)  # the cell begins at x = 0
 
 
+@pytest.mark.parametrize("dense", [0.05, 1.0])
+def test_grids_are_resampled_alike(dense: float) -> None:
+    """To a box that reaches out of the old one, from vertices of which many are not stored."""
+    old, g = some_grid(False, dense=dense), torch.Generator().manual_seed(3)
+    occupied = torch.rand(17, 9, 14, generator=g) < 0.4
+    new = [VoxelGrid.over(np.array([-1.2, -0.7, -0.9]), np.array([0.13, 0.2, 0.17]), occupied, False) for _ in range(2)]
+    for kernels, grid in zip((CpuVoxels(3), TorchVoxels()), new, strict=True):
+        for first in range(0, grid.bricks, 7):
+            kernels.resample(old, grid, first, min(first + 7, grid.bricks))
+    assert new[0].rows.count_nonzero() > 0.2 * new[0].rows[:, : DENSITY + 1].numel()
+    torch.testing.assert_close(new[0].rows, new[1].rows, atol=1e-5, rtol=1e-5)
+
+
 def test_empty_grids_and_rays_that_miss_show_background_and_have_no_gradient() -> None:
     grid, rays = some_grid(False, dense=0.0), some_rays()
     for kernels in (CpuVoxels(2), TorchVoxels()):

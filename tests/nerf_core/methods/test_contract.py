@@ -154,16 +154,26 @@ def test_a_pixel_does_not_depend_on_its_neighbours_in_either_precision(scene: Sc
 
 
 def test_an_abandoned_step_leaves_the_state_as_it_was(make: MakeMethod, scene: Scene) -> None:
-    method = make()
+    """Whichever of its pumps it is abandoned in."""
+    method, (rays, truth) = make(), some_rays(scene)
+    pumps = 0  # that the step may still go through
 
     def interrupt() -> None:
-        raise KeyboardInterrupt
+        nonlocal pumps
+        pumps -= 1
+        if pumps < 0:
+            raise KeyboardInterrupt
 
     for step in range(8):
         before = {name: value.clone() for name, value in method.state().items()}
-        rays, truth = some_rays(scene)
-        with pytest.raises(KeyboardInterrupt):
-            method.train(rays, truth, step, None, interrupt)
-        after = method.state()
-        assert [k for k in before if k not in TOLD_AGAIN and not torch.equal(before[k], after[k])] == []
-        method.train(rays, truth, step, None, lambda: None)
+        through = 0
+        while True:
+            pumps = through
+            try:
+                method.train(rays, truth, step, None, interrupt)
+                break
+            except KeyboardInterrupt:
+                through += 1
+                after = method.state()
+                assert [k for k in before if k not in TOLD_AGAIN and not torch.equal(before[k], after[k])] == []
+        assert through > 0

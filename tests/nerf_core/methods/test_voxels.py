@@ -13,7 +13,9 @@ from nerf_core.cells import grow, leaps
 from nerf_core.errors import UserError
 from nerf_core.fields.voxel_grid import DENSITY, ROWS, VoxelGrid, bricks_of
 from nerf_core.kernels import choice
+from nerf_core.kernels.cpu_voxels import CpuVoxels
 from nerf_core.kernels.torch_voxels import TorchVoxels
+from nerf_core.kernels.voxel_kernels import VoxelKernels
 from nerf_core.methods.voxels import Voxels
 from nerf_core.render import render_camera
 from nerf_core.scene import Scene
@@ -93,13 +95,17 @@ def test_growing_takes_all_neighbours() -> None:
     assert not leaps(torch.ones(3, 3, 3, dtype=torch.bool)).any()
 
 
-def test_resampling_keeps_a_linear_field() -> None:
+@pytest.mark.parametrize("kernels", [CpuVoxels(2), TorchVoxels()], ids=["numba", "torch"])
+def test_resampling_keeps_a_linear_field(kernels: VoxelKernels) -> None:
     everything = torch.ones(6, 5, 7, dtype=torch.bool)
     grid = VoxelGrid.over(np.array([-1.0, 0, 2]), np.full(3, 0.5), everything, contracted=False)
     slope = torch.tensor([1.0, -2.0, 3.0])
     where = torch.tensor([-1.0, 0, 2]) + grid.vertices() * 0.5
     grid.rows[:, 3] = where @ slope
-    fine = grid.resampled(np.array([-0.8, 0.3, 2.2]), np.full(3, 0.2), torch.ones(8, 6, 9, dtype=torch.bool))
+    everything = torch.ones(8, 6, 9, dtype=torch.bool)
+    fine = VoxelGrid.over(np.array([-0.8, 0.3, 2.2]), np.full(3, 0.2), everything, contracted=False)
+    kernels.resample(grid, fine, 0, 5)
+    kernels.resample(grid, fine, 5, fine.bricks)
     at = torch.tensor([-0.8, 0.3, 2.2]) + fine.vertices() * 0.2
     inside = (fine.vertices() <= torch.tensor([8, 6, 9])).all(-1)
     torch.testing.assert_close(fine.rows[inside, 3], (at @ slope)[inside], atol=1e-4, rtol=0)
