@@ -206,6 +206,13 @@ class Ndc:
         t = t_ndc.clamp(max=last)
         return shift[:, None] + (-self.near / dz)[:, None] * (t / (1 - t))
 
+    def stretched(self, origins: Tensor, directions: Tensor, t: Tensor, delta: Tensor) -> Tensor:
+        """World distances t (R, S) and lengths δ in NDC → the world distances (R, S) at which those lengths end."""
+        dz = torch.where(directions[:, 2] < -1e-6, directions[:, 2], -torch.ones_like(directions[:, 2]))
+        ratio = (t - (-(self.near + origins[:, 2]) / dz)[:, None]) / (-self.near / dz)[:, None]  # t′ / (1 − t′)
+        length = self.rays(origins, directions)[1].norm(dim=-1, keepdim=True)
+        return self.world_t(origins, directions, ratio / (1 + ratio) + delta / length)
+
     def point(self, world: Tensor) -> Tensor:
         """World points (..., 3) in front of the origin → NDC points (..., 3)."""
         z = world[..., 2].clamp(max=-1e-6)  # the frustum has no points beside or behind its camera

@@ -10,13 +10,14 @@ from typing import Any, TypeVar, get_type_hints
 from nerf_core.errors import UserError, shorten
 
 C = TypeVar("C")
+WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a word"}
 
 
 def check_ranges(config: Any, least: Mapping[str, float], most: Mapping[str, float]) -> None:
     """Raises UserError for a number below `least` (0 where it says nothing), above `most`, or none at all."""
     for f in fields(config):
         value = getattr(config, f.name)
-        if isinstance(value, (bool, str)):
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
             continue
         low, high = least.get(f.name, 0), most.get(f.name, sys.float_info.max)
         if not value >= low and not (f.name not in least and f.name.startswith("bias")):
@@ -27,7 +28,7 @@ def check_ranges(config: Any, least: Mapping[str, float], most: Mapping[str, flo
 
 def changed(config: C, changes: Mapping[str, str], method: str) -> C:
     """The configuration with `changes` ({"rays": "256"}). Raises UserError for names and values that do not exist."""
-    kinds = get_type_hints(type(config))
+    kinds = {name: kind for name, kind in get_type_hints(type(config)).items() if kind in WORDS}
     values: dict[str, Any] = {}
     for name, text in changes.items():
         if name not in kinds:
@@ -39,8 +40,7 @@ def changed(config: C, changes: Mapping[str, str], method: str) -> C:
             else:
                 values[name] = kind(text)
         except (ValueError, KeyError):
-            wanted = {bool: "true or false", int: "a whole number", float: "a number", str: "a word"}[kind]
-            raise UserError(f"--set {name}={shorten(text)}: expected {wanted}") from None
+            raise UserError(f"--set {name}={shorten(text)}: expected {WORDS[kind]}") from None
     return replace(config, **values)  # pyright: ignore[reportArgumentType]: C is one of the configurations
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from nerf_core.cameras import Camera
 from nerf_core.checkpoint import finite
@@ -13,7 +14,7 @@ from nerf_core.errors import UserError
 from nerf_core.methods import Method
 from nerf_core.render import tile_rays
 from nerf_core.scene import Scene
-from nerf_core.types import Samples
+from nerf_core.types import Rays, Samples
 
 SPHERE_ROWS, SPHERE_COLUMNS = 32, 64  # 2,048 directions over the sphere
 DISC_SIZE = 57  # about 2,500 more over the hemisphere that faces the viewer
@@ -21,10 +22,14 @@ DISC_SIZE = 57  # about 2,500 more over the hemisphere that faces the viewer
 
 @dataclass(frozen=True)
 class PassProbe:
-    """The samples of one pass along one ray, (S,) each, rgb (S, 3); see `nerf_core.types.Samples`."""
+    """The samples of one pass along one ray, (S,) each, rgb (S, 3); see `nerf_core.types.Samples`.
+
+    until: the distance at which the stretch ends that a sample stands for: t + δ, where δ is of the world.
+    """
 
     name: str
     t: np.ndarray
+    until: np.ndarray
     delta: np.ndarray
     sigma: np.ndarray
     alpha: np.ndarray
@@ -119,6 +124,13 @@ def _own(samples: Samples, i: int) -> int:
     return len(again) + 1 - int(again.flip(0).int().cumprod(0).sum())
 
 
+def _until(scene: Scene, rays: Rays, samples: Samples) -> Tensor:
+    t, delta = samples.t.double().cpu(), samples.delta.double().cpu()
+    if scene.ndc is None:
+        return t + delta
+    return scene.ndc.stretched(rays.origins.double(), rays.directions.double(), t, delta)
+
+
 def open_ray(method: Method, scene: Scene, camera: Camera, pixel: tuple[int, int], step: int) -> RayProbe:
     """Everything that made integer `pixel` (column, row) of `camera`. Raises UserError outside the picture.
 
@@ -132,10 +144,11 @@ def open_ray(method: Method, scene: Scene, camera: Camera, pixel: tuple[int, int
     count = min(method.tile, MOST_RAYS)
     rays, i = tile_rays(camera, scene, flat - flat % count, count), flat % count
     trace, rendered = method.trace(rays), method.render(rays)
-    names = [f.name for f in fields(PassProbe)][1:]
     passes = tuple(
-        PassProbe(s.name, *(getattr(s, name)[i, : _own(s, i)].cpu().numpy() for name in names)) for s in trace.passes
-    )
+        PassProbe(s.name, *(v[i, : _own(s, i)].cpu().numpy() for v in (
+            s.t, _until(scene, rays, s), s.delta, s.sigma, s.alpha, s.transmittance, s.weights, s.rgb)))
+        for s in trace.passes
+    )  # fmt: skip
     last = passes[-1]
     opacity = min(float(last.weights.sum(dtype=np.float64)), 1.0)  # rounding may carry it a little over
     background = np.array(scene.background, dtype=np.float32)

@@ -230,32 +230,46 @@ class VoxelModel:
     def parameters(self) -> list[Tensor]:
         return [self.grid.rows]
 
+    def finish(self) -> None:
+        """Give up what only training needs: there will be no more."""
+        self.moments, self.kernels = self.moments[:0].clone(), voxel_kernels(self.device)
+
+    def grid_state(self) -> dict[str, Tensor]:
+        """What pictures need."""
+        return {f"grid.{k}": v for k, v in self.grid.state().items()}
+
     def state(self) -> dict[str, Tensor]:
         numbers = {"level": self.level, "updates": self.updates}
         return (
-            {f"grid.{k}": v for k, v in self.grid.state().items()}
+            self.grid_state()
             | {k: torch.tensor(v) for k, v in numbers.items()}
             | {"moments": self.moments, "seen": self.kernels.seen(self.grid), "generator": self.generator.get_state()}
         )
 
-    def load_state(self, state: Mapping[str, Tensor]) -> None:
+    def load_grid(self, state: Mapping[str, Tensor]) -> None:
+        self.grid = self._restored(state)
+
+    def _restored(self, state: Mapping[str, Tensor]) -> VoxelGrid:
         grid = VoxelGrid.restored(
             {k.removeprefix("grid."): v.to(self.device) for k, v in state.items() if k.startswith("grid.")},
             self.space.kind == "contracted",
         )
-        moments, level = state["moments"], int(state["level"])
+        reach = float((self.space.high - self.space.low).max())
+        within = (grid.origin >= self.space.low - reach).all() and (grid.origin <= self.space.high).all()
+        if not within or not ((grid.voxel > reach * SMALLEST) & (grid.voxel < reach)).all():
+            raise ValueError("the voxel grid does not lie in this scene's box, or its cells have no size")
+        return grid
+
+    def load_state(self, state: Mapping[str, Tensor]) -> None:
+        grid, moments, level = self._restored(state), state["moments"], int(state["level"])
         if moments.shape != grid.rows.shape or moments.dtype != torch.float32:
             raise ValueError("the optimiser's moments do not fit the voxel grid")
         if state["seen"].shape != moments.shape[:1] or state["seen"].dtype != torch.bool:
             raise ValueError("what was seen does not fit the voxel grid")
         if not 0 <= level < len(self.levels) or int(state["updates"]) < 0:
             raise ValueError(f"level {level} of {len(self.levels)}, {int(state['updates'])} updates")
-        reach = float((self.space.high - self.space.low).max())
-        within = (grid.origin >= self.space.low - reach).all() and (grid.origin <= self.space.high).all()
-        if not within or not ((grid.voxel > reach * SMALLEST) & (grid.voxel < reach)).all():
-            raise ValueError("the voxel grid does not lie in this scene's box, or its cells have no size")
         self.grid, self.moments = grid, torch.empty_like(moments).copy_(moments)
-        self.kernels.see(grid, state["seen"])
+        self.kernels.see(self.grid, state["seen"])
         self.level, self.updates = level, int(state["updates"])
         self.generator.set_state(state["generator"])
 

@@ -181,11 +181,11 @@ class RayPlots:
         implot.push_plot_clip_rect()
         for row, steps in enumerate(passes):
             last = steps is passes[-1]
-            _ticks(ui, steps.edges[:-1], _row(bounds, row), ui.theme.fine if last else ui.theme.coarse)
+            _ticks(ui, steps.t, _row(bounds, row), ui.theme.fine if last else ui.theme.coarse)
         for steps in passes[-1:]:
             _colors(steps, _row(bounds, len(passes)), np.ones(len(steps.probe.t)))
             peak = max(float(steps.weights.max()), 1e-12)  # where all are zero nothing is painted
-            _colors(steps, _row(bounds, len(passes) + 1), steps.weights[:-1] / peak)
+            _colors(steps, _row(bounds, len(passes) + 1), np.nan_to_num(steps.probe.weights) / peak)
         implot.pop_plot_clip_rect()
         reading = None
         if implot.is_plot_hovered():
@@ -224,18 +224,18 @@ class RayPlots:
         """The sample nearest to the mouse, of whichever pass; it is also marked in this plot while it is read."""
         if self.hovered is not None:
             steps, index = self.hovered
-            x = _x(float(steps.edges[index]))
+            x = _x(float(steps.t[index]))
             top, height = implot.get_plot_pos().y, implot.get_plot_size().y
             implot.get_plot_draw_list().add_line(ImVec2(x, top), ImVec2(x, top + height), packed(ui.theme.text))
         if not implot.is_plot_hovered() or not passes:
             return None
         t = implot.get_plot_mouse_pos().x
-        nearest = [(steps, int(np.abs(steps.edges[:-1] - t).argmin())) for steps in passes]
-        return min(nearest, key=lambda hit: abs(float(hit[0].edges[hit[1]]) - t))
+        nearest = [(steps, int(np.abs(steps.t - t).argmin())) for steps in passes]
+        return min(nearest, key=lambda hit: abs(float(hit[0].t[hit[1]]) - t))
 
 
 def _of_largest(steps: Steps) -> np.ndarray:
-    """Weights (S + 1,) over the largest of their pass: many narrow samples share what a few wide ones have each."""
+    """Weights (E,) over the largest of their pass: many narrow samples share what a few wide ones have each."""
     return steps.weights / max(float(steps.weights.max()), 1e-12)  # where all are zero they stay zero
 
 
@@ -272,9 +272,10 @@ def _ticks(ui: Ui, t: np.ndarray, row: tuple[float, float], color: ImVec4) -> No
 
 
 def _colors(steps: Steps, row: tuple[float, float], opacity: np.ndarray) -> None:
-    draw, (top, bottom), x = implot.get_plot_draw_list(), row, _pixels(steps.edges).tolist()
+    draw, (top, bottom) = implot.get_plot_draw_list(), row
+    left, right = _pixels(steps.t).tolist(), _pixels(steps.until).tolist()
     rgba = np.column_stack([steps.probe.rgb, opacity])
     levels = np.round(255 * np.clip(np.nan_to_num(rgba), 0, 1)).astype(np.uint32)
     tints = (levels << np.array([0, 8, 16, 24], np.uint32)).sum(-1).tolist()  # as imgui packs them
     for i in np.flatnonzero(levels[:, 3]).tolist():
-        draw.add_rect_filled(ImVec2(x[i], top), ImVec2(x[i + 1], bottom), tints[i])
+        draw.add_rect_filled(ImVec2(left[i], top), ImVec2(right[i], bottom), tints[i])

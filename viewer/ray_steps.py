@@ -8,33 +8,56 @@ import numpy as np
 
 from nerf_core.probe import PassProbe, RayProbe
 
+CONTIGUOUS = 1e-3  # of a sample's length: a gap that is no wider is rounding
+
 
 @dataclass(frozen=True)
 class Steps:
-    """One pass as stairs: value i holds from edge i to edge i + 1, (S + 1,) each, the last value repeated."""
+    """One pass. Sample i stands for the ray from t[i] to until[i], (S,) each; until reaches to the far end at most.
+
+    edges, weights, sigma, transmittance: (E,), stairs from the near end to the far one. Value i holds from edge i to
+    the next, and is 0 where no sample stands for the ray; transmittance is that at the edges.
+    """
 
     probe: PassProbe
+    t: np.ndarray
+    until: np.ndarray
     edges: np.ndarray
     weights: np.ndarray
     sigma: np.ndarray
-    transmittance: np.ndarray  # at the edges; the last is what passes the whole ray
+    transmittance: np.ndarray
 
 
 def steps_of(ray: RayProbe) -> tuple[Steps, ...]:
-    """The passes that hold samples. The last sample of a ray reaches as far as its δ, at most to the far end."""
-    return tuple(_steps(p, ray.far) for p in ray.passes if len(p.t))
+    """The passes that hold samples."""
+    return tuple(_steps(p, ray.near, ray.far) for p in ray.passes if len(p.t))
 
 
-def _steps(p: PassProbe, far: float) -> Steps:
-    last = float(p.t[-1])
-    edges = np.append(p.t, min(max(far, last), last + float(p.delta[-1]))).astype(np.float64)
-    left = np.append(p.transmittance, p.transmittance[-1] * (1 - p.alpha[-1]))
-    clean = [np.nan_to_num(v).astype(np.float64) for v in (_hold(p.weights), _hold(p.sigma), left)]
-    return Steps(p, np.nan_to_num(edges), *clean)
-
-
-def _hold(values: np.ndarray) -> np.ndarray:
-    return np.append(values, values[-1])
+def _steps(p: PassProbe, near: float, far: float) -> Steps:
+    t = np.nan_to_num(p.t.astype(np.float64))
+    beyond = np.append(t[1:], max(far, t[-1]))
+    until = np.clip(np.nan_to_num(p.until.astype(np.float64), nan=np.inf), t, beyond)
+    light, left = p.transmittance, p.transmittance[-1] * (1 - p.alpha[-1])
+    kept = np.stack([np.ones(len(t), bool), beyond - until > CONTIGUOUS * (until - t)], 1)
+    kept[-1, 1] = True
+    edges, weights, sigma, light = (
+        np.nan_to_num(np.stack(pair, 1)[kept].astype(np.float64))
+        for pair in (
+            (t, until), (p.weights, np.zeros(len(t))), (p.sigma, np.zeros(len(t))), (light, np.append(light[1:], left)),
+        )
+    )  # fmt: skip
+    before = [] if t[0] <= near else [near]
+    after = [] if until[-1] >= far else [far]
+    nothing = [0.0] * len(before), [0.0] * len(after)
+    return Steps(
+        p,
+        t,
+        until,
+        np.concatenate([before, edges, after]),
+        np.concatenate([nothing[0], weights, nothing[1]]),
+        np.concatenate([nothing[0], sigma, nothing[1]]),
+        np.concatenate([[1.0] * len(before), light, light[-1:] if after else []]),
+    )
 
 
 def wants_log(sigma: np.ndarray) -> bool:

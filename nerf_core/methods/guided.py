@@ -24,7 +24,6 @@ from nerf_core.mlp_model import MlpModel, Parametrised
 from nerf_core.packing import Packed, opened
 from nerf_core.scene import Scene
 from nerf_core.types import Rays, Rendering, Trace
-from nerf_core.voxel_config import VoxelConfig
 from nerf_core.voxel_model import VoxelModel
 
 CPU = torch.device("cpu")
@@ -50,7 +49,7 @@ class GuidedNerf(MlpModel):
 
     def __init__(self, scene: Scene, config: GuidedConfig, device: torch.device, seed: int) -> None:
         super().__init__(scene, config, device, torch.Generator().manual_seed(seed), ("fine",))
-        self.guide = VoxelModel(scene, VoxelConfig.configure(scene, "auto", {}, CPU), device, seed)
+        self.guide = VoxelModel(scene, config.guide, device, seed)
         self.space = self.guide.space
         self.kernels = packed_kernels(device)
         self.tile = config.tile or TILE
@@ -113,6 +112,8 @@ class GuidedNerf(MlpModel):
         if not self._ready:
             error = self.guide.train(rays, truth, step, None, pump)
             self.guided += 1
+            if self._ready:
+                self.guide.finish()
             return error
         self.begin_step(step, steps)
         drawn = self.generator.get_state()
@@ -190,12 +191,18 @@ class GuidedNerf(MlpModel):
 
     def state(self) -> dict[str, Tensor]:
         numbers = {"guided": torch.tensor(self.guided), "average": torch.tensor(self.average, dtype=torch.float64)}
-        return super().state() | numbers | {f"guide.{k}": v for k, v in self.guide.state().items()}
+        guide = self.guide.grid_state() if self._ready else self.guide.state()
+        return super().state() | numbers | {f"guide.{k}": v for k, v in guide.items()}
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         guided, average = int(state["guided"]), float(state["average"])
         if guided < 0 or not 1 <= average < 1e6:
             raise ValueError("the guide's progress is not of the kind that is written")
-        self.guide.load_state({k.removeprefix("guide."): v for k, v in state.items() if k.startswith("guide.")})
+        guide = {k.removeprefix("guide."): v for k, v in state.items() if k.startswith("guide.")}
+        if guided >= self.config.guide_steps:
+            self.guide.load_grid(guide)
+            self.guide.finish()
+        else:
+            self.guide.load_state(guide)
         super().load_state(state)
         self.guided, self.average = guided, average

@@ -43,7 +43,7 @@ def make_pass(name: str, t: np.ndarray, surface: float, density: float) -> PassP
     alpha = 1 - np.exp(-sigma * delta)
     transmittance = np.cumprod(np.append(1, 1 - alpha[:-1]))
     rgb = np.stack([0.5 + 0.4 * np.sin(3 * t), 0.5 + 0.3 * np.cos(2 * t), np.full_like(t, 0.25)], -1)
-    arrays = (t, delta, sigma, alpha, transmittance, alpha * transmittance, rgb)
+    arrays = (t, t + delta, delta, sigma, alpha, transmittance, alpha * transmittance, rgb)
     return PassProbe(name, *(a.astype(np.float32) for a in arrays))
 
 
@@ -124,8 +124,8 @@ def odd_ray() -> RayProbe:
     """One pass, one sample, numbers that no plot likes."""
     one = np.array([3.0], np.float32)
     nan = np.array([np.nan], np.float32)
-    odd = PassProbe("packed", one, one * 1e10, nan, nan, one, nan, np.full((1, 3), np.nan, np.float32))
-    empty = replace(odd, **{name: np.zeros(0) for name in ("t", "delta", "sigma", "alpha", "transmittance", "weights")})
+    odd = PassProbe("packed", one, one * 1e10, one * 1e10, nan, nan, one, nan, np.full((1, 3), np.nan, np.float32))
+    empty = PassProbe("packed", *[np.zeros(0)] * 7, np.zeros((0, 3)))
     ray = make_ray(0.0)
     return replace(ray, passes=(empty, odd), near=3.0, far=3.0, color=np.full(3, np.nan), depth_expected=None)
 

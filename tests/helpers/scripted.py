@@ -99,7 +99,7 @@ def open_ray(inspect: Inspect) -> tuple[RayProbe, RadianceProbe]:
     alpha = 1 - np.exp(-sigma * delta)
     light = np.concatenate([[1.0], np.cumprod(1 - alpha)[:-1]])
     weights = alpha * light
-    opened = PassProbe("fine", t, delta, sigma, alpha, light, weights, np.tile(color, (64, 1)))
+    opened = PassProbe("fine", t, t + delta, delta, sigma, alpha, light, weights, np.tile(color, (64, 1)))
     opacity = float(weights.sum())
     rendered = weights @ opened.rgb + (1 - opacity) * np.asarray(BACKGROUND)
     median = None if opacity < 0.5 else surface

@@ -147,3 +147,14 @@ def test_a_ray_that_turns_away_has_no_image_and_no_nan() -> None:
     assert d.isfinite().all()
     assert NDC.world_t(origins, directions, torch.tensor([[0.0, 0.5, 1.0]]).expand(4, 3)).isfinite().all()
     assert NDC.point(torch.tensor([[0.0, 1.0, 0.0], [1.0, 1.0, 3.0]])).isfinite().all()
+
+
+@given(seeds)
+def test_a_length_in_ndc_ends_where_the_world_says(seed: int) -> None:
+    origins, directions = forward_rays(seed)
+    t_ndc = torch.linspace(0, 0.8, 9, dtype=torch.float64).expand(64, 9)
+    t = NDC.world_t(origins, directions, t_ndc)
+    delta = 0.1 * NDC.rays(origins, directions)[1].norm(dim=-1, keepdim=True).expand(64, 9)
+    torch.testing.assert_close(
+        NDC.stretched(origins, directions, t, delta), NDC.world_t(origins, directions, t_ndc + 0.1)
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import pytest
@@ -152,3 +153,31 @@ def test_an_unknown_preset_and_a_useless_threshold_are_refused(scene: Scene) -> 
         GuidedConfig.configure(scene, "quick", {}, CPU)
     with pytest.raises(UserError, match=r"--set least=0\.7"):
         GuidedConfig.configure(scene, "auto", {"least": "0.7"}, CPU)
+
+
+def test_the_guides_constants_are_set_checked_and_stored(scene: Scene) -> None:
+    config = GuidedConfig.configure(scene, "auto", {"guide.growth": "1.5", "rays": "64"}, CPU)
+    assert (config.guide.growth, config.rays) == (1.5, 64)
+    assert GuidedConfig.restore(json.loads(json.dumps(config.to_json()))) == config
+    for changes, text in (({"guide.rays": "x"}, "expected a whole number"), ({"guide": "3"}, "no such constant")):
+        with pytest.raises(UserError, match=text):
+            GuidedConfig.configure(scene, "auto", changes, CPU)
+    for broken in ({"guide": 3}, {"guide": {}}, {"guide": config.guide.to_json() | {"rays": "many"}}):
+        with pytest.raises(UserError, match="made by another version"):
+            GuidedConfig.restore(config.to_json() | broken)
+
+
+def test_a_guide_that_is_done_keeps_no_optimiser(scene: Scene) -> None:
+    trainer = run(scene, 59)
+    early = trainer.state()
+    trainer.step()
+    method, done = guided(trainer), trainer.state()
+    assert "method.guide.moments" in early
+    assert {name for name in done if ".guide." in name} == {name for name in early if ".guide.grid." in name}
+    assert not len(method.guide.moments)
+    rays, trained = first_rays(scene), trainer.step()
+    again = Trainer.resume(scene, trainer.describe(), trainer.state(), "cpu")
+    assert torch.equal(guided(again).render(rays).color, method.render(rays).color)
+    assert trained.psnr > 0
+    trainer.go_to(trainer.describe() | {"step": 59}, early)  # as when training breaks, back to before it was done
+    assert [trainer.step().step for _ in range(3)] == [60, 61, 62]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from nerf_core.kernels.cpu_voxels import CpuVoxels
 from nerf_core.kernels.torch_voxels import TorchVoxels
 from nerf_core.kernels.voxel_kernels import VoxelKernels
 from nerf_core.methods.voxels import Voxels
+from nerf_core.probe import open_ray
 from nerf_core.render import render_camera
 from nerf_core.scene import Scene
 from nerf_core.settings import RunSettings
@@ -109,6 +111,23 @@ def test_resampling_keeps_a_linear_field(kernels: VoxelKernels) -> None:
     at = torch.tensor([-0.8, 0.3, 2.2]) + fine.vertices() * 0.2
     inside = (fine.vertices() <= torch.tensor([8, 6, 9])).all(-1)
     torch.testing.assert_close(fine.rows[inside, 3], (at @ slope)[inside], atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize("method", ["voxels", "nerf"])
+@pytest.mark.parametrize("place", [around, forward, lambda scene: scene], ids=["contracted", "ndc", "world"])
+def test_a_sample_ends_where_the_next_begins_or_before(
+    scene: Scene, place: Callable[[Scene], Scene], method: str
+) -> None:
+    """`until` is world distance, whatever unit δ has."""
+    there = place(scene)
+    changes = {"start": "12", "level_steps": "1000"} if method == "voxels" else {"depth": "2", "width": "8"}
+    trainer = Trainer(there, RunSettings(method=method, changes=changes))
+    ray = open_ray(trainer.method, there, there.views[0].camera, (9, 7), 0)
+    first = ray.passes[0]
+    near_end = first.until[:-1] < 0.9 * ray.far  # t is clamped there under NDC
+    assert near_end.sum() > 5
+    np.testing.assert_allclose(first.until[:-1][near_end], first.t[1:][near_end], rtol=1e-3)
+    assert (first.until >= first.t).all()
 
 
 # ---- training -----------------------------------------------------------------------------------------------------
