@@ -23,7 +23,8 @@ class GuidedConfig(MlpConfig):
     """See `MlpConfig`. guide_steps: of the voxel grid, before the network's first; `total_steps` counts them.
 
     least: the network is asked about those samples of the grid that weigh more. guide: the grid's own constants.
-    As configured, training differs from the paper's: a higher learning rate, which decays over fewer steps, and fewer rays a step on a CPU.
+    As configured, training differs from the paper's: a higher learning rate, which decays over fewer steps, and fewer
+    rays a step on a CPU.
     """
 
     guide_steps: int = 500

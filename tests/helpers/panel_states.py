@@ -125,7 +125,8 @@ def odd_ray() -> RayProbe:
     one = np.array([3.0], np.float32)
     nan = np.array([np.nan], np.float32)
     odd = PassProbe("packed", one, one * 1e10, one * 1e10, nan, nan, one, nan, np.full((1, 3), np.nan, np.float32))
-    empty = PassProbe("packed", *[np.zeros(0)] * 7, np.zeros((0, 3)))
+    none = np.zeros(0)
+    empty = PassProbe("packed", none, none, none, none, none, none, none, np.zeros((0, 3)))
     ray = make_ray(0.0)
     return replace(ray, passes=(empty, odd), near=3.0, far=3.0, color=np.full(3, np.nan), depth_expected=None)
 
