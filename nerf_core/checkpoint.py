@@ -22,6 +22,7 @@ SUFFIX = ".safetensors"
 REQUIRED: dict[str, tuple[type, float]] = {
     "method": (str, 0), "config": (dict, 0), "steps": (int, 2**53), "seed": (int, 2**63 - 1), "threads": (int, 1024),
     "step": (int, 2**53), "seconds": (float, 1e12), "scene": (str, 0), "scene_name": (str, 0),
+    "scene_summary": (str, 0),
 }  # fmt: skip
 
 
@@ -37,6 +38,18 @@ def save(path: Path, description: Mapping[str, Any], tensors: Mapping[str, Tenso
 
 def load(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     """The description and tensors of a checkpoint. Raises UserError: missing, foreign, damaged, newer."""
+    metadata, arrays = _read(path, tensors=True)
+    if metadata["sha256"] != _digest(metadata["version"], metadata["nerf"], arrays):
+        raise UserError(f"{path}: damaged: its checksum does not match; use an earlier checkpoint")
+    return _described(path, metadata["nerf"]), arrays
+
+
+def describe(path: Path) -> dict[str, Any]:
+    """The description alone, which is quickly read. Raises UserError as `load` does, for all but damaged tensors."""
+    return _described(path, _read(path, tensors=False)[0]["nerf"])
+
+
+def _read(path: Path, *, tensors: bool) -> tuple[dict[str, str], dict[str, Tensor]]:
     from safetensors import SafetensorError, safe_open
 
     if not path.is_file():
@@ -44,20 +57,24 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
-            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  it is no dict
-    except (SafetensorError, OSError, ValueError) as error:
-        raise UserError(f"{path}: not a readable checkpoint ({shorten(str(error))}); use an earlier one") from None
+            arrays = {name: file.get_tensor(name) for name in file.keys()} if tensors else {}  # noqa: SIM118  no dict
+    except (SafetensorError, OSError, ValueError):
+        raise UserError(
+            f"{path}: not a readable checkpoint: cut short, damaged or no {SUFFIX} file; use an earlier one"
+        ) from None
     if not {"nerf", "version", "sha256"} <= set(metadata):
         raise UserError(f"{path}: a safetensors file, but not a checkpoint of nerf-viewer")
     if metadata["version"] not in {str(v) for v in range(1, VERSION + 1)}:
         raise UserError(
             f"{path}: checkpoint version {shorten(metadata['version'])}, this program reads up to {VERSION}: update it"
         )
-    if metadata["sha256"] != _digest(metadata["version"], metadata["nerf"], arrays):
-        raise UserError(f"{path}: damaged: its checksum does not match; use an earlier checkpoint")
+    return metadata, arrays
+
+
+def _described(path: Path, text: str) -> dict[str, Any]:
     try:
-        description = json.loads(metadata["nerf"])
-    except (ValueError, RecursionError):  # sound by its checksum, but written by something else
+        description = json.loads(text)
+    except (ValueError, RecursionError):
         description = None
     if not isinstance(description, dict):
         raise UserError(f"{path}: its description is no JSON object: not a checkpoint of nerf-viewer")
@@ -67,7 +84,7 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
             raise UserError(
                 f"{path}: field {name} is missing, no {kind.__name__} or out of range: made by another version"
             )
-    return description, arrays
+    return description
 
 
 def _digest(version: str, text: str, arrays: Mapping[str, Tensor]) -> str:

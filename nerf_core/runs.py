@@ -134,11 +134,7 @@ class RunFolder:
         path, description, state, rejected = checkpoint.newest(self.path)
         scene = load_scene(data or stored, settings.load, progress)
         if description["scene"] != scene.identity():
-            given = data or stored or "the demo scene"
-            raise UserError(
-                f"{path}: was trained on {shorten(description['scene_name'])}, and {given} differs from that in "
-                "photos, poses or splits: give the data it was trained on"
-            )
+            raise UserError(f"{path}: {scene.difference(description)}: give the data it was trained on")
         trainer = Trainer.resume(scene, description, state, on)
         return trainer, (*rejected, *scene.notes, *trainer.notes(description))
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from nerf_core.cameras import Camera, Ndc
+from nerf_core.errors import shorten
 
 SPLITS = ("train", "val", "test")
 
@@ -62,6 +65,20 @@ class Scene:
             if self.split(name):
                 return name, self.split(name)
         return "test", ()
+
+    def summary(self) -> str:
+        """What loading options change, in words."""
+        sizes = sorted({(view.camera.width, view.camera.height) for view in self.views})
+        size = f"{sizes[0][0]:,}×{sizes[0][1]:,}" + (f" to {sizes[-1][0]:,}×{sizes[-1][1]:,}" if sizes[1:] else "")
+        counts = ", ".join(f"{len(indices):,} {name}" for name, indices in self.splits.items())
+        ground = ", ".join(f"{channel:g}" for channel in self.background)
+        return f"photos of {size} pixels ({counts}){', NDC' if self.ndc else ''}, background {ground}"
+
+    def difference(self, description: Mapping[str, Any]) -> str:
+        """How this scene differs from that of a checkpoint's description, as the middle of an error."""
+        there, here = description["scene_summary"], self.summary()
+        what = f"{shorten(there, 160)}; now open: {here}" if there != here else "other photos, poses or bounds"
+        return f"trained on {shorten(description['scene_name'])}, not on this {self.name} ({what})"
 
     def identity(self) -> str:
         """Hash of poses, intrinsics, bounds, names, splits and a few pixels of each photo: a checkpoint stores it."""

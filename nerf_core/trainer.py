@@ -154,6 +154,7 @@ class Trainer:
             "seconds": self.seconds,
             "scene": self.scene.identity(),
             "scene_name": self.scene.name,
+            "scene_summary": self.scene.summary(),
         }
 
     def state(self) -> dict[str, Tensor]:

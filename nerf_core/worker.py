@@ -249,10 +249,7 @@ class Worker:
         description, state = checkpoint.load(path)
         scene = self._need_scene()
         if description["scene"] != scene.identity():
-            raise UserError(
-                f"{path}: trained on another scene or with other loading options ({description['scene_name']}); "
-                f"open that one first (now open: {scene.name})"
-            )
+            raise UserError(f"{path}: {scene.difference(description)}: open what it was trained on first")
         trainer = Trainer.resume(scene, description, state, self.settings.device)
         self._adopt(trainer)
         for note in trainer.notes(description):

@@ -84,9 +84,8 @@ class HistoryPlots:
             implot.plot_line(curve.label, steps, values, implot.Spec(line_color=color, line_weight=0.1 * ui.em))
             if implot.is_plot_hovered():
                 _read(ui, curve, steps, values)
-        axis_name(ui, curve.label)
-        if not curve.log:
-            axis_name(ui, "steps", right=True, bottom=True)
+        # to the right, where a loss has fallen from and a PSNR has risen to
+        axis_name(ui, curve.label if curve.log else f"{curve.label} over steps", right=True, bottom=not curve.log)
         implot.end_plot()
         ui.mark(curve.mark)
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from nerf_core.checkpoint import write_atomically
+from nerf_core.checkpoint import describe, write_atomically
 from nerf_core.console import Display, duration
 from nerf_core.errors import UserError
 from nerf_core.messages import (
@@ -69,6 +69,8 @@ class Wishes:
         for click in self.clicks:
             for text in click:
                 _coordinate(text)
+        if self.load is not None:
+            describe(self.load)
         if self.inspect is not None and not self.clicks:
             raise UserError(f"--inspect {self.inspect}: of which ray? add --click X Y")
         kinds = {"screenshot": (".png",), "render": (".png", ".npy"), "orbit": (".mp4",)}

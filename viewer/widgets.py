@@ -166,8 +166,10 @@ def figures(ui: Ui, name: str, rows: Sequence[Row], width: float | None = None) 
         if len(row) == 3:
             row[2]()
             imgui.same_line(0, 0.2 * ui.em)
+        imgui.push_text_wrap_pos(0.0)  # numbers that do not fit beside each other go below each other
         with mono(ui):
             imgui.text_unformatted(row[1])
+        imgui.pop_text_wrap_pos()
     imgui.end_table()
 
 

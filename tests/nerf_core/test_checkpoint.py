@@ -26,7 +26,7 @@ from nerf_core.trainer import Trainer
 
 DESCRIPTION: dict[str, Any] = {
     "method": "nerf", "config": {"rays": 3}, "steps": 10, "seed": 0, "threads": 1, "step": 4, "seconds": 1.5,
-    "scene": "abc", "scene_name": "a \"quoted\" ball, größer",
+    "scene": "abc", "scene_name": "a \"quoted\" ball, größer", "scene_summary": "one photo",
 }  # fmt: skip
 TENSORS = {
     "a": torch.arange(12.0).view(3, 4), "b": torch.tensor(7.0), "c": torch.zeros(0, 2),
@@ -88,7 +88,7 @@ def test_a_truncated_file_is_refused(saved: Path) -> None:
     whole = saved.read_bytes()
     for length in {0, 1, 7, 8, 9, len(whole) // 2, len(whole) - 1}:
         saved.write_bytes(whole[:length])
-        with pytest.raises(UserError, match=r"not a readable checkpoint .*use an earlier one"):
+        with pytest.raises(UserError, match=r"not a readable checkpoint: .*use an earlier one"):
             checkpoint.load(saved)
 
 
@@ -238,7 +238,7 @@ import torch
 from nerf_core import checkpoint
 path, seed, tensors = Path(sys.argv[1]), int(sys.argv[2]), {"a": torch.ones(300_000)}
 description = {"method": "nerf", "config": {}, "steps": 1, "seed": 0, "threads": 1, "step": 0, "seconds": 0.0,
-               "scene": "", "scene_name": ""}
+               "scene": "", "scene_name": "", "scene_summary": "photos"}
 checkpoint.save(path, description, tensors)
 dice = random.Random(seed)
 for _ in range(20):

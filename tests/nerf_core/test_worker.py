@@ -78,7 +78,15 @@ def test_what_cannot_be_loaded_leaves_the_model(open_desk: OpenDesk, tmp_path: P
     description, state = checkpoint.load(path)
     checkpoint.save(path, description | {"scene": "another", "scene_name": "elsewhere"}, state)
     desk.send(LoadCheckpoint(path))
-    desk.until_told("trained on another scene or with other loading options (elsewhere); open that one first")
+    desk.until_told(
+        "trained on 'elsewhere', not on this ball0 (other photos, poses or bounds): open what it was trained"
+    )
+    other = {"scene": "another", "scene_summary": "photos of 8×8 pixels (5 train), background 0, 0, 0"}
+    checkpoint.save(path, description | other, state)
+    desk.send(LoadCheckpoint(path))
+    desk.until_told(
+        "('photos of 8×8 pixels (5 train), background 0, 0, 0'; now open: photos of 16×16 pixels (5 train, 1"
+    )
     assert desk.trained(1).step == 3
 
 

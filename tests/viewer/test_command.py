@@ -17,6 +17,8 @@ import pytest
 
 from nerf_core.cameras import Camera, camera_rays
 from nerf_core.datasets import LoadOptions, load_scene
+from nerf_core.errors import UserError
+from viewer.script import Wishes
 from viewer.session import autosave_path
 
 TINY = [
@@ -283,3 +285,10 @@ def test_the_free_camera_may_turn_away_in_ndc(scenes: Path) -> None:
     rays = camera_rays(behind, scene.near, scene.far)
     _, _, exists = scene.ndc.rays(rays.origins, rays.directions)
     assert not exists.any()
+
+
+def test_a_checkpoint_is_looked_at_before_anything_else_is_done(tmp_path: Path) -> None:
+    junk = tmp_path / "junk.safetensors"
+    junk.write_bytes(b"no header at all")
+    with pytest.raises(UserError, match=r"junk\.safetensors: not a readable checkpoint"):
+        Wishes(load=junk).check()
