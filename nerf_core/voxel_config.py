@@ -29,7 +29,7 @@ class VoxelConfig:
     start: cells along the box's longest side in the first level. pixels: side of the finest cells, in pixels of a photo
     at the scene's centre, unless that takes more than `resolution` cells a side. planes: cells in depth under NDC.
     growth: levels are so many times finer than the one before. level_steps: steps of the first level; each further one
-    has `growth` times as many, the last all the rest. most_rows: vertices stored at most, some 200 bytes each and 64
+    has `growth` times as many, the last all the rest. most_rows: vertices stored at most, 128 bytes each and 64
     more a thread.
     step: length of a sample in cells. bias: raw density of a new grid. rate_*: Adam's, falling as 1/(1 + s/slowdown) in
     a level's step s; keep, keep_square: β₁, β₂; epsilon in units of one ray's gradient. smoothness: of density.

@@ -38,6 +38,7 @@ from nerf_core.device import describe, pick_device, usable_cores
 from nerf_core.fields.voxel_grid import VoxelGrid
 from nerf_core.kernels.shards import each_shard, split
 from nerf_core.kernels.voxel_kernels import Adam
+from nerf_core.methods.guided import GuidedNerf
 from nerf_core.methods.voxels import Voxels
 from nerf_core.metrics import psnr
 from nerf_core.render import render_camera
@@ -106,7 +107,10 @@ def learn(scene: Scene, row: Row, seed: int) -> dict[str, Any]:
             while marks and trainer.seconds >= marks[0]:
                 marks.pop(0)
             curve.append((trainer.seconds, held_out_psnr(trainer)))
-    return {"curve": curve, "steps": trainer.step_count, "peak_gib": peak_gib()}
+    found = {"curve": curve, "steps": trainer.step_count, "peak_gib": peak_gib()}
+    if isinstance(trainer.method, GuidedNerf):
+        found["samples_a_ray"] = trainer.method.average
+    return found
 
 
 def passed(curve: list[tuple[float, float]], level: float) -> float | None:
@@ -351,6 +355,8 @@ def told(name: str, row: Row, runs: list[dict[str, Any]]) -> None:
         reached = [t for t in times if t is not None]
         missed = f", {len(times) - len(reached)} never" if len(reached) < len(times) else ""
         parts.append(f"{level:.0f} dB: {spread(reached) if reached else '–'} s{missed}")
+    if "samples_a_ray" in runs[0]:
+        parts.append(f"{spread([run['samples_a_ray'] for run in runs])} samples a ray in the end")
     print(f"{name}: {'; '.join(parts)}; peak {max(run['peak_gib'] for run in runs):.1f} GiB", flush=True)
 
 
