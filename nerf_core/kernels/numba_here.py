@@ -7,8 +7,11 @@ import hashlib
 import os
 import shutil
 import tempfile
+import time
 from functools import lru_cache
 from pathlib import Path
+
+KEPT_SECONDS = 30 * 24 * 3600.0  # since a version last used its loops
 
 
 @lru_cache
@@ -43,6 +46,8 @@ def _own_folder() -> Path:
         folder = platformdirs.user_cache_path("nerf-viewer") / name
         folder.mkdir(parents=True, exist_ok=True)
         if os.access(folder, os.W_OK):
+            os.utime(folder)
+            _forget_unused(folder.parent)
             return folder
     except (ImportError, OSError):
         pass
@@ -50,3 +55,10 @@ def _own_folder() -> Path:
     folder = Path(tempfile.mkdtemp(prefix="nerf-viewer-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder
+
+
+def _forget_unused(caches: Path) -> None:
+    """Delete the loops of versions that nobody has run for long."""
+    for folder in caches.glob("numba-*"):
+        if folder.stat().st_mtime < time.time() - KEPT_SECONDS:
+            shutil.rmtree(folder, ignore_errors=True)
