@@ -39,7 +39,8 @@ class Packed:
 def opened(name: str, space: Space, rays: Rays, packed: Packed, tau: Tensor, rgb: Tensor) -> Samples:
     """Optical depths (M,) and colours (M, 3) of packed samples as the same number of samples on every ray.
 
-    Shorter rays are filled up behind their last sample: there t and δ repeat, and nothing absorbs.
+    Shorter rays are filled up behind their last sample: there t and δ repeat, and nothing absorbs. A ray without any
+    has stand-ins where the box begins.
     """
     counts = packed.ends.diff()
     most = max(1, int(counts.max())) if len(counts) else 1
@@ -59,7 +60,7 @@ def opened(name: str, space: Space, rays: Rays, packed: Packed, tau: Tensor, rgb
     delta = torch.where(some, delta, 1.0) * stretch[:, None]
     alpha = -torch.expm1(-depth)
     light = torch.exp(-(depth.cumsum(-1) - depth))
-    return Samples(name, space.world_t(rays, t), delta, depth / delta, alpha, light, alpha * light, color)
+    return Samples(name, space.world_t(rays, t), delta, depth / delta, alpha, light, alpha * light, color, counts)
 
 
 def to_trace(name: str, space: Space, rays: Rays, packed: Packed, tau: Tensor, rgb: Tensor, pixel: Tensor) -> Trace:

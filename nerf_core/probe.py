@@ -44,8 +44,10 @@ class RayProbe:
 
     pixel: integer (column, row) into the camera's image. passes: coarse before fine; the last one made the pixel.
     color: composited from the last pass, background included; rendered_color: the same pixel from the renderer.
-    depth_expected: Σwt/Σw, None where nothing was hit. depth_median: where accumulated weight passes 0.5, None
-    where the opacity stays under 0.5. depth_strongest: the sample of largest weight. All are distances along the ray.
+    depth_expected: Σwt/Σw (under NDC that of t′, in the world), None where nothing was hit. depth_median: where
+    accumulated weight passes 0.5, None where the opacity stays under 0.5. depth_strongest: the sample of largest
+    weight, None where none has any. All are distances along the ray.
+    near, far: the scene's bounds on this ray; beyond them as far as a pass has weight, but FARTHEST of its bound.
     """
 
     step: int
@@ -59,9 +61,16 @@ class RayProbe:
     opacity: float
     depth_expected: float | None
     depth_median: float | None
-    depth_strongest: float
+    depth_strongest: float | None
     rendered_color: np.ndarray
     background: np.ndarray
+
+    def point_t(self) -> float:
+        """Where the ray's point lies unless one is asked for."""
+        for t in (self.depth_median, self.depth_strongest):
+            if t is not None:
+                return t
+        return (self.near + self.far) / 2
 
 
 @dataclass(frozen=True)
@@ -108,6 +117,7 @@ class RadianceProbe:
         return (float(x), float(y)) if z >= 0 else None
 
 
+FARTHEST = 3.0  # times the scene's far bound: where space has no end, fog reaches to a horizon that no plot can show
 MOST_RAYS = 512  # traced together: every ray takes the room of the longest one
 
 
@@ -118,17 +128,19 @@ def disc_grid() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return x, y, x * x + y * y < 1
 
 
-def _own(samples: Samples, i: int) -> int:
-    """How many samples ray i has: rays that were traced with it may have more, for which its own were filled up."""
-    again = (samples.t[i].diff() == 0) & (samples.alpha[i, 1:] == 0)
-    return len(again) + 1 - int(again.flip(0).int().cumprod(0).sum())
-
-
 def _until(scene: Scene, rays: Rays, samples: Samples) -> Tensor:
     t, delta = samples.t.double().cpu(), samples.delta.double().cpu()
     if scene.ndc is None:
         return t + delta
-    return scene.ndc.stretched(rays.origins.double(), rays.directions.double(), t, delta)
+    return torch.maximum(t, scene.ndc.stretched(rays.origins.double(), rays.directions.double(), t, delta))
+
+
+def _matters_until(p: PassProbe) -> float:
+    """The distance up to which a pass has all but a thousandth of its weight: in open space samples go on for ever."""
+    total = np.cumsum(p.weights, dtype=np.float64)
+    if not len(total) or total[-1] == 0:
+        return -np.inf
+    return float(p.t[np.searchsorted(total, 0.999 * total[-1])])
 
 
 def open_ray(method: Method, scene: Scene, camera: Camera, pixel: tuple[int, int], step: int) -> RayProbe:
@@ -145,7 +157,7 @@ def open_ray(method: Method, scene: Scene, camera: Camera, pixel: tuple[int, int
     rays, i = tile_rays(camera, scene, flat - flat % count, count), flat % count
     trace, rendered = method.trace(rays), method.render(rays)
     passes = tuple(
-        PassProbe(s.name, *(v[i, : _own(s, i)].cpu().numpy() for v in (
+        PassProbe(s.name, *(v[i, : s.t.shape[1] if s.count is None else int(s.count[i])].cpu().numpy() for v in (
             s.t, _until(scene, rays, s), s.delta, s.sigma, s.alpha, s.transmittance, s.weights, s.rgb)))
         for s in trace.passes
     )  # fmt: skip
@@ -161,14 +173,14 @@ def open_ray(method: Method, scene: Scene, camera: Camera, pixel: tuple[int, int
         origin=rays.origins[i].numpy(),
         direction=rays.directions[i].numpy(),
         # under NDC samples lie between the near plane and the far bound, which the capture's bounds need not reach
-        near=min(float(rays.near[i]), *(float(p.t.min()) for p in passes)),
-        far=max(float(rays.far[i]), *(float(p.t.max()) for p in passes)),
+        near=min([float(rays.near[i]), *(float(p.t[0]) for p in passes if len(p.t))]),
+        far=max([float(rays.far[i]), *(min(_matters_until(p), FARTHEST * float(rays.far[i])) for p in passes)]),
         passes=passes,
         color=color.astype(np.float32),
         opacity=opacity,
         depth_expected=depth if np.isfinite(depth) else None,
         depth_median=float(last.t[half]) if half < len(last.t) else None,
-        depth_strongest=float(last.t[int(np.argmax(last.weights))]),
+        depth_strongest=float(last.t[int(np.argmax(last.weights))]) if opacity > 0 else None,
         rendered_color=rendered.color[i].cpu().numpy(),
         background=background,
     )
@@ -177,11 +189,12 @@ def open_ray(method: Method, scene: Scene, camera: Camera, pixel: tuple[int, int
 def open_radiance(
     method: Method, scene: Scene, ray: RayProbe, camera_up: np.ndarray, point_t: float | None = None
 ) -> RadianceProbe:
-    """The colours that the point at distance `point_t` of `ray` emits (None: median depth, else the strongest sample).
+    """The colours that the point at distance `point_t` of `ray` emits.
 
+    None: at the median depth, else at the strongest sample; where there is none, in the middle of the ray.
     The network takes d, camera to point; the plot is over v = −d. `camera_up` (3,) turns the disc upright.
     """
-    t = point_t if point_t is not None else ray.depth_median if ray.depth_median is not None else ray.depth_strongest
+    t = ray.point_t() if point_t is None else point_t
     point = ray.origin.astype(np.float64) + t * ray.direction.astype(np.float64)
     axes = _facing(-ray.direction.astype(np.float64), camera_up)
     pole = scene.up / np.linalg.norm(scene.up)

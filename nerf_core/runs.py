@@ -134,7 +134,7 @@ class RunFolder:
         path, description, state, rejected = checkpoint.newest(self.path)
         scene = load_scene(data or stored, settings.load, progress)
         if description["scene"] != scene.identity():
-            raise UserError(f"{path}: {scene.difference(description)}: give the data it was trained on")
+            raise UserError(f"{path}: {scene.difference(description)}")
         trainer = Trainer.resume(scene, description, state, on)
         return trainer, (*rejected, *scene.notes, *trainer.notes(description))
 

@@ -75,10 +75,14 @@ class Scene:
         return f"photos of {size} pixels ({counts}){', NDC' if self.ndc else ''}, background {ground}"
 
     def difference(self, description: Mapping[str, Any]) -> str:
-        """How this scene differs from that of a checkpoint's description, as the middle of an error."""
-        there, here = description["scene_summary"], self.summary()
-        what = f"{shorten(there, 160)}; now open: {here}" if there != here else "other photos, poses or bounds"
-        return f"trained on {shorten(description['scene_name'])}, not on this {self.name} ({what})"
+        """How this scene differs from that of a checkpoint's description, and what to do: the end of an error."""
+        name, there, here = description["scene_name"], description["scene_summary"], self.summary()
+        if there == here:
+            return f"trained on {shorten(name)}, whose photos, poses or bounds differ from {self.name}'s: open that one"
+        advice = (
+            "open it as it was then (--downscale, --max-size, --format, …)" if name == self.name else "open that one"
+        )
+        return f"trained on {shorten(name)}, {shorten(there, 160)}; open now is {self.name}, {here!r}: {advice}"
 
     def identity(self) -> str:
         """Hash of poses, intrinsics, bounds, names, splits and a few pixels of each photo: a checkpoint stores it."""

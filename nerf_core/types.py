@@ -70,7 +70,10 @@ class Rendering:
 
 @dataclass(frozen=True)
 class Samples:
-    """Everything that was composited along R rays in one pass, front to back."""
+    """Everything that was composited along R rays in one pass, front to back: (R, S) each, rgb (R, S, 3).
+
+    count: (R,) how many of its S samples each ray really has; the rest absorb nothing. None: all of them.
+    """
 
     name: str
     t: Tensor
@@ -80,6 +83,7 @@ class Samples:
     transmittance: Tensor
     weights: Tensor
     rgb: Tensor
+    count: Tensor | None = None
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,11 @@ from nerf_core.scene import Scene
 MOST = {
     "rays": 2**22, "first_rays": 2**22, "start": 256, "resolution": 1024, "planes": 1024, "level_steps": 10**6,
     "prune_every": 10**6, "total_steps": 10**9, "train_images": 10**9, "most_rows": 2**26,
+    "growth": 16, "pixels": 10_000, "step": 16,
 }  # fmt: skip
 LEAST = {
     "rays": 1, "first_rays": 1, "start": 4, "planes": 4, "level_steps": 1, "prune_every": 1, "total_steps": 1,
-    "most_rows": 64, "step": 0.05, "growth": 1.05, "pixels": 0.05, "epsilon": 1e-12, "slowdown": 1,
+    "most_rows": 64, "resolution": 1, "step": 0.05, "growth": 1.05, "pixels": 0.05, "epsilon": 1e-12, "slowdown": 1,
 }  # fmt: skip
 
 

@@ -182,7 +182,8 @@ class VoxelModel:
             self.kernels.resample(old, grid, first, last)
             raw = grid.rows[ROWS * first : ROWS * last, DENSITY]
             # density is per cell: a smaller one absorbs as much less
-            sigma = functional.softplus(raw + self.config.bias) * ratio
+            # 1e-30: what underflows would have no logarithm
+            sigma = (functional.softplus(raw + self.config.bias) * ratio).clamp(min=1e-30)
             raw.copy_(sigma + torch.log(-torch.expm1(-sigma)) - self.config.bias)  # softplus, inverted
         self.level += 1
         self.grid, self.moments, self.updates = grid, torch.zeros_like(grid.rows), 0

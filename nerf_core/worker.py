@@ -249,7 +249,7 @@ class Worker:
         description, state = checkpoint.load(path)
         scene = self._need_scene()
         if description["scene"] != scene.identity():
-            raise UserError(f"{path}: {scene.difference(description)}: open what it was trained on first")
+            raise UserError(f"{path}: {scene.difference(description)}")
         trainer = Trainer.resume(scene, description, state, self.settings.device)
         self._adopt(trainer)
         for note in trainer.notes(description):
@@ -259,7 +259,7 @@ class Worker:
             asked = self.settings.method
             text = f"{path.name} holds a model of method {trainer.method_name}: --method {asked} is not used"
             self._notices.put(Notice("warning", text))
-        self._notices.put(Notice("info", f"loaded {path.name}: step {description['step']:,}, paused", path))
+        self._notices.put(Notice("info", f"loaded {path.name}: step {description['step']:,}", path))
 
     def _save(self, path: Path) -> None:
         trainer = self._need_trainer()

@@ -121,6 +121,7 @@ class App:
             if new.loaded != old.loaded and new.scene is not None:
                 self.state.camera.set_scene(new.scene)
                 self.state.inspect = self.state.current_view = None
+                self.state.checkpoint_file = ""
         notices = self.link.notices()
         for notice in notices:
             self._actions.tell(notice)

@@ -8,13 +8,14 @@ import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import tyro
 
 from nerf_core.command_line import parse
 from nerf_core.errors import UserError
 from nerf_core.options import TrainOptions
+from nerf_core.settings import RunSettings
 from nerf_core.signals import Interrupted, Signals
 
 WORKER_THREAD = "nerf-worker"  # as `nerf_core.worker` names it; importing that takes a second that --help has not
@@ -89,6 +90,8 @@ def run(options: ViewerOptions, signals: Signals) -> int:
         screenshot=options.screenshot,
     )  # fmt: skip
     wishes.check()
+    if options.load is not None:
+        _agrees(options.load, settings)
     try:
         window = open_offscreen(size, scale) if options.headless else open_window("nerf-viewer", size)
     except DisplayError as error:
@@ -104,6 +107,33 @@ def run(options: ViewerOptions, signals: Signals) -> int:
         return session.run(options.data, wishes)
     finally:
         session.close()
+
+
+def _agrees(file: Path, settings: RunSettings) -> None:
+    """A checkpoint has its method and constants: raises UserError where others are asked for."""
+    from nerf_core.checkpoint import describe
+
+    description = describe(file)
+    method, own = description["method"], description["config"]
+    if settings.method not in ("auto", method):
+        raise UserError(f"--method {settings.method}: {file} holds a model of method {method}: leave one of them out")
+    if settings.preset != "auto":
+        raise UserError(f"--preset {settings.preset}: the constants of {file} are fixed: leave it out")
+    for name, text in settings.changes.items():
+        value: Any = own
+        for part in name.split("."):
+            value = value.get(part) if isinstance(value, dict) else None
+        if not _same(text, value):
+            raise UserError(
+                f"--set {name}={text}: the constants of {file} are fixed, this one is {value}: leave it out"
+            )
+
+
+def _same(text: str, value: Any) -> bool:
+    try:
+        return float(text) == float(value)
+    except (TypeError, ValueError):
+        return text.lower() == str(value).lower()
 
 
 def command() -> NoReturn:

@@ -85,7 +85,9 @@ class HistoryPlots:
             if implot.is_plot_hovered():
                 _read(ui, curve, steps, values)
         # to the right, where a loss has fallen from and a PSNR has risen to
-        axis_name(ui, curve.label if curve.log else f"{curve.label} over steps", right=True, bottom=not curve.log)
+        axis_name(
+            ui, curve.label if curve.log else f"{curve.label} over steps", right=True, height=0.0 if curve.log else 1.0
+        )
         implot.end_plot()
         ui.mark(curve.mark)
 

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
+import os
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from imgui_bundle import imgui
 
+from nerf_core.checkpoint import SUFFIX
 from nerf_core.messages import Inspect, Pause, SaveCheckpoint, StopInspecting, Train
 from viewer.draw.viewport import same_view
 from viewer.state import Action, AppState, FocusOn, FrameScene, GoToView, ResetView, StartOrbitExport
 from viewer.theme import TEXT_PIXELS
 
 CLICK_PIXELS = 4.0  # a press and release further apart, on a screen of scale 1, is a drag
-CHECKPOINT_FILE = "checkpoint.safetensors"
 LEFT, RIGHT, MIDDLE = 0, 1, 2
 
 
@@ -34,6 +37,7 @@ class ViewportInput:
     def __init__(self) -> None:
         self.actions: list[Action] = []
         self._press: _Press | None = None
+        self._chord = False  # whether Ctrl was down in the last frame
 
     def take(self) -> list[Action]:
         actions, self.actions = self.actions, []
@@ -98,7 +102,9 @@ class ViewportInput:
             return False
         # imgui would step through the fields of the last window with Tab; here it hides the panels.
         imgui.internal.set_key_owner(imgui.Key.tab, imgui.get_id("tab hides the panels"))
-        if io.key_ctrl or io.key_super:
+        # in a slow frame Ctrl may be up again when its letter has only just come down
+        before, self._chord = self._chord, io.key_ctrl or io.key_super
+        if self._chord or before:
             self._chords(state)
             return False
         self._single(state)
@@ -117,7 +123,7 @@ class ViewportInput:
             state.show_panels = not state.show_panels
         if _pressed(imgui.Key.h):
             state.show_help = not state.show_help
-        if _pressed(imgui.Key.escape):
+        if _pressed(imgui.Key.escape) and not _close_menus():
             if not state.show_help and state.inspect is not None:
                 self.actions.append(StopInspecting())
             state.show_help = False
@@ -190,8 +196,21 @@ def export_action(state: AppState) -> StartOrbitExport:
 
 
 def save_action(state: AppState) -> SaveCheckpoint:
-    """Save where the user said last, else beside where the program was started."""
-    return SaveCheckpoint(Path(state.checkpoint_file or CHECKPOINT_FILE))
+    """Save where the user said; else in a file of the scene's name that is not there yet, which is then shown."""
+    if not state.checkpoint_file.strip() and state.snapshot.scene is not None:
+        name = re.sub(r"[^\w.-]+", "-", state.snapshot.scene.name).strip(".-") or "checkpoint"
+        numbered = (f"{name}{f'-{n}' if n > 1 else ''}{SUFFIX}" for n in itertools.count(1))
+        state.checkpoint_file = next(file for file in numbered if not os.path.lexists(file))
+    return SaveCheckpoint(Path(state.checkpoint_file.strip()))
+
+
+def _close_menus() -> bool:
+    """Close what is open of menus and lists; whether anything was."""
+    anything = imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level
+    if not imgui.is_popup_open("", anything):
+        return False
+    imgui.internal.close_popup_to_level(0, True)
+    return True
 
 
 def _reach(em: float) -> float:

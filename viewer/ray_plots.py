@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -123,7 +124,7 @@ class RayPlots:
         self._share_t(implot.AxisFlags_.no_tick_labels)
         implot.setup_axis(Y1, None, implot.AxisFlags_.lock)
         implot.setup_axis_limits(Y1, 0, 1.05, implot.Cond_.always)
-        implot.setup_axis_ticks(Y1, [0.0, 0.5, 1.0], ["0", "0.5", "1"])
+        implot.setup_axis_ticks(Y1, [0.5, 1.0], ["0.5", "1"])  # 0 would touch the next plot's topmost
         for steps in passes[-1:]:
             filled = implot.Spec(fill_color=faded(ui.theme.fine, 0.55), flags=implot.StairsFlags_.shaded)
             filled.line_color = ui.theme.fine
@@ -134,7 +135,7 @@ class RayPlots:
         for steps in passes[-1:]:
             line = implot.Spec(line_color=ui.theme.transmittance, line_weight=0.12 * ui.em)
             implot.plot_line("transmittance", steps.edges, steps.transmittance, line)
-        axis_name(ui, "w / largest w, T", right=True)
+        axis_name(ui, "w / largest w, T", right=True, height=0.5)  # T is 1 or 0 there
         self._depth_marks(ui, opened.ray, glyphs=True)
         result = self._drag_point(ui, opened.point_t), self._read(ui, passes)
         implot.end_plot()
@@ -150,6 +151,9 @@ class RayPlots:
         low, high = self._sigma_limits
         implot.setup_axis_scale(Y1, implot.Scale_.log10 if self.log_density else implot.Scale_.linear)
         implot.setup_axis_limits(Y1, low, high, _when(self._fresh_density))
+        if self.log_density:
+            decades = [10.0**k for k in range(math.ceil(math.log10(low)), math.floor(math.log10(high)) + 1)][::-2]
+            implot.setup_axis_ticks(Y1, decades, [f"{v:g}" for v in decades])
         self._fresh_density = False
         for steps in passes:
             last = steps is passes[-1]
@@ -158,8 +162,7 @@ class RayPlots:
             color = ui.theme.density if last else ui.theme.coarse
             line = implot.Spec(line_color=color, line_weight=(0.12 if last else 0.08) * ui.em)
             implot.plot_stairs(f"{steps.probe.name} density", steps.edges, sigma, line)
-        axis_name(ui, f"σ (1/{opened.units})")
-        axis_name(ui, "t (world units)", right=True, bottom=True)
+        axis_name(ui, f"σ (1/{opened.units}) over t (world units)", right=True)
         self._depth_marks(ui, opened.ray, glyphs=False)
         result = self._drag_point(ui, opened.point_t), self._read(ui, passes)
         implot.end_plot()
@@ -200,8 +203,14 @@ class RayPlots:
         implot.setup_axis_links(X1, self._t_min, self._t_max)
 
     def _drag_point(self, ui: Ui, point: float) -> float | None:
-        changed, t, *_ = implot.drag_line_x(DRAG_ID, point, ui.theme.point, 0.15 * ui.em, implot.DragToolFlags_.no_fit)
-        x, top = _x(point), implot.get_plot_pos().y
+        unseen = faded(ui.theme.point, 0.0)  # its own caps would hide the peak on which it mostly stands
+        changed, t, *_ = implot.drag_line_x(DRAG_ID, point, unseen, 0.15 * ui.em, implot.DragToolFlags_.no_fit)
+        x, top, r = _x(point), implot.get_plot_pos().y, 0.4 * ui.em
+        draw, color, foot = implot.get_plot_draw_list(), packed(ui.theme.point), top + implot.get_plot_size().y
+        implot.push_plot_clip_rect()
+        draw.add_line(ImVec2(x, top), ImVec2(x, foot), color, max(1.0, 0.08 * ui.em))
+        draw.add_triangle_filled(ImVec2(x - r, foot), ImVec2(x + r, foot), ImVec2(x, foot - 1.4 * r), color)  # its grip
+        implot.pop_plot_clip_rect()
         _be_item(x - 0.3 * ui.em, top, x + 0.3 * ui.em, top + implot.get_plot_size().y)
         ui.mark("ray.point")
         return t if changed else None

@@ -35,7 +35,8 @@ def steps_of(ray: RayProbe) -> tuple[Steps, ...]:
 
 def _steps(p: PassProbe, near: float, far: float) -> Steps:
     t = np.nan_to_num(p.t.astype(np.float64))
-    beyond = np.append(t[1:], max(far, t[-1]))
+    end = far if t[-1] < far else t[-1] + far - near  # a last δ may be without end
+    beyond = np.append(t[1:], end)
     until = np.clip(np.nan_to_num(p.until.astype(np.float64), nan=np.inf), t, beyond)
     light, left = p.transmittance, p.transmittance[-1] * (1 - p.alpha[-1])
     kept = np.stack([np.ones(len(t), bool), beyond - until > CONTIGUOUS * (until - t)], 1)

@@ -15,7 +15,7 @@ from pathlib import Path
 import platformdirs
 
 from nerf_core.errors import UserError
-from nerf_core.messages import SaveCheckpoint, Train
+from nerf_core.messages import CancelExport, SaveCheckpoint, Train
 from nerf_core.scene import Scene
 from nerf_core.settings import RunSettings
 from nerf_core.signals import Signals
@@ -30,6 +30,7 @@ UNATTENDED_SECONDS = 60.0  # how long an offscreen run trains when nobody said h
 UNATTENDED_ORBIT_SECONDS = 120.0  # and about how long it draws an orbit that nobody named
 KEPT = 10  # autosaves of one scene
 SAVE_SECONDS = 4.0  # what a closing session may spend on saving; whoever sent SIGTERM soon sends SIGKILL
+PATIENT_SECONDS = 60.0  # and where a hand closed the window
 
 
 @dataclass
@@ -82,8 +83,9 @@ class Session:
         if snapshot.scene is None or not unsaved_steps(snapshot):
             return
         path = asked or autosave_path(snapshot.scene)
+        self.worker.send(CancelExport())
         self.worker.send(SaveCheckpoint(path))
-        self.worker.stop(SAVE_SECONDS)
+        self.worker.stop(SAVE_SECONDS if self.signals.received else PATIENT_SECONDS)
         if self.worker.snapshot().saved_step < snapshot.step or not path.is_file():
             print(f"{APP}: step {snapshot.step:,} could not be saved in time", file=sys.stderr)
         else:

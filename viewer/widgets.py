@@ -214,12 +214,15 @@ def path_line(ui: Ui, path: Path, mark: str) -> None:
     imgui.text_wrapped(str(path))
 
 
-def axis_name(ui: Ui, text: str, *, right: bool = False, bottom: bool = False) -> None:
-    """Name an axis within the plot's corner, where it costs no room and reads level; call between plot and end."""
+def axis_name(ui: Ui, text: str, *, right: bool = False, height: float = 0.0) -> None:
+    """Name an axis within the plot, where it costs no room and reads level; call between plot and end.
+
+    height: how far down, from 0 (the top) to 1.
+    """
     at, size, extent = implot.get_plot_pos(), implot.get_plot_size(), imgui.calc_text_size(text)
     gap = 0.25 * ui.em
     x = at.x + size.x - extent.x - gap if right else at.x + gap
-    y = at.y + size.y - extent.y if bottom else at.y
+    y = at.y + height * (size.y - extent.y)
     draw = implot.get_plot_draw_list()
     implot.push_plot_clip_rect()
     plate = faded(implot.get_style().color_(implot.Col_.plot_bg), 0.75)

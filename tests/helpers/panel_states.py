@@ -70,7 +70,7 @@ def make_ray(density: float = 40.0, step: int = 12_400) -> RayProbe:
 
 def make_radiance(ray: RayProbe) -> RadianceProbe:
     """rgb = 0.5 + 0.5 d with d = −v."""
-    t = ray.depth_median if ray.depth_median is not None else ray.depth_strongest
+    t = ray.point_t()
     up, azimuth0 = np.array([0.0, 0, 1]), np.array([1.0, 0, 0])
     polar, azimuth = np.meshgrid(
         (np.arange(SPHERE_ROWS) + 0.5) / SPHERE_ROWS * np.pi,

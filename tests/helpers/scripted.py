@@ -107,7 +107,7 @@ def open_ray(inspect: Inspect) -> tuple[RayProbe, RadianceProbe]:
         100, inspect.pixel, origin, directions[0], 1.0, 12.0, (opened,), rendered, opacity, median, median,
         float(t[weights.argmax()]), rendered, np.asarray(BACKGROUND),
     )  # fmt: skip
-    point_t = inspect.point_t or median or probe.depth_strongest
+    point_t = inspect.point_t or probe.point_t()
     return probe, _radiance(camera, origin + point_t * directions[0], point_t, color[0])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -10,14 +11,28 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from nerf_core.cells import Cells
 from nerf_core.errors import UserError
+from nerf_core.fields.voxel_grid import VoxelGrid
+from nerf_core.methods.guided import GuidedNerf
+from nerf_core.methods.hash import Hash
 from nerf_core.methods.nerf import Nerf
 from nerf_core.nerf_config import NerfConfig
-from nerf_core.probe import SPHERE_COLUMNS, SPHERE_ROWS, RadianceProbe, RayProbe, disc_grid, open_radiance, open_ray
+from nerf_core.probe import (
+    SPHERE_COLUMNS,
+    SPHERE_ROWS,
+    RadianceProbe,
+    RayProbe,
+    disc_grid,
+    inspection,
+    open_radiance,
+    open_ray,
+)
 from nerf_core.render import render_camera, tile_rays
 from nerf_core.scene import Scene
 from nerf_core.settings import RunSettings
 from nerf_core.trainer import Trainer
+from nerf_core.voxel_model import VoxelModel
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -70,7 +85,8 @@ def test_a_ray_past_the_ball_hits_nothing(scene: Scene) -> None:
     assert ray.depth_expected is None
     assert ray.depth_median is None
     np.testing.assert_array_equal(ray.color, scene.background)
-    assert np.isfinite(ray.depth_strongest)
+    assert ray.depth_strongest is None
+    assert open_radiance(ball_method(scene), scene, ray, UP).t == (ray.near + ray.far) / 2
 
 
 def test_a_thin_medium_has_a_mean_but_no_median(scene: Scene) -> None:
@@ -125,6 +141,61 @@ def test_a_ray_is_opened_without_what_filled_it_up_beside_longer_ones(scene: Sce
         assert len(t) == alone.t.shape[1]
         counts.add(len(t))
     assert len(counts) > 1
+
+
+@pytest.mark.parametrize("method", ["voxels", "hash", "nerf-guided"])
+def test_a_ray_without_samples_shows_none(scene: Scene, method: str) -> None:
+    trainer = Trainer(scene, RunSettings(method=method, changes={"guide_steps": "2"} if "guided" in method else {}))
+    model = trainer.method
+    for _ in range(3):
+        trainer.step()
+    corner = torch.zeros(8, 8, 8, dtype=torch.bool)
+    corner[0, 0, 0] = True
+    if isinstance(model, Hash):
+        c = model.occupancy.cells
+        model.occupancy.cells = Cells.of(c.origin, c.voxel, torch.zeros_like(c.occupied), c.contracted)
+    else:
+        guide = model.guide if isinstance(model, GuidedNerf) else model
+        assert isinstance(guide, VoxelModel)
+        guide.grid = VoxelGrid.over(guide.space.low, (guide.space.high - guide.space.low) / 8, corner, False)
+    ray = open_ray(model, scene, scene.views[0].camera, (8, 8), 3)
+    assert [len(one.t) for one in ray.passes] == [0] * len(ray.passes)
+    assert (ray.opacity, ray.depth_strongest, ray.depth_median, ray.depth_expected) == (0, None, None, None)
+    np.testing.assert_array_equal(ray.color, scene.background)
+    radiance = open_radiance(model, scene, ray, UP)
+    assert radiance.t == (ray.near + ray.far) / 2
+    json.dumps(inspection(ray, radiance), allow_nan=False)
+
+
+@pytest.mark.parametrize("method", ["voxels", "nerf-guided", "hash", "nerf"])
+def test_the_radiance_is_the_colour_that_a_ray_finds_there(scene: Scene, method: str) -> None:
+    """From another point and direction each: an axis that was mixed up would show."""
+    trainer = Trainer(scene, RunSettings(method=method, changes={"guide_steps": "30"} if "guided" in method else {}))
+    for _ in range(40):
+        trainer.step()
+    for view, pixel in ((0, (8, 8)), (1, (7, 9)), (2, (9, 6))):
+        ray = open_ray(trainer.method, scene, scene.views[view].camera, pixel, 40)
+        last = ray.passes[-1]
+        k = int(np.argmax(last.weights))
+        point = torch.from_numpy(ray.origin.astype(np.float64) + float(last.t[k]) * ray.direction.astype(np.float64))
+        found = trainer.method.radiance(point, torch.from_numpy(ray.direction.astype(np.float64))[None])[0]
+        np.testing.assert_allclose(found.numpy(), last.rgb[k], atol=2e-3)
+
+
+def test_in_open_space_the_axis_ends_where_the_weight_does(scene: Scene) -> None:
+    place = replace(scene, synthetic=False)
+    trainer = Trainer(place, RunSettings(method="voxels", changes={"start": "12"}))
+    for _ in range(2):
+        trainer.step()
+    ray = open_ray(trainer.method, place, place.views[0].camera, (8, 8), 2)
+    bound = float(tile_rays(place.views[0].camera, place, 8 * 16 + 8, 1).far[0])
+    assert ray.passes[-1].t[-1] > 1000 * bound  # samples go on to the horizon
+    assert bound < ray.far <= 3 * bound
+    for _ in range(300):
+        trainer.step()
+    ray = open_ray(trainer.method, place, place.views[0].camera, (8, 8), 302)
+    weights = ray.passes[-1].weights
+    assert weights[ray.passes[-1].t > ray.far].sum() <= 0.01 * weights.sum()
 
 
 @pytest.mark.parametrize("pixel", [(16, 0), (0, -1), (3, 16)])

@@ -167,7 +167,7 @@ def test_a_folder_without_a_run_is_named(tmp_path: Path, run: RunFolder) -> None
 
 def test_another_scene_is_refused(run: RunFolder) -> None:
     text = error_of(lambda: run.restore(_mirrored(run)))
-    assert "(other photos, poses or bounds): give the data it was trained on" in text
+    assert "whose photos, poses or bounds differ from copy's: open that one" in text
 
 
 def _mirrored(run: RunFolder) -> Path:

@@ -78,15 +78,12 @@ def test_what_cannot_be_loaded_leaves_the_model(open_desk: OpenDesk, tmp_path: P
     description, state = checkpoint.load(path)
     checkpoint.save(path, description | {"scene": "another", "scene_name": "elsewhere"}, state)
     desk.send(LoadCheckpoint(path))
-    desk.until_told(
-        "trained on 'elsewhere', not on this ball0 (other photos, poses or bounds): open what it was trained"
-    )
-    other = {"scene": "another", "scene_summary": "photos of 8×8 pixels (5 train), background 0, 0, 0"}
+    desk.until_told("trained on 'elsewhere', whose photos, poses or bounds differ from ball0's: open that one")
+    other = {"scene": "another", "scene_summary": "photos of 8×8 pixels"}
     checkpoint.save(path, description | other, state)
     desk.send(LoadCheckpoint(path))
-    desk.until_told(
-        "('photos of 8×8 pixels (5 train), background 0, 0, 0'; now open: photos of 16×16 pixels (5 train, 1"
-    )
+    desk.until_told("trained on 'ball0', 'photos of 8×8 pixels'; open now is ball0, 'photos of 16×16 pixels (5 train")
+    desk.until_told("open it as it was then (--downscale, --max-size, --format, …)")
     assert desk.trained(1).step == 3
 
 

@@ -24,6 +24,7 @@ from nerf_core.messages import (
     Reset,
     SaveCheckpoint,
     Snapshot,
+    StopInspecting,
     Train,
 )
 from viewer.actions import orbit_export
@@ -334,6 +335,49 @@ def test_a_chord_that_is_over_before_the_next_frame_counts(start: Start, letter_
     app.settle(6)
     assert [type(c) for c in worker.sent] == [SaveCheckpoint]
     np.testing.assert_array_equal(app.state.camera.c2w(), place)
+
+
+def test_a_chord_whose_ctrl_came_a_frame_before_and_was_let_go_first_counts(start: Start) -> None:
+    app, worker = start()
+    io, place = imgui.get_io(), app.state.camera.c2w().copy()
+    for key in (imgui.Key.left_ctrl, imgui.Key.mod_ctrl):
+        io.add_key_event(key, True)
+    app.settle(1)
+    io.add_key_event(imgui.Key.s, True)
+    for key in (imgui.Key.mod_ctrl, imgui.Key.left_ctrl, imgui.Key.s):
+        io.add_key_event(key, False)
+    app.settle(6)
+    assert [type(c) for c in worker.sent] == [SaveCheckpoint]
+    np.testing.assert_array_equal(app.state.camera.c2w(), place)
+
+
+def test_saving_without_a_name_takes_one_that_no_file_has(
+    start: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    app, worker = start()
+    assert app.state.snapshot.scene is not None
+    name = app.state.snapshot.scene.name
+    Path(f"{name}.safetensors").touch()
+    for _ in range(2):
+        app.hand.key(imgui.Key.s, ctrl=True)
+    assert worker.sent == [SaveCheckpoint(Path(f"{name}-2.safetensors"))] * 2  # its own file is written again
+    assert app.state.checkpoint_file == f"{name}-2.safetensors"
+
+
+def test_escape_closes_a_menu_before_the_ray(start: Start) -> None:
+    app, worker = start()
+    left, top, right, bottom = app.widgets["viewport"]
+    app.hand.click((left + right) / 2, (top + bottom) / 2)
+    assert app.state.inspect is not None
+    app.hand.click(20, 10)  # the menu File
+    assert imgui.is_popup_open("", imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level)
+    app.hand.key(imgui.Key.escape)
+    assert not imgui.is_popup_open("", imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level)
+    assert app.state.inspect is not None
+    app.hand.key(imgui.Key.escape)
+    assert app.state.inspect is None
+    assert isinstance(worker.sent[-1], StopInspecting)
 
 
 def test_ctrl_s_and_ctrl_e_save_and_export(start: Start) -> None:

@@ -117,6 +117,22 @@ def test_a_checkpoint_gives_the_same_picture_again(written: Path, tmp_path: Path
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        (["--method", "voxels"], "holds a model of method nerf: leave one of them out"),
+        (["--set", "rays=17"], "--set rays=17: the constants of"),
+        (["--set", "wings=2"], "--set wings=2: the constants of"),
+        (["--preset", "complete"], "--preset complete: the constants of"),
+    ],
+)
+def test_a_loaded_model_keeps_its_method_and_constants(written: Path, arguments: list[str], words: str) -> None:
+    done = viewer("--headless", "--load", str(written / "model.safetensors"), "--render", "x.npy", *arguments)
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert not done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
         (["--size", "640"], "--size 640"),
         (["--click", "2.0", "0.5", "--inspect", "x.json"], "--click 2.0"),
         (["--inspect", "x.json"], "--click X Y"),

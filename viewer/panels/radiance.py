@@ -110,6 +110,8 @@ class RadiancePanel:
         self.hovered = _sphere(ui, pictures, views, viewer, width) or self.hovered
         hint(ui, CAPTIONS[1])
         yield from _point(ui, state, pictures.probe)
+        if state.snapshot.ray is not None and state.snapshot.ray.depth_strongest is None:
+            hint(ui, "The ray met nothing: this point is empty, and its colour is never seen.", ui.theme.warning)
         _sight(ui, views)
         imgui.end_group()
 

@@ -17,6 +17,7 @@ from viewer.state import Action, AppState, SetPointDepth
 from viewer.widgets import Row, faded, figures, hint, number, packed, same_line_if_fits, swatch, triple
 
 BACKGROUND_OPACITY = 0.01  # under it the ray met nothing that one could see
+BEYOND = 0.01  # weight past the end of the axis that is worth a word
 SIDE_EM, SIDE_NEEDS_EM = 17.0, 36.0  # the figures' column, and the width from which it stands beside the plots
 LOW_EM = 18.0  # height of the plots where the figures stand under them
 
@@ -94,6 +95,10 @@ class RayPanel:
             hint(ui, f"Opening the ray through pixel {asked.pixel[0]:,}, {asked.pixel[1]:,} …")
         if ray.opacity < BACKGROUND_OPACITY:
             hint(ui, f"Background: the ray met nothing (opacity {number(ray.opacity, 2)}).", ui.theme.warning)
+        last = ray.passes[-1]
+        beyond = float(last.weights[last.t > ray.far].sum())
+        if beyond > BEYOND:
+            hint(ui, f"{beyond:.0%} of the pixel comes from farther than the plot shows.")
         difference = float(np.abs(ray.color - ray.rendered_color).max())
         rows: list[Row] = [
             ("pixel", f"{ray.pixel[0]:,}, {ray.pixel[1]:,}"),
@@ -114,7 +119,7 @@ class RayPanel:
 
 
 def _weights_of(steps: Steps) -> str:
-    return f"{steps.probe.name} w, up to {number(float(steps.weights.max()), 2)}"
+    return f"{steps.probe.name} w up to {number(float(steps.weights.max()), 2)}"
 
 
 def _nothing_yet(state: AppState) -> str:
@@ -132,7 +137,7 @@ def _point_t(state: AppState, ray: RayProbe) -> float:
         return state.inspect.point_t
     if state.snapshot.radiance is not None:
         return state.snapshot.radiance.t
-    return ray.depth_median if ray.depth_median is not None else ray.depth_strongest
+    return ray.point_t()
 
 
 def _key(ui: Ui, shape: str, color: int, fill: int) -> None:
@@ -148,7 +153,7 @@ def _key(ui: Ui, shape: str, color: int, fill: int) -> None:
         draw.add_line(ImVec2(at.x, middle), ImVec2(right, middle), color, 0.14 * em)
     else:
         x = at.x + 0.45 * em
-        draw.add_line(ImVec2(x, at.y), ImVec2(x, at.y + high), color, 0.18 * em)
+        draw.add_line(ImVec2(x, at.y), ImVec2(x, at.y + high), color, 0.1 * em)
     imgui.dummy(ImVec2(0.9 * em, high))
 
 

@@ -50,19 +50,23 @@ class ScenePanel:
         snapshot, scene = state.snapshot, state.snapshot.scene
         yield from self._open(ui, state)
         if snapshot.status == "loading":
-            hint(ui, f"Loading: {snapshot.loading}" if snapshot.loading else "Loading …", ui.theme.accent)
+            hint(
+                ui,
+                snapshot.loading[:1].upper() + snapshot.loading[1:] if snapshot.loading else "Loading …",
+                ui.theme.accent,
+            )
         elif scene is None:
             hint(ui, "No scene is open. Type the folder of a capture, or open the demo scene.")
             _offer_methods(ui, state)
         if scene is not None:
             figures(ui, "scene", _rows(scene))
-            for note in scene.notes:
-                hint(ui, f"{icons.ICON_FA_TRIANGLE_EXCLAMATION}  {note}", ui.theme.warning)
             yield from _photos(ui, state, scene)
             same_line_if_fits(f"{DOWNSCALE}  00")
         _downscale(ui, state)
         if scene is not None:
             yield from self._method(ui, state)
+            for note in scene.notes:
+                hint(ui, f"{icons.ICON_FA_TRIANGLE_EXCLAMATION}  {note}", ui.theme.warning)
 
     def _open(self, ui: Ui, state: AppState) -> Iterator[Action]:
         if state.focus_open and not state.raise_panel:

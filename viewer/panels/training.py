@@ -9,8 +9,9 @@ from typing import Literal
 from imgui_bundle import ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from nerf_core.messages import LoadCheckpoint, Pause, Reset, SaveCheckpoint, SetShare, Snapshot, Train
+from nerf_core.messages import LoadCheckpoint, Pause, Reset, SetShare, Snapshot, Train
 from viewer.history_plots import HistoryPlots
+from viewer.interaction import save_action
 from viewer.panels import PANELS, Ui
 from viewer.state import Action, AppState
 from viewer.widgets import (
@@ -85,8 +86,7 @@ class TrainingPanel:
         ui.mark("training.share")
         now = f"; now it has {100 * snapshot.train_share:.0f} %" if snapshot.status == "training" else ""
         imgui.set_item_tooltip(
-            f"of the time while the picture sharpens at rest{now}. "
-            "Pixels that a moving camera waits for always come first."
+            f"of the time while there are pictures to draw{now}; the pictures and the window's frames share the rest"
         )
         if changed:
             self._share = percent / 100
@@ -96,13 +96,13 @@ class TrainingPanel:
     def _checkpoint(self, ui: Ui, state: AppState) -> Iterator[Action]:
         field_beside(ui, SAVE, LOAD)
         _, state.checkpoint_file = imgui.input_text_with_hint(
-            "##checkpoint", "checkpoint.safetensors", state.checkpoint_file
+            "##checkpoint", "a checkpoint's file", state.checkpoint_file
         )
         ui.mark("training.checkpoint")
         path, unsaved = state.checkpoint_file.strip(), unsaved_steps(state.snapshot)
         same_line_if_fits(SAVE)
-        if button(ui, SAVE, "training.save", enabled=bool(path), tip="all that training needs to go on (Ctrl+S)"):
-            yield SaveCheckpoint(Path(path))
+        if button(ui, SAVE, "training.save", tip="all that training needs to go on (Ctrl+S)"):
+            yield save_action(state)
         same_line_if_fits(LOAD)
         tip = "" if self._load.asking else "go on from this checkpoint"
         pressed = button(ui, LOAD, "training.load", enabled=bool(path), tip=tip)
