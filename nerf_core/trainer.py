@@ -101,7 +101,8 @@ class Trainer:
     def step(self, pump: Callable[[], None] = nothing) -> Report:
         """One optimiser step. `pump` runs between gradient chunks; its time is not counted as training.
 
-        What `pump` raises abandons the step, which then has not happened: the state is what it was before.
+        What `pump` raises abandons the step, which then has not happened: the state is what it was before, but for
+        notes on where something was seen, which the same step, done later, takes again.
         Out of device memory, the step is tried again in chunks of half the size, as often as they can be halved.
         Raises Diverged when the loss is not finite, torch.OutOfMemoryError when chunks cannot be smaller.
         """

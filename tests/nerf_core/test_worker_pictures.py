@@ -29,6 +29,7 @@ from nerf_core.render import render_camera, to_bytes
 from nerf_core.scene import Scene
 from nerf_core.settings import RunSettings
 from nerf_core.trainer import Trainer
+from nerf_core.worker import Worker
 
 OpenDesk = Callable[..., Desk]
 
@@ -73,6 +74,35 @@ def test_the_newest_view_counts(open_desk: OpenDesk) -> None:
     assert shown.wanted_share == 0.3
     step = shown.step
     desk.until(lambda s: s.step > step and s.preview is not None and s.preview.complete and s.preview.step > step)
+
+
+def test_a_moving_camera_waits_while_the_budget_says_so_and_a_resting_one_never(
+    open_desk: OpenDesk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk = open_desk()
+    scene = desk.worker.snapshot().scene
+    begun = []
+    monkeypatch.setattr(desk.worker._budget, "may_follow", lambda: False)
+    monkeypatch.setattr(desk.worker._budget, "followed", begun.append)
+    desk.send(Train())
+    step = desk.until(lambda s: s.step > 2).step
+    desk.worker.request_view(view_of(scene, 1, moving=True))
+    shown = desk.until(lambda s: s.step > step + 10)
+    assert shown.preview is None
+    desk.worker.request_view(view_of(scene, 2))
+    desk.until(lambda s: s.preview is not None and s.preview.stamp == 2)
+    assert begun
+    monkeypatch.setattr(desk.worker._budget, "may_follow", lambda: True)
+    desk.worker.request_view(view_of(scene, 3, moving=True))
+    desk.until(lambda s: s.preview is not None and s.preview.stamp == 3)
+
+
+def test_the_windows_frames_are_no_training(tiny: RunSettings) -> None:
+    worker = Worker(tiny, share=0.6)
+    worker.painted(0.25)
+    worker._accounted = time.perf_counter() - 1.0
+    worker._account_for_training(100)
+    assert worker._budget.train_share() == pytest.approx(0.75, abs=0.01)
 
 
 def test_an_opened_ray_stays_live(open_desk: OpenDesk) -> None:

@@ -49,3 +49,14 @@ def test_samples_that_touch_have_no_gap_between_them_and_the_last_ends_at_far() 
     (steps,) = steps_of(ray)
     assert steps.edges.tolist() == [1.0, 2.0, 3.0, 6.0]
     assert steps.until.tolist() == [2.0 - 1e-7, 3.0, 6.0]
+
+
+def test_a_gap_of_a_tenth_of_a_sample_is_a_gap() -> None:
+    (steps,) = steps_of(ray_of([1.0, 2.0], [1.9, 3.0], [0.1, 0.1], near=1.0, far=3.0))
+    assert steps.edges.tolist() == [1.0, 1.9, 2.0, 3.0]
+    assert at(steps, steps.weights, 1.95) == 0
+
+
+def test_past_the_far_end_the_last_sample_still_has_a_length() -> None:
+    (steps,) = steps_of(ray_of([1.0, 9.0], [9.0, 1e10], [0.1, 0.1], near=1.0, far=3.0))
+    assert steps.until.tolist() == [9.0, 11.0]

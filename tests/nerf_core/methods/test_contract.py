@@ -7,8 +7,10 @@ from collections.abc import Callable
 import pytest
 import torch
 
+from nerf_core import voxel_model
 from nerf_core.cameras import camera_rays
-from nerf_core.methods import METHODS, Method
+from nerf_core.methods import METHODS, Method, guided
+from nerf_core.methods import hash as hash_method
 from nerf_core.scene import Scene
 from nerf_core.types import Rays
 
@@ -153,8 +155,13 @@ def test_a_pixel_does_not_depend_on_its_neighbours_in_either_precision(scene: Sc
         torch.testing.assert_close(method.render(rays[i : i + 1]).color[0], together.color[i], atol=1e-5, rtol=0)
 
 
-def test_an_abandoned_step_leaves_the_state_as_it_was(make: MakeMethod, scene: Scene) -> None:
+def test_an_abandoned_step_leaves_the_state_as_it_was(
+    make: MakeMethod, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Whichever of its pumps it is abandoned in."""
+    for module, piece in ((voxel_model, 30), (guided, 100), (hash_method, 2000)):
+        monkeypatch.setattr(module, "PIECE", piece)
+    monkeypatch.setattr(voxel_model, "BRICKS", 20)
     method, (rays, truth) = make(), some_rays(scene)
     pumps = 0  # that the step may still go through
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from nerf_core.cameras import camera_rays
+from nerf_core.cameras import Ndc, camera_rays
 from nerf_core.errors import UserError
 from nerf_core.guided_config import GuidedConfig
 from nerf_core.methods.guided import GuidedNerf
@@ -181,3 +181,41 @@ def test_a_guide_that_is_done_keeps_no_optimiser(scene: Scene) -> None:
     assert trained.psnr > 0
     trainer.go_to(trainer.describe() | {"step": 59}, early)  # as when training breaks, back to before it was done
     assert [trainer.step().step for _ in range(3)] == [60, 61, 62]
+
+
+def test_the_guides_picture_stays_as_it_was_frozen(scene: Scene) -> None:
+    trainer, rays = run(scene, 20), first_rays(scene)
+    frozen = guided(trainer).frozen()
+    before = frozen.render(rays).color
+    for _ in range(10):
+        trainer.step()
+    assert torch.equal(frozen.render(rays).color, before)
+    assert not torch.equal(guided(trainer).render(rays).color, before)
+
+
+class _Fog(nn.Module):
+    def encode_directions(self, directions: Tensor) -> Tensor:
+        return directions
+
+    def forward(self, x: Tensor, d: Tensor) -> tuple[Tensor, Tensor]:
+        return torch.full_like(x[:, 0], 3.0), torch.zeros_like(x)
+
+
+def test_under_ndc_density_is_per_length_of_ndc(scene: Scene) -> None:
+    """As for the paper's method: δ is a length in normalised device coordinates, whatever stretch a ray has there."""
+    c2w = torch.eye(4, dtype=torch.float64)[:3].numpy()
+    views = tuple(replace(view, camera=view.camera.moved(c2w)) for view in scene.views)
+    ndc = Ndc(16, 16, scene.views[0].camera.fx, 1.0, 20.0)
+    place = replace(scene, views=views, ndc=ndc, near=1.0, far=20.0)
+    method = guided(run(place, 60, least=0.0))
+    method.networks = {"fine": _Fog()}  # pyright: ignore[reportAttributeAccessIssue]
+    aside = c2w.copy()
+    aside[0, 3] = 0.5
+    rays = camera_rays(place.views[0].camera.moved(aside), place.near, place.far)
+    assert float(ndc.rays(rays.origins, rays.directions)[1].norm(dim=-1).mean()) > 2.05  # 2 along the axis
+    fine = method.trace(rays).passes[-1]
+    assert fine.count is not None
+    real = torch.arange(fine.t.shape[1]) < fine.count[:, None]
+    assert int(real.sum()) > 1000
+    torch.testing.assert_close(fine.sigma[real], torch.full_like(fine.sigma[real], 3.0))
+    torch.testing.assert_close(fine.alpha[real], 1 - torch.exp(-3.0 * fine.delta[real]))

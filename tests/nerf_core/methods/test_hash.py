@@ -9,6 +9,8 @@ from nerf_core.errors import UserError
 from nerf_core.hash_config import HashConfig
 from nerf_core.methods.hash import Hash
 from nerf_core.scene import Scene
+from nerf_core.settings import RunSettings
+from nerf_core.trainer import Trainer
 
 CPU = torch.device("cpu")
 SMALL = {"samples": "2000", "levels": "4", "log2_rows": "10", "cells": "16", "hidden": "16"}
@@ -48,3 +50,14 @@ def test_constants_that_no_machine_can_use_are_refused(scene: Scene, changes: di
     with pytest.raises(UserError) as caught:
         HashConfig.configure(scene, "auto", changes, CPU)
     assert text in str(caught.value)
+
+
+def test_fewer_samples_a_ray_make_more_rays_a_step(scene: Scene) -> None:
+    trainer = Trainer(scene, RunSettings(method="hash", changes=SMALL | {"samples": "4000"}))
+    method = trainer.method
+    assert isinstance(method, Hash)
+    before = method.average
+    counts = [trainer.step().rays for _ in range(60)]
+    assert method.average < before / 2
+    assert counts[-1] > 1.5 * counts[0]
+    assert method.draw(60).rays == int(max(4000 / method.average, 64))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from torch.nn.functional import softplus
 
 from nerf_core.cameras import Ndc, camera_rays
 from nerf_core.cells import grow, leaps
@@ -23,7 +25,7 @@ from nerf_core.render import render_camera
 from nerf_core.scene import Scene
 from nerf_core.settings import RunSettings
 from nerf_core.spaces import Space, contract
-from nerf_core.trainer import Trainer
+from nerf_core.trainer import Trainer, nothing
 from nerf_core.voxel_config import VoxelConfig
 
 CPU = torch.device("cpu")
@@ -131,6 +133,70 @@ def test_a_sample_ends_where_the_next_begins_or_before(
 
 
 # ---- training -----------------------------------------------------------------------------------------------------
+
+
+def voxels_of(trainer: Trainer) -> Voxels:
+    assert isinstance(trainer.method, Voxels)
+    return trainer.method
+
+
+def test_a_finer_grid_holds_the_same_density_in_the_same_places(scene: Scene) -> None:
+    method = voxels_of(run(scene, 6))
+    old, kept, bias = method.grid, method._filled() & method.grid.occupied, method.config.bias
+    method._refine(nothing)
+    new = method.grid
+    assert (new.voxel < 0.9 * old.voxel).all()
+    vertex = new.vertices().numpy()
+    at = torch.from_numpy((new.origin + vertex * new.voxel - old.origin) / old.voxel)
+    cell = at.floor().long().clamp(min=0).minimum(torch.tensor(old.size) - 1)
+    before = softplus(old.interpolate(cell, (at - cell).clamp(0, 1).float())[:, DENSITY] + bias)
+    after = softplus(new.rows[:, DENSITY] + bias)  # both are optical depths of a cell, whose side differs
+    torch.testing.assert_close(after / float(new.voxel[0]), before / float(old.voxel[0]), rtol=1e-3, atol=1e-4)
+    centres = new.origin + (np.argwhere(np.ones(new.size)) + 0.5) * new.voxel
+    i, j, k = np.minimum(((centres - old.origin) / old.voxel).astype(int), np.array(old.size) - 1).T
+    assert torch.equal(new.occupied.flatten(), kept[i, j, k])
+    assert (method.updates, int(method.moments.count_nonzero())) == (0, 0)
+
+
+def test_rates_fall_within_a_level_and_adam_begins_anew_with_it(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    trainer = run(scene, 0, slowdown=5)
+    method, numbers = voxels_of(trainer), []
+    update = method.kernels.update
+    monkeypatch.setattr(
+        method.kernels, "update", lambda grid, moments, adam: (numbers.append(adam), update(grid, moments, adam))
+    )
+    steps = method.levels[1].begin
+    for _ in range(steps + 2):
+        trainer.step()
+    c = method.config
+    for step, adam in enumerate(numbers):
+        since = step if step < steps else step - steps
+        assert adam.rate_density == pytest.approx(c.rate_density / (1 + since / 5))
+        assert adam.rate_color == pytest.approx(c.rate_color / (1 + since / 5))
+        assert adam.warm == pytest.approx(1 / (1 - c.keep ** (since + 1)))
+        assert adam.warm_square == pytest.approx(1 / (1 - c.keep_square ** (since + 1)))
+
+
+def test_what_was_seen_is_forgotten_half_way_and_after_cells_were_dropped(scene: Scene) -> None:
+    trainer = run(scene, 0, prune_every=8)
+    method, forgotten = voxels_of(trainer), []
+    while trainer.step_count < method.levels[-1].begin + 20:
+        trainer.step()
+        if not method.kernels.seen(method.grid).any():
+            forgotten.append(trainer.step_count)
+    begins = [level.begin for level in method.levels]
+    halves = [a + (b - a) // 2 for a, b in itertools.pairwise(begins)]
+    later = [step for step in forgotten if step >= halves[0]]
+    assert later == [*halves, *(begins[-1] + after for after in (4, 8, 16))]
+
+
+@pytest.mark.parametrize(
+    "change", ["resolution=0", "growth=1e308", "pixels=1e300", "step=1e30", "bias=nan", "bias=inf"]
+)
+def test_constants_that_no_grid_can_have_are_refused(scene: Scene, change: str) -> None:
+    name, value = change.split("=")
+    with pytest.raises(UserError, match=f"--set {name}="):
+        VoxelConfig.configure(scene, "auto", {name: value}, CPU)
 
 
 def test_levels_grow_finer_and_empty_space_is_dropped(scene: Scene) -> None:
