@@ -132,9 +132,11 @@ class RayPlots:
         for steps in passes[:-1]:
             outline = implot.Spec(line_color=ui.theme.coarse, line_weight=0.1 * ui.em)
             implot.plot_stairs(f"{steps.probe.name} weight", steps.edges, _of_largest(steps), outline)
+        line = implot.Spec(line_color=ui.theme.transmittance, line_weight=0.12 * ui.em)
         for steps in passes[-1:]:
-            line = implot.Spec(line_color=ui.theme.transmittance, line_weight=0.12 * ui.em)
             implot.plot_line("transmittance", steps.edges, steps.transmittance, line)
+        if not passes:  # nothing stands in the ray's way
+            implot.plot_line("transmittance", np.array([opened.ray.near, opened.ray.far]), np.ones(2), line)
         axis_name(ui, "w / largest w, T", right=True, height=0.5)  # T is 1 or 0 there
         self._depth_marks(ui, opened.ray, glyphs=True)
         result = self._drag_point(ui, opened.point_t), self._read(ui, passes)
