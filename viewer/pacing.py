@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 FASTEST = 1 / 60  # seconds between frames while a hand moves something
-SLOWEST = 1 / 20  # and when frames would take more than their part of the time
+SLOWEST = 1 / 15  # and when frames would take more than their part of the time
 PICTURE = 1 / 10  # while the picture sharpens by itself: in software GL a frame takes 20 ms of a core
 FIGURES = 1 / 5  # live plots and counts
 UNWATCHED = 1.0  # both, where nobody looks: offscreen, all time belongs to training

@@ -164,7 +164,7 @@ class RayPlots:
             color = ui.theme.density if last else ui.theme.coarse
             line = implot.Spec(line_color=color, line_weight=(0.12 if last else 0.08) * ui.em)
             implot.plot_stairs(f"{steps.probe.name} density", steps.edges, sigma, line)
-        axis_name(ui, f"σ (1/{opened.units}) over t (world units)", right=True)
+        axis_name(ui, f"σ (1/{opened.units})", right=True)
         self._depth_marks(ui, opened.ray, glyphs=False)
         result = self._drag_point(ui, opened.point_t), self._read(ui, passes)
         implot.end_plot()

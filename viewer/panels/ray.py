@@ -17,6 +17,7 @@ from viewer.state import Action, AppState, SetPointDepth
 from viewer.widgets import Row, faded, figures, hint, number, packed, same_line_if_fits, swatch, triple
 
 BACKGROUND_OPACITY = 0.01  # under it the ray met nothing that one could see
+AXIS = "over t (world units)"
 BEYOND = 0.01  # weight past the end of the axis that is worth a word
 SIDE_EM, SIDE_NEEDS_EM = 17.0, 36.0  # the figures' column, and the width from which it stands beside the plots
 LOW_EM = 18.0  # height of the plots where the figures stand under them
@@ -88,6 +89,8 @@ class RayPanel:
             _key(ui, shape, packed(color), packed(faded(color, 0.55)))
             imgui.same_line(0, 0.3 * ui.em)
             imgui.text_colored(ui.theme.muted, label)
+        same_line_if_fits(AXIS)
+        imgui.text_colored(ui.theme.muted, AXIS)
 
     def _draw_figures(self, ui: Ui, state: AppState, ray: RayProbe) -> None:
         asked = state.inspect
