@@ -20,13 +20,13 @@ def check_ranges(config: Any, least: Mapping[str, float], most: Mapping[str, flo
         value = getattr(config, f.name)
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             continue
-        if not math.isfinite(value):
-            raise UserError(f"--set {f.name}={value}: must be a finite number")
         low, high = least.get(f.name, 0), most.get(f.name, sys.float_info.max)
-        if value < low and not (f.name not in least and f.name.startswith("bias")):
+        if not value >= low and not (f.name not in least and f.name.startswith("bias")):
             raise UserError(f"--set {f.name}={value}: must be at least {low}")
         if value > high:
             raise UserError(f"--set {f.name}={shorten(value)}: must be at most {high}")
+        if not math.isfinite(value):
+            raise UserError(f"--set {f.name}={value}: must be a finite number")
 
 
 def changed(config: C, changes: Mapping[str, str], method: str) -> C:
