@@ -200,16 +200,19 @@ class Ndc:
 
         On the shifted ray t′ = 1 − o_z / (o_z + t d_z), hence t = (o_z / d_z) (1/(1 − t′) − 1) with o_z = −near.
         """
+        shift, scale = self._along(origins, directions)
+        t = t_ndc.clamp(max=1 - self.near / self.far)
+        return shift + scale * (t / (1 - t))
+
+    def _along(self, origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
+        """shift and scale (R, 1) of the world distance shift + scale · t′ / (1 − t′)."""
         dz = torch.where(directions[:, 2] < -1e-6, directions[:, 2], -torch.ones_like(directions[:, 2]))
-        shift = -(self.near + origins[:, 2]) / dz
-        last = 1 - self.near / self.far
-        t = t_ndc.clamp(max=last)
-        return shift[:, None] + (-self.near / dz)[:, None] * (t / (1 - t))
+        return (-(self.near + origins[:, 2]) / dz)[:, None], (-self.near / dz)[:, None]
 
     def stretched(self, origins: Tensor, directions: Tensor, t: Tensor, delta: Tensor) -> Tensor:
         """World distances t (R, S) and lengths δ in NDC → the world distances (R, S) at which those lengths end."""
-        dz = torch.where(directions[:, 2] < -1e-6, directions[:, 2], -torch.ones_like(directions[:, 2]))
-        ratio = (t - (-(self.near + origins[:, 2]) / dz)[:, None]) / (-self.near / dz)[:, None]  # t′ / (1 − t′)
+        shift, scale = self._along(origins, directions)
+        ratio = (t - shift) / scale  # t′ / (1 − t′)
         length = self.rays(origins, directions)[1].norm(dim=-1, keepdim=True)
         return self.world_t(origins, directions, ratio / (1 + ratio) + delta / length)
 

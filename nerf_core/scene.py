@@ -79,9 +79,9 @@ class Scene:
         name, there, here = description["scene_name"], description["scene_summary"], self.summary()
         if there == here:
             return f"trained on {shorten(name)}, whose photos, poses or bounds differ from {self.name}'s: open that one"
-        advice = (
-            "open it as it was then (--downscale, --max-size, --format, …)" if name == self.name else "open that one"
-        )
+        advice = "open that one"
+        if name == self.name:
+            advice = "open it as it was then (--downscale, --max-size, --format, …)"
         return f"trained on {shorten(name)}, {shorten(there, 160)}; open now is {self.name}, {here!r}: {advice}"
 
     def identity(self) -> str:

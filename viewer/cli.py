@@ -13,7 +13,7 @@ from typing import Annotated, Any, NoReturn
 import tyro
 
 from nerf_core.command_line import parse
-from nerf_core.errors import UserError
+from nerf_core.errors import UserError, shorten
 from nerf_core.options import TrainOptions
 from nerf_core.settings import RunSettings
 from nerf_core.signals import Interrupted, Signals
@@ -116,17 +116,17 @@ def _agrees(file: Path, settings: RunSettings) -> None:
     description = describe(file)
     method, own = description["method"], description["config"]
     if settings.method not in ("auto", method):
-        raise UserError(f"--method {settings.method}: {file} holds a model of method {method}: leave one of them out")
+        asked = shorten(settings.method)
+        raise UserError(f"--method {asked}: {file} holds a model of method {shorten(method)}: leave one of them out")
     if settings.preset != "auto":
-        raise UserError(f"--preset {settings.preset}: the constants of {file} are fixed: leave it out")
+        raise UserError(f"--preset {shorten(settings.preset)}: the constants of {file} are fixed: leave it out")
     for name, text in settings.changes.items():
         value: Any = own
         for part in name.split("."):
             value = value.get(part) if isinstance(value, dict) else None
         if not _same(text, value):
-            raise UserError(
-                f"--set {name}={text}: the constants of {file} are fixed, this one is {value}: leave it out"
-            )
+            asked = f"{shorten(name)}={shorten(text)}"
+            raise UserError(f"--set {asked}: the constants of {file} are fixed, here {shorten(value)}: leave it out")
 
 
 def _same(text: str, value: Any) -> bool:

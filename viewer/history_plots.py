@@ -85,9 +85,8 @@ class HistoryPlots:
             if implot.is_plot_hovered():
                 _read(ui, curve, steps, values)
         # to the right, where a loss has fallen from and a PSNR has risen to
-        axis_name(
-            ui, curve.label if curve.log else f"{curve.label} over steps", right=True, height=0.0 if curve.log else 1.0
-        )
+        label, height = (curve.label, 0.0) if curve.log else (f"{curve.label} over steps", 1.0)
+        axis_name(ui, label, right=True, height=height)
         implot.end_plot()
         ui.mark(curve.mark)
 

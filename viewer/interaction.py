@@ -198,7 +198,7 @@ def export_action(state: AppState) -> StartOrbitExport:
 def save_action(state: AppState) -> SaveCheckpoint:
     """Save where the user said; else in a file of the scene's name that is not there yet, which is then shown."""
     if not state.checkpoint_file.strip() and state.snapshot.scene is not None:
-        name = re.sub(r"[^\w.-]+", "-", state.snapshot.scene.name).strip(".-") or "checkpoint"
+        name = re.sub(r"[^\w.-]+", "-", state.snapshot.scene.name).strip(".-")[:80] or "checkpoint"
         numbered = (f"{name}{f'-{n}' if n > 1 else ''}{SUFFIX}" for n in itertools.count(1))
         state.checkpoint_file = next(file for file in numbered if not os.path.lexists(file))
     return SaveCheckpoint(Path(state.checkpoint_file.strip()))

@@ -85,7 +85,10 @@ class Session:
         path = asked or autosave_path(snapshot.scene)
         self.worker.send(CancelExport())
         self.worker.send(SaveCheckpoint(path))
-        self.worker.stop(SAVE_SECONDS if self.signals.received else PATIENT_SECONDS)
+        begin = time.monotonic()
+        while not self.worker.stop(0.2):
+            if time.monotonic() - begin > (SAVE_SECONDS if self.signals.received else PATIENT_SECONDS):
+                break
         if self.worker.snapshot().saved_step < snapshot.step or not path.is_file():
             print(f"{APP}: step {snapshot.step:,} could not be saved in time", file=sys.stderr)
         else:

@@ -117,10 +117,10 @@ def test_a_checkpoint_gives_the_same_picture_again(written: Path, tmp_path: Path
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--method", "voxels"], "holds a model of method nerf: leave one of them out"),
-        (["--set", "rays=17"], "--set rays=17: the constants of"),
-        (["--set", "wings=2"], "--set wings=2: the constants of"),
-        (["--preset", "complete"], "--preset complete: the constants of"),
+        (["--method", "voxels"], "holds a model of method 'nerf': leave one of them out"),
+        (["--set", "rays=17"], "--set 'rays'='17': the constants of"),
+        (["--set", "wings=2"], "--set 'wings'='2': the constants of"),
+        (["--preset", "complete"], "--preset 'complete': the constants of"),
     ],
 )
 def test_a_loaded_model_keeps_its_method_and_constants(written: Path, arguments: list[str], words: str) -> None:

@@ -50,11 +50,8 @@ class ScenePanel:
         snapshot, scene = state.snapshot, state.snapshot.scene
         yield from self._open(ui, state)
         if snapshot.status == "loading":
-            hint(
-                ui,
-                snapshot.loading[:1].upper() + snapshot.loading[1:] if snapshot.loading else "Loading …",
-                ui.theme.accent,
-            )
+            words = snapshot.loading or "loading …"
+            hint(ui, words[:1].upper() + words[1:], ui.theme.accent)
         elif scene is None:
             hint(ui, "No scene is open. Type the folder of a capture, or open the demo scene.")
             _offer_methods(ui, state)
