@@ -30,10 +30,11 @@ class VoxelConfig:
     start: cells along the box's longest side in the first level. pixels: side of the finest cells, in pixels of a photo
     at the scene's centre, unless that takes more than `resolution` cells a side. planes: cells in depth under NDC.
     growth: levels are so many times finer than the one before. level_steps: steps of the first level; each further one
-    has `growth` times as many, the last all the rest. most_rows: vertices stored at most, 128 bytes each and 64
+    has `growth` times as many, the last all the rest. most_rows: vertices stored at most, 192 bytes each and 64
     more a thread.
     step: length of a sample in cells. bias: raw density of a new grid. rate_*: Adam's, falling as 1/(1 + s/slowdown) in
     a level's step s; keep, keep_square: β₁, β₂; epsilon in units of one ray's gradient. smoothness: of density.
+    average: pictures show a mean over about the last 1/(1 − average) steps of a row, fewer while a level is young.
     prune: a cell is dropped when no sample near it has weighed as much lately; looked at when a level ends, in the last
     every `prune_every` steps.
     """
@@ -55,6 +56,7 @@ class VoxelConfig:
     keep: float = 0.9
     keep_square: float = 0.99
     epsilon: float = 1e-4
+    average: float = 0.98
     smoothness: float = 2.5e-6
     prune: float = 0.05
     prune_every: int = 400
@@ -63,7 +65,7 @@ class VoxelConfig:
 
     def __post_init__(self) -> None:
         check_ranges(self, LEAST, MOST)
-        for name in ("keep", "keep_square"):
+        for name in ("keep", "keep_square", "average"):
             if not 0 <= getattr(self, name) < 1:
                 raise UserError(f"--set {name}={getattr(self, name)}: must lie in [0, 1)")
 

@@ -6,6 +6,9 @@ trilinearly; then σ = softplus(s + bias), c(d) = sigmoid(Σ_b k_b Y_b(d)), and 
 Eq. 3). There is no network: a sample touches 8 rows, and so does its gradient. Close relatives are Plenoxels
 (arXiv:2112.05131) and DVGO (arXiv:2111.11215).
 
+Pictures show each row's average over its last steps (Polyak and Juditsky 1992), in which the noise of single batches
+has settled.
+
 Training begins on a coarse grid and shrunken photos. When a level is done, cells that absorb no light are dropped, the
 others are divided, and a finer level begins: time goes where surfaces are.
 """
@@ -38,6 +41,7 @@ BRICKS = 2048  # of a new grid between two pumps: some 10 ms on two cores
 TILE = 8192
 SHORTEST_LEVEL = 1.25  # a last level that is less finer than the one before is not worth a refinement
 SMALLEST = 1e-5  # a cell's side, as a share of the box: finer than any configuration allows
+YOUNG = 4.0  # in a level's step k the average is over some k/YOUNG steps: at first each makes all those before it old
 SH = (0.28209479, 0.48860251)  # 1/√4π, √(3/4π): real spherical harmonics of degree 0 and 1
 
 
@@ -75,6 +79,7 @@ class VoxelModel:
         everything = torch.ones(*size.tolist(), dtype=torch.bool)
         self.grid = VoxelGrid.over(low, voxel, everything, self.space.kind == "contracted")
         self.moments = torch.zeros_like(self.grid.rows)
+        self.average = self.grid.rows.clone()
         self.updates = 0  # of Adam since the level began
 
     # ---- training ---------------------------------------------------------------------------------------------------
@@ -90,7 +95,7 @@ class VoxelModel:
         """Mean squared error; its gradient is a ray's own, so that Adam's ε means the same for every batch."""
         rays, truth = rays.to(self.device), truth.to(self.device)
         c, drawn = self.config, self.generator.get_state()
-        before = self.grid, self.moments, self.level, self.updates
+        before = self.grid, self.moments, self.average, self.level, self.updates
         refines = self.level < self._level_at(step)
         seen = self.kernels.seen(self.grid) if refines else None
         error = 0.0
@@ -108,16 +113,18 @@ class VoxelModel:
             self.generator.set_state(drawn)
             self.kernels.forget()
             if seen is not None:
-                self.grid, self.moments, self.level, self.updates = before
+                self.grid, self.moments, self.average, self.level, self.updates = before
                 self.kernels.see(self.grid, seen)
             raise
         self.updates += 1
         since = max(0, step - self.levels[self.level].begin)
         slower = 1 / (1 + since / c.slowdown)
         warm, warm_square = (1 / (1 - beta**self.updates) for beta in (c.keep, c.keep_square))
+        follow = max(1 - c.average, YOUNG / (YOUNG + self.updates - 1))
         self.kernels.update(
-            self.grid, self.moments,
-            Adam(c.rate_color * slower, c.rate_density * slower, c.keep, c.keep_square, warm, warm_square, c.epsilon),
+            self.grid, self.moments, self.average,
+            Adam(c.rate_color * slower, c.rate_density * slower, c.keep, c.keep_square, warm, warm_square, c.epsilon,
+                 follow),
         )  # fmt: skip
         self._drop_cells(since + 1)
         return error / (3 * len(rays))
@@ -134,6 +141,11 @@ class VoxelModel:
 
     def halve(self) -> bool:
         return False
+
+    @property
+    def shown(self) -> VoxelGrid:
+        """The grid as pictures show it: its rows' average, in which the noise of single steps has settled."""
+        return replace(self.grid, rows=self.average)
 
     def _march(self, offsets: Tensor, smoothness: float = 0.0, threshold: float = 1.0) -> March:
         return March(self.config.step, self.config.bias, self.background, offsets, smoothness, threshold)
@@ -174,19 +186,19 @@ class VoxelModel:
             if rows <= self.config.most_rows:
                 break
             voxel = voxel * max(1.05, (rows / self.config.most_rows) ** (1 / 3))
-        grid = VoxelGrid.over(origin, voxel, occupied, old.contracted)
+        grid, shown = VoxelGrid.over(origin, voxel, occupied, old.contracted), self.shown
         ratio = float(np.prod(voxel / old.voxel) ** (1 / 3))
         for first in range(0, grid.bricks, BRICKS):
             pump()
             last = min(first + BRICKS, grid.bricks)
-            self.kernels.resample(old, grid, first, last)
+            self.kernels.resample(shown, grid, first, last)
             raw = grid.rows[ROWS * first : ROWS * last, DENSITY]
             # density is per cell: a smaller one absorbs as much less
             # 1e-30: what underflows would have no logarithm
             sigma = (functional.softplus(raw + self.config.bias) * ratio).clamp(min=1e-30)
             raw.copy_(sigma + torch.log(-torch.expm1(-sigma)) - self.config.bias)  # softplus, inverted
         self.level += 1
-        self.grid, self.moments, self.updates = grid, torch.zeros_like(grid.rows), 0
+        self.grid, self.moments, self.average, self.updates = grid, torch.zeros_like(grid.rows), grid.rows.clone(), 0
 
     # ---- rendering --------------------------------------------------------------------------------------------------
 
@@ -196,7 +208,7 @@ class VoxelModel:
 
     def _tile(self, rays: Rays) -> Rendering:
         march = self._march(torch.full((len(rays),), 0.5))
-        return self.space.rendering(rays, self.kernels.render(self.grid, self.space.rays(rays), march))
+        return self.space.rendering(rays, self.kernels.render(self.shown, self.space.rays(rays), march))
 
     def trace(self, rays: Rays) -> Trace:
         rays = rays.to(self.device)
@@ -205,7 +217,7 @@ class VoxelModel:
 
     def traced(self, rays: Rays, offsets: Tensor) -> Traced:
         """The samples of `rays`, the first `offsets` (R,) of a step behind where the box begins."""
-        return self.kernels.trace(self.grid, self.space.rays(rays), self._march(offsets))
+        return self.kernels.trace(self.shown, self.space.rays(rays), self._march(offsets))
 
     def tau(self, found: Traced) -> Tensor:
         """Optical depths (M,) of samples."""
@@ -214,7 +226,7 @@ class VoxelModel:
     @torch.no_grad()
     def radiance(self, point: Tensor, directions: Tensor) -> Tensor:
         x = self.space.points(point.to(self.device, torch.float32)[None])
-        row = self.grid.interpolate(*self.grid.cells_of(x))[0]
+        row = self.shown.interpolate(*self.grid.cells_of(x))[0]
         d = directions.to(self.device, torch.float32)
         basis = torch.stack([torch.full_like(d[:, 0], SH[0]), SH[1] * d[:, 1], SH[1] * d[:, 2], SH[1] * d[:, 0]], -1)
         return torch.sigmoid(basis @ row[:DENSITY].view(3, 4).T)
@@ -225,7 +237,7 @@ class VoxelModel:
         """The same picture, whatever training does meanwhile."""
         copy = object.__new__(type(self))
         copy.__dict__ |= self.__dict__
-        copy.grid = replace(self.grid, rows=self.grid.rows.clone())
+        copy.average = self.average.clone()
         return copy
 
     def parameters(self) -> list[Tensor]:
@@ -233,6 +245,8 @@ class VoxelModel:
 
     def finish(self) -> None:
         """Give up what only training needs: there will be no more."""
+        self.grid = self.shown
+        self.average = self.grid.rows
         self.moments, self.kernels = self.moments[:0].clone(), voxel_kernels(self.device)
 
     def grid_state(self) -> dict[str, Tensor]:
@@ -244,11 +258,13 @@ class VoxelModel:
         return (
             self.grid_state()
             | {k: torch.tensor(v) for k, v in numbers.items()}
-            | {"moments": self.moments, "seen": self.kernels.seen(self.grid), "generator": self.generator.get_state()}
+            | {"moments": self.moments, "average": self.average}
+            | {"seen": self.kernels.seen(self.grid), "generator": self.generator.get_state()}
         )
 
     def load_grid(self, state: Mapping[str, Tensor]) -> None:
         self.grid = self._restored(state)
+        self.average = self.grid.rows
 
     def _restored(self, state: Mapping[str, Tensor]) -> VoxelGrid:
         grid = VoxelGrid.restored(
@@ -263,13 +279,14 @@ class VoxelModel:
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         grid, moments, level = self._restored(state), state["moments"], int(state["level"])
-        if moments.shape != grid.rows.shape or moments.dtype != torch.float32:
-            raise ValueError("the optimiser's moments do not fit the voxel grid")
+        average = state["average"]
+        if any(v.shape != grid.rows.shape or v.dtype != torch.float32 for v in (moments, average)):
+            raise ValueError("the optimiser's moments or the rows' average do not fit the voxel grid")
         if state["seen"].shape != moments.shape[:1] or state["seen"].dtype != torch.bool:
             raise ValueError("what was seen does not fit the voxel grid")
         if not 0 <= level < len(self.levels) or int(state["updates"]) < 0:
             raise ValueError(f"level {level} of {len(self.levels)}, {int(state['updates'])} updates")
-        self.grid, self.moments = grid, torch.empty_like(moments).copy_(moments)
+        self.grid, self.moments, self.average = grid, *(torch.empty_like(v).copy_(v) for v in (moments, average))
         self.kernels.see(self.grid, state["seen"])
         self.level, self.updates = level, int(state["updates"])
         self.generator.set_state(state["generator"])

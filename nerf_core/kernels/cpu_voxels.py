@@ -139,13 +139,13 @@ class CpuVoxels:
         self._visible[:] = 0
         self._visible[0] = np.packbits(seen.numpy(), bitorder="little").view(np.uint64)
 
-    def update(self, grid: VoxelGrid, moments: Tensor, adam: Adam) -> None:
+    def update(self, grid: VoxelGrid, moments: Tensor, average: Tensor, adam: Adam) -> None:
         self._fit(grid)
-        rows, slots = grid.rows.numpy().ravel(), moments.numpy().ravel()
+        rows, slots, means = (v.numpy().ravel() for v in (grid.rows, moments, average))
 
         def work(s: int) -> None:
             first, last = split(grid.bricks, self.shards, s)
-            loops.adam(first, last, rows, slots, self._gradient, self._touched, *(np.float32(v) for v in adam))
+            loops.adam(first, last, rows, slots, means, self._gradient, self._touched, *(np.float32(v) for v in adam))
 
         each_shard(self.shards, work)
 
@@ -186,7 +186,8 @@ def _compile() -> None:
     kernels.trace(grid, rays, march)
     kernels.accumulate(grid, rays, torch.zeros(1, 3), march)
     kernels.resample(grid, grid, 0, grid.bricks)
-    kernels.update(grid, torch.zeros_like(grid.rows), Adam(0.1, 0.1, 0.9, 0.9, 1.0, 1.0, 1e-4))
+    spare = torch.zeros_like(grid.rows), torch.zeros_like(grid.rows)
+    kernels.update(grid, *spare, Adam(0.1, 0.1, 0.9, 0.9, 1.0, 1.0, 1e-4, 1.0))
     index, pair = torch.zeros(1, dtype=torch.long), torch.ones(1, 2, dtype=torch.float64)
     lens, c2w = torch.zeros(1, 5, dtype=torch.float64), torch.eye(4, dtype=torch.float64)[None, :3]
     fast_rays(index, pair, pair, pair, lens, c2w, 1.0, 2.0)

@@ -256,13 +256,14 @@ def resample(
 
 @jit
 def adam(
-    first: Any, last: Any, rows: Any, moments: Any, gradient: Any, touched: Any, rate_color: Any, rate_density: Any,
-    keep: Any, keep_square: Any, warm: Any, warm_square: Any, epsilon: Any,
+    first: Any, last: Any, rows: Any, moments: Any, average: Any, gradient: Any, touched: Any,
+    rate_color: Any, rate_density: Any, keep: Any, keep_square: Any, warm: Any, warm_square: Any, epsilon: Any,
+    follow: Any,
 ) -> None:  # fmt: skip
     """Adam on the touched rows of bricks first ≤ b < last; gradients, one array a shard, are added up and cleared.
 
     A row shares one second moment among its colour coefficients; it lies, with density's, in the moments' padding:
-    half the memory, and half the traffic, of a moment for each.
+    half the memory, and half the traffic, of a moment for each. Their average follows them by a share of the way.
     """
     shards = touched.shape[0]
     for b in range(first, last):
@@ -295,5 +296,8 @@ def adam(
                 p[c] -= by_color * m[c]
             p[12] -= by_density * m[12]
             m[14], m[15] = v_color, v_density
+            a = average[at : at + 16]
+            for c in range(13):
+                a[c] += follow * (p[c] - a[c])
             for c in range(16):
                 g[c] = 0

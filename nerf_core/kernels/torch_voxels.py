@@ -142,7 +142,7 @@ class TorchVoxels:
         self._fit(grid)
         self._visible.copy_(seen)
 
-    def update(self, grid: VoxelGrid, moments: Tensor, adam: Adam) -> None:
+    def update(self, grid: VoxelGrid, moments: Tensor, average: Tensor, adam: Adam) -> None:
         self._fit(grid)
         i = self._touched.nonzero()[:, 0]
         p, m, g = grid.rows[i], moments[i], self._gradient[i]
@@ -155,4 +155,5 @@ class TorchVoxels:
         square = torch.where(torch.arange(WIDTH, device=p.device) < DENSITY, new[:, 14:15], new[:, 15:16])
         grid.rows[i] = p - rates * adam.warm * new / ((square * adam.warm_square).sqrt() + adam.epsilon)
         moments[i] = new
+        average[i] += adam.follow * (grid.rows[i] - average[i])
         self.forget()

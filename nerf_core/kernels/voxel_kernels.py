@@ -30,7 +30,7 @@ class March:
 
 class Adam(NamedTuple):
     """rate_*: learning rates. keep, keep_square: β₁, β₂; warm, warm_square: 1/(1 − βᵗ). epsilon: in units of a ray's
-    gradient."""
+    gradient. follow: the share of the way that the rows' average goes towards them."""
 
     rate_color: float
     rate_density: float
@@ -39,6 +39,7 @@ class Adam(NamedTuple):
     warm: float
     warm_square: float
     epsilon: float
+    follow: float
 
 
 @dataclass(frozen=True)
@@ -87,6 +88,6 @@ class VoxelKernels(Protocol):
         """Set what `seen` returns."""
         ...
 
-    def update(self, grid: VoxelGrid, moments: Tensor, adam: Adam) -> None:
-        """One step of Adam on the rows that have a gradient, which is then forgotten."""
+    def update(self, grid: VoxelGrid, moments: Tensor, average: Tensor, adam: Adam) -> None:
+        """One step of Adam on the rows that have a gradient, which is then forgotten; `average` (M, 16) follows."""
         ...

@@ -253,13 +253,13 @@ def determinism(scene: Scene, rounds: int) -> dict[str, list[float]]:
                         np.lib.stride_tricks.as_strided(one := getattr(self, name), strides=(0, one.itemsize)),
                     )
 
-        def update(self, grid: VoxelGrid, moments: Tensor, adam: Adam) -> None:
-            rows, slots = grid.rows.numpy().ravel(), moments.numpy().ravel()
+        def update(self, grid: VoxelGrid, moments: Tensor, average: Tensor, adam: Adam) -> None:
+            rows, slots, means = (v.numpy().ravel() for v in (grid.rows, moments, average))
             numbers = [np.float32(v) for v in adam]
 
             def work(s: int) -> None:
                 part = split(grid.bricks, self.shards, s)
-                loops.adam(*part, rows, slots, self._gradient[:1], self._touched[:1], *numbers)
+                loops.adam(*part, rows, slots, means, self._gradient[:1], self._touched[:1], *numbers)
 
             each_shard(self.shards, work)
 

@@ -164,15 +164,19 @@ def test_nothing_is_ever_nan(contracted: bool) -> None:
 
 def test_adam_agrees_with_the_reference() -> None:
     truth, rays = torch.rand(200, 3, generator=torch.Generator().manual_seed(2)), some_rays()
-    settings = Adam(0.2, 0.3, 0.9, 0.99, 10.0, 100.0, 1e-4)
-    results: list[tuple[Tensor, Tensor]] = []
+    settings = Adam(0.2, 0.3, 0.9, 0.99, 10.0, 100.0, 1e-4, 0.3)
+    results: list[tuple[Tensor, ...]] = []
     for kernels in (CpuVoxels(2), TorchVoxels()):
         grid = some_grid(False)
-        moments = torch.zeros_like(grid.rows)
+        moments, average, mean = torch.zeros_like(grid.rows), grid.rows.clone(), grid.rows.clone()
         for _ in range(3):
+            before = grid.rows.clone()
             kernels.accumulate(grid, rays, truth, how(200))
-            kernels.update(grid, moments, settings)
-        results.append((grid.rows, moments))
+            kernels.update(grid, moments, average, settings)
+            moved = (grid.rows != before).any(-1)  # the rows that have a gradient, for any has some first moment
+            mean[moved] += 0.3 * (grid.rows - mean)[moved]
+        torch.testing.assert_close(average, mean, rtol=1e-5, atol=1e-6)
+        results.append((grid.rows, moments, average))
     for fast, plain in zip(*results, strict=True):
         assert float((fast - plain).norm()) <= 5e-3 * float(plain.norm())
 
@@ -193,7 +197,8 @@ def test_forgotten_gradients_leave_no_trace() -> None:
     grid, rays, kernels = some_grid(False), some_rays(), CpuVoxels(2)
     kernels.accumulate(grid, rays, torch.zeros(200, 3), how(200))
     kernels.forget()
-    before, moments = grid.rows.clone(), torch.zeros_like(grid.rows)
-    kernels.update(grid, moments, Adam(0.2, 0.3, 0.9, 0.99, 10.0, 100.0, 1e-4))
+    before, moments, average = grid.rows.clone(), torch.zeros_like(grid.rows), torch.zeros_like(grid.rows)
+    kernels.update(grid, moments, average, Adam(0.2, 0.3, 0.9, 0.99, 10.0, 100.0, 1e-4, 1.0))
     assert torch.equal(grid.rows, before)
     assert not moments.any()
+    assert not average.any()

@@ -142,7 +142,7 @@ def voxels_of(trainer: Trainer) -> Voxels:
 
 def test_a_finer_grid_holds_the_same_density_in_the_same_places(scene: Scene) -> None:
     method = voxels_of(run(scene, 6))
-    old, kept, bias = method.grid, method._filled() & method.grid.occupied, method.config.bias
+    old, kept, bias = method.shown, method._filled() & method.grid.occupied, method.config.bias
     method._refine(nothing)
     new = method.grid
     assert (new.voxel < 0.9 * old.voxel).all()
@@ -156,15 +156,34 @@ def test_a_finer_grid_holds_the_same_density_in_the_same_places(scene: Scene) ->
     i, j, k = np.minimum(((centres - old.origin) / old.voxel).astype(int), np.array(old.size) - 1).T
     assert torch.equal(new.occupied.flatten(), kept[i, j, k])
     assert (method.updates, int(method.moments.count_nonzero())) == (0, 0)
+    assert torch.equal(method.average, new.rows)
+
+
+def test_pictures_show_the_average_of_the_last_steps(scene: Scene) -> None:
+    """A mean over more steps the longer a level has lasted; its rows are what a picture shows, and a finer grid."""
+    trainer = run(scene, 1, average=0.9, level_steps=40)
+    method, camera = voxels_of(trainer), scene.views[0].camera
+    assert torch.equal(method.average, method.grid.rows)  # there is nothing yet to take a mean of
+    rays = camera_rays(camera, scene.near, scene.far)
+    for updates in range(2, 12):
+        rows, mean = method.grid.rows.clone(), method.average.clone()
+        trainer.step()
+        moved = (method.grid.rows != rows).any(-1)
+        follow = max(0.1, 4 / (4 + updates - 1))
+        torch.testing.assert_close(method.average[moved], mean[moved].lerp(method.grid.rows[moved], follow))
+        assert torch.equal(method.average[~moved], mean[~moved])
+    drawn = method.render(rays).color
+    method.grid.rows.add_(1.0)
+    assert torch.equal(method.render(rays).color, drawn)
+    method.average.add_(1.0)
+    assert not torch.equal(method.render(rays).color, drawn)
 
 
 def test_rates_fall_within_a_level_and_adam_begins_anew_with_it(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     trainer = run(scene, 0, slowdown=5)
     method, numbers = voxels_of(trainer), []
     update = method.kernels.update
-    monkeypatch.setattr(
-        method.kernels, "update", lambda grid, moments, adam: (numbers.append(adam), update(grid, moments, adam))
-    )
+    monkeypatch.setattr(method.kernels, "update", lambda *given: (numbers.append(given[-1]), update(*given)))
     steps = method.levels[1].begin
     for _ in range(steps + 2):
         trainer.step()
@@ -290,7 +309,8 @@ def test_rows_never_pass_their_limit(scene: Scene) -> None:
         ("grid.voxel", torch.full((3,), torch.inf), "does not lie in"),
         ("grid.origin", torch.full((3,), 1e9), "does not lie in"),
         ("updates", torch.tensor(-1), "-1 updates"),
-        ("moments", torch.zeros(64, 16), "moments do not fit"),
+        ("moments", torch.zeros(64, 16), "moments or the rows' average do not fit"),
+        ("average", torch.zeros(64, 16), "average do not fit"),
         ("seen", torch.zeros(3, dtype=torch.bool), "what was seen"),
         ("level", torch.tensor(99), "level 99"),
     ],
@@ -338,7 +358,7 @@ def test_density_is_exported_per_world_unit(scene: Scene) -> None:
     trainer = run(scene, 30)
     method = trainer.method
     assert isinstance(method, Voxels)
-    method.grid.rows[:, DENSITY] = 1.0
+    method.average[:, DENSITY] = 1.0
     samples = method.trace(camera_rays(scene.views[0].camera, scene.near, scene.far)[130:131]).passes[0]
     cell = float(method.grid.voxel[0]) * method.space.extent
     inside = samples.alpha[0] > 0
