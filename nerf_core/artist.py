@@ -1,14 +1,15 @@
-"""What the worker draws for the window: the preview of the newest view, and the opened ray."""
+"""What the worker draws for the window: the preview of the newest view, and opened rays."""
 
 from __future__ import annotations
 
 import time
 
 from nerf_core.cameras import camera_rays
-from nerf_core.messages import Inspect, Preview, ViewRequest
+from nerf_core.messages import Preview, ViewRequest
 from nerf_core.methods import Method
+from nerf_core.opened_rays import OpenedRays
 from nerf_core.preview import Refinement, first_stride
-from nerf_core.probe import RadianceProbe, RayProbe, open_radiance, open_ray
+from nerf_core.render_modes import COLOR, shaded
 from nerf_core.trainer import Trainer
 
 MOVING_SECONDS = (
@@ -17,19 +18,13 @@ MOVING_SECONDS = (
 RESTING_SECONDS = 0.3  # and of one that has come to rest
 WHOLE_SECONDS = 0.04  # a level that takes no longer is drawn in one go: copying the weights would take as long
 GUESSED_RATE = 4000.0  # rays a second, until a tile has been timed
-PROBE_SECONDS = 0.4  # an opened ray is opened anew at least twice a second while training goes on
 
 
 class Artist:
     """Does one small piece of drawing at a time; remembers what is half done. Owned by the worker thread."""
 
     def __init__(self) -> None:
-        self.ray: RayProbe | None = None
-        self.radiance: RadianceProbe | None = None
-        self._inspect: Inspect | None = None
-        self._opened: Inspect | None = None
-        self._opened_step = -1
-        self._opened_time = 0.0
+        self.rays = OpenedRays()
         self._picture: Refinement | None = None
         self._model: Method | None = None  # what draws the level under way, and
         self._model_step = 0
@@ -39,17 +34,13 @@ class Artist:
         self._ready: Preview | None = None  # the newest picture that may be shown, and
         self._shown: Preview | None = None  # the one that was handed out last
         self._moving = False
-        self._rates: dict[str, float] = {}
+        self._rates: dict[tuple[str, str], float] = {}  # by quality and mode
         self._level = 0, 0.0  # cells of the level under way that are drawn, and the seconds they took
-
-    def inspect(self, command: Inspect | None) -> None:
-        self._inspect = command
-        if command is None:
-            self.ray = self.radiance = self._opened = None
 
     def forget_pictures(self) -> None:
         """The model was exchanged: everything is to be drawn again."""
-        self._picture = self._opened = self._model = self._copy = self._ready = self._shown = None
+        self._picture = self._model = self._copy = self._ready = self._shown = None
+        self.rays.forget()
 
     @property
     def fresh(self) -> bool:
@@ -64,7 +55,7 @@ class Artist:
         return previous if self._ready is None else self._ready
 
     def rays_per_second(self, quality: str) -> float:
-        return self._rates.get(quality, 0.0)
+        return self._rates.get((quality, COLOR), 0.0)
 
     def urgent(self, view: ViewRequest | None) -> bool:
         """Whether `view` has nothing to show yet, or a level that is drawn whole is half done: these come before
@@ -78,7 +69,7 @@ class Artist:
 
     def draw(self, trainer: Trainer, view: ViewRequest | None, training: bool) -> bool:
         """One piece; whether there was any to do. training: whether more steps are on their way."""
-        if self._open_probe(trainer):
+        if self.rays.draw(trainer, training):
             return True
         if view is None:
             return False
@@ -90,7 +81,7 @@ class Artist:
         if picture.begins or self._model is None:
             self._model_step = trainer.step_count
             # A new view's first level is done before the next step, and so is any that is soon done.
-            seconds = picture.cells_left / self._rates.get(picture.quality, GUESSED_RATE)
+            seconds = picture.cells_left / self._rates.get((picture.quality, picture.mode), GUESSED_RATE)
             self._whole = not picture.first_level_done or seconds < WHOLE_SECONDS
             self._model = trainer.method if self._whole else self._frozen(trainer)
             self._level = 0, 0.0
@@ -98,7 +89,11 @@ class Artist:
         cells = picture.take(self._model.tile)
         rays = camera_rays(picture.camera, trainer.scene.near, trainer.scene.far, picture.pixels(cells))
         drawn = self._model.render(rays, picture.quality)
-        color, depth = drawn.color.cpu().numpy(), drawn.depth.cpu()
+        plain = picture.mode == COLOR
+        color, depth = (
+            drawn.color.cpu().numpy() if plain else shaded(self._model, rays, picture.mode),
+            drawn.depth.cpu(),
+        )
         # distance along the ray → depth along the optical axis: `far`, never 0, is that axis' bound on every ray
         z = depth * trainer.scene.far / rays.far
         picture.write(cells, color, z.numpy(), self._model_step)
@@ -111,10 +106,11 @@ class Artist:
         """Rays a second over whole levels: at its rim a picture is emptier, and faster, than in its middle."""
         assert self._model is not None
         self._level = self._level[0] + cells, self._level[1] + seconds
-        known = self._rates.get(picture.quality)
+        kind = picture.quality, picture.mode
+        known = self._rates.get(kind)
         if self._level[0] >= self._model.tile and (picture.level_done or known is None):  # less is padded to a tile
             rate = self._level[0] / max(self._level[1], 1e-6)
-            self._rates[picture.quality] = rate if known is None else 0.5 * known + 0.5 * rate
+            self._rates[kind] = rate if known is None else 0.5 * known + 0.5 * rate
 
     def _frozen(self, trainer: Trainer) -> Method:
         """The model of now, which stays as it is while training goes on."""
@@ -131,28 +127,9 @@ class Artist:
         finish = picture is not None and self._moving and not picture.first_level_done
         if picture is None or (picture.stamp != view.stamp and not finish):
             quality = "coarse" if view.moving else "fine"
-            rate = self._rates.get(quality, GUESSED_RATE)
+            rate = self._rates.get((quality, view.mode), GUESSED_RATE)
             affordable = rate * (MOVING_SECONDS if view.moving else RESTING_SECONDS)
             stride = first_stride(view.camera.width, view.camera.height, affordable)
-            picture = self._picture = Refinement(view.camera, view.stamp, stride, quality)
+            picture = self._picture = Refinement(view.camera, view.stamp, stride, quality, view.mode)
             self._moving = view.moving
         return picture
-
-    def _open_probe(self, trainer: Trainer) -> bool:
-        command = self._inspect
-        if command is None:
-            return False
-        known = command is self._opened
-        outdated = self._opened_step != trainer.step_count and time.monotonic() - self._opened_time > PROBE_SECONDS
-        if known and not outdated:
-            return False
-        self._opened, self._opened_step, self._opened_time = command, trainer.step_count, time.monotonic()
-        try:
-            ray = open_ray(trainer.method, trainer.scene, command.camera, command.pixel, trainer.step_count)
-            up = command.camera.c2w[:, 1]
-            self.radiance = open_radiance(trainer.method, trainer.scene, ray, up, command.point_t)
-            self.ray = ray
-        except Exception:
-            self._inspect = None  # a ray that cannot be opened is reported once, not twice a second
-            raise
-        return True

@@ -1,4 +1,4 @@
-"""The `nerf-core` command: train, eval, render."""
+"""The `nerf-core` command: train, eval, render, probe."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
 
+from nerf_core.camera_files import picked_camera
 from nerf_core.checkpoint import write_atomically
 from nerf_core.command_line import parse
 from nerf_core.console import Display, duration
@@ -225,12 +226,54 @@ def _print_metrics(metrics: dict[str, Any], count: int) -> None:
     print(f"{of} at step {metrics['step']:,}: PSNR {mean['psnr']:.2f} dB, SSIM {mean['ssim']:.4f}, LPIPS {lpips}")
 
 
+@dataclass(frozen=True)
+class Probe:
+    """Open a pixel of a run: where its colour comes from, what is wrong with it, what the photos know of it."""
+
+    run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
+    """The run folder that `nerf-core train` wrote."""
+    camera: str
+    """A photo of the capture by its name or its end (r_3), or a .json file with a camera, as an opened ray's has."""
+    pixel: tuple[int, int]
+    """Column and row, counted from the top left, in the camera's picture."""
+    write: list[Path] = field(default_factory=list)
+    """A file to write: .json or .npz with everything, .csv with the samples, .png or .svg with a figure. Repeatable."""
+    t: float | None = None
+    """Where on the ray its radiance is looked at; by default on the surface."""
+    data: Annotated[Path | None, tyro.conf.arg(help=MOVED_HELP)] = None
+    device: str = "auto"
+    """cpu, cuda, or auto."""
+
+    def run(self, signals: Signals) -> int:
+        from nerf_core.probe import open_pixel, write_inspection
+        from nerf_core.probe.report import check_format
+
+        for file in self.write:
+            check_format(file)
+        with _loading() as progress:
+            trainer, notes = RunFolder(self.run_folder).restore(self.data, self.device, progress)
+        _tell(notes)
+        camera = picked_camera(trainer.scene, self.camera)
+        opened = open_pixel(trainer.method, trainer.scene, camera, self.pixel, trainer.step_count, self.t)
+        ray, verdict = opened.ray, opened.verdict
+        assert verdict is not None
+        print(f"{verdict.kind}: {'; '.join(verdict.reasons)}")
+        depth = "none" if ray.depth_median is None else f"{ray.depth_median:.4g}"
+        color = ", ".join(f"{v:.3f}" for v in ray.color)
+        print(f"colour {color}; opacity {ray.opacity:.3f}; median depth {depth}; step {ray.step:,}")
+        for file in self.write:
+            write_inspection([opened], file)
+            print(f"wrote {file}")
+        return 0
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """The exit status: 0; 1 when training diverged; 2 for what the user can mend; 130 and 143 after signals."""
     commands = (
         Annotated[Train, tyro.conf.subcommand("train")]
         | Annotated[Eval, tyro.conf.subcommand("eval")]
         | Annotated[Render, tyro.conf.subcommand("render")]
+        | Annotated[Probe, tyro.conf.subcommand("probe")]
     )
     with Signals() as signals:
         try:

@@ -20,7 +20,7 @@ CONFIG = (
 )
 
 
-REPEATABLE = ("--click", "--set")
+REPEATABLE = ("--click", "--pin", "--set", "--write")
 
 
 def parse(kind: Any, prog: str, arguments: Sequence[str] | None) -> Any:

@@ -6,14 +6,17 @@ latest-wins `Snapshot` and an ordered queue of `Notice`s (things that happened o
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from nerf_core.cameras import Camera
-from nerf_core.probe import RadianceProbe, RayProbe
+from nerf_core.probe import Opened, RadianceProbe, RayHistory, RayProbe, Sightings
+from nerf_core.probe.radiance import Around
+from nerf_core.render_modes import COLOR
 from nerf_core.scene import Scene
 
 # ---- to the worker -------------------------------------------------------------------------------------------
@@ -21,11 +24,13 @@ from nerf_core.scene import Scene
 
 @dataclass(frozen=True)
 class ViewRequest:
-    """The picture that is wanted now. stamp: grows with every change; answers carry it back."""
+    """The picture that is wanted now. stamp: grows with every change; answers carry it back. mode: its colours', or one
+    of `nerf_core.render_modes`."""
 
     stamp: int
     camera: Camera
     moving: bool
+    mode: str = COLOR
 
 
 @dataclass(frozen=True)
@@ -75,7 +80,10 @@ class SetShare:
 
 @dataclass(frozen=True)
 class SaveCheckpoint:
+    """session: JSON values that come back with the checkpoint, in `Snapshot.session`."""
+
     path: Path
+    session: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -87,17 +95,40 @@ class LoadCheckpoint:
 class Inspect:
     """Open the ray through integer `pixel` of `camera`, and keep it open while training goes on.
 
-    point_t: world distance at which the radiance is shown; None: the median depth (else the strongest sample).
+    point_t: world distance at which the radiance is shown; None: where the verdict has the surface, else the median
+    depth, else the strongest sample. around: what the middle of the radiance's disc is.
     """
 
     camera: Camera
     pixel: tuple[int, int]
     point_t: float | None = None
+    around: Around = "viewer"
 
 
 @dataclass(frozen=True)
 class StopInspecting:
     pass
+
+
+@dataclass(frozen=True)
+class Pin:
+    """Keep the ray through integer `pixel` of `camera` open as well, and its history from now on, under a number."""
+
+    id: int
+    camera: Camera
+    pixel: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Unpin:
+    id: int
+
+
+@dataclass(frozen=True)
+class ExportRays:
+    """Write the opened ray and the pinned ones; the format is that of the suffix (`nerf_core.probe.report`)."""
+
+    file: Path
 
 
 @dataclass(frozen=True)
@@ -130,7 +161,7 @@ class Quit:
 
 Command = (
     OpenScene | Train | Pause | Reset | UseMethod | SetShare | SaveCheckpoint | LoadCheckpoint | Inspect
-    | StopInspecting | ExportPath | ExportStill | CancelExport | Quit
+    | StopInspecting | Pin | Unpin | ExportRays | ExportPath | ExportStill | CancelExport | Quit
 )  # fmt: skip
 
 # ---- from the worker -----------------------------------------------------------------------------------------
@@ -166,6 +197,7 @@ class Preview:
     complete: bool
     step: int
     quality: str
+    mode: str = COLOR
 
 
 @dataclass(frozen=True)
@@ -186,6 +218,15 @@ class History:
     step: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     loss: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
     psnr: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
+
+
+@dataclass(frozen=True)
+class Pinned:
+    """A pinned ray, as it was last opened, and how it came to be; None: not yet."""
+
+    id: int
+    ray: RayProbe | None
+    history: RayHistory | None
 
 
 Status = Literal["empty", "loading", "ready", "training", "paused", "finished", "failed"]
@@ -218,8 +259,22 @@ class Snapshot:
     memory_bytes: int = 0
     history: History = field(default_factory=History)
     preview: Preview | None = None
-    ray: RayProbe | None = None
-    radiance: RadianceProbe | None = None
+    opened: Opened | None = None  # the ray under the lens
+    opened_step: int = -1  # of which all of it is; −1: some of it is older, or not there yet
+    pinned: tuple[Pinned, ...] = ()
+    session: Mapping[str, Any] = field(default_factory=dict)  # what the newest loaded checkpoint brought back
     export: Export | None = None
     loading: str = ""  # what is being loaded, with a count, while status is "loading"
     preview_rays_per_second: float = 0.0  # at full quality, while drawing; 0: not measured yet
+
+    @property
+    def ray(self) -> RayProbe | None:
+        return self.opened.ray if self.opened is not None else None
+
+    @property
+    def radiance(self) -> RadianceProbe | None:
+        return self.opened.radiance if self.opened is not None else None
+
+    @property
+    def evidence(self) -> Sightings | None:
+        return self.opened.evidence if self.opened is not None else None

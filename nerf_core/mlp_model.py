@@ -6,13 +6,15 @@ from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from typing import Any, NamedTuple, Self
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from nerf_core.fields.mlp import MlpField
 from nerf_core.optimizers import adam_state, load_adam
 from nerf_core.scene import Scene
-from nerf_core.types import Rays
+from nerf_core.stations import BarCode, Station, triple
+from nerf_core.types import Rays, Samples
 
 
 class Parametrised(NamedTuple):
@@ -79,14 +81,37 @@ class MlpModel:
         self.optimizer.zero_grad(set_to_none=False)
 
     @torch.no_grad()
-    def radiance(self, point: Tensor, directions: Tensor) -> Tensor:
-        """The trunk once at the point, then only the view branch over the directions (K, 3)."""
-        x = point.to(self.device, torch.float32)
-        if self.ndc is not None:
-            x = self.ndc.point(x)
-        _, trunk = self.final.geometry(x[None])
+    def radiance(self, points: Tensor, directions: Tensor) -> Tensor:
+        """The trunk once a point, then only the view branch over the directions (K, 3)."""
+        _, trunk = self.final.geometry(self._seen(points))
         encoded = self.final.encode_directions(directions.to(self.device, torch.float32))
-        return self.final.color(trunk.expand(len(encoded), -1), encoded)
+        return self.final.colors(trunk, encoded)
+
+    @torch.no_grad()
+    def density(self, points: Tensor) -> Tensor:
+        return torch.relu(self.final.geometry(self._seen(points))[0])
+
+    def _seen(self, points: Tensor) -> Tensor:
+        """World points (P, 3) as the networks see them."""
+        x = points.to(self.device, torch.float32)
+        return x if self.ndc is None else self.ndc.point(x)
+
+    @torch.no_grad()
+    def code_station(self, rays: Rays, samples: Samples) -> Station:
+        """γ at the heaviest of the first ray's samples."""
+        strongest = int(samples.weights[0].argmax())
+        point = (rays.origins + samples.t[:1, strongest, None].to(rays.origins) * rays.directions).to(self.device)
+        x, field = self._seen(point), self.final
+        position = field.encode_positions(x)[0].float().cpu().numpy()
+        direction = self.parametrise(rays.to(self.device)).encoded[0].float().cpu().numpy()
+        peak = max(float(np.abs(position).max()), float(np.abs(direction).max()))
+        return Station(
+            "Encoding",
+            "The network is not given bare coordinates: γ adds sines and cosines of doubling frequency, so that near "
+            "points look different to it. Here the heaviest sample's place x, and the direction d.",
+            (BarCode(("γ(x)", "γ(d)"), (position, direction), peak),),
+            (("x", triple(x[0].cpu().numpy())), ("numbers", f"{len(position)} + {len(direction)}")),
+        )
 
     def frozen(self) -> Self:
         copy = object.__new__(type(self))

@@ -16,6 +16,7 @@ import numpy as np
 from nerf_core.cameras import Camera
 from nerf_core.messages import Preview
 from nerf_core.render import to_bytes
+from nerf_core.render_modes import COLOR
 
 COARSEST = 64
 YOUNG = 0.75  # weights of this share of today's steps still tell what the model looks like
@@ -32,8 +33,8 @@ def first_stride(width: int, height: int, affordable: float) -> int:
 class Refinement:
     """The progressive picture of one camera."""
 
-    def __init__(self, camera: Camera, stamp: int, stride: int, quality: str) -> None:
-        self.camera, self.stamp, self.quality = camera, stamp, quality
+    def __init__(self, camera: Camera, stamp: int, stride: int, quality: str, mode: str = COLOR) -> None:
+        self.camera, self.stamp, self.quality, self.mode = camera, stamp, quality, mode
         self.stride = stride
         self.fresh = False  # whether anything was written since `image` was last called
         self.first_level_done = self._drawn_again = False
@@ -135,6 +136,7 @@ class Refinement:
             complete=self.complete(),
             step=int(self._step.min()),
             quality=self.quality,
+            mode=self.mode,
         )
 
 

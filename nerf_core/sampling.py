@@ -32,6 +32,13 @@ def stratified(t: Float[Tensor, "R S"], generator: torch.Generator) -> Float[Ten
     return lower + (upper - lower) * torch.rand(t.shape, generator=generator, device=t.device, dtype=t.dtype)
 
 
+def cumulative(weights: Float[Tensor, "R bins"]) -> Float[Tensor, "R edges"]:
+    """The CDF (R, B + 1) at the edges of bins of such weights (R, B), from 0 to 1."""
+    weights = weights + PDF_FLOOR
+    pdf = weights / weights.sum(-1, keepdim=True)
+    return torch.cat([torch.zeros_like(pdf[:, :1]), pdf.cumsum(-1)], -1)
+
+
 def inverse_transform(
     edges: Float[Tensor, "R edges"], weights: Float[Tensor, "R bins"], count: int, generator: torch.Generator | None
 ) -> Float[Tensor, "R count"]:
@@ -41,9 +48,7 @@ def inverse_transform(
     Uniform random draws with a generator, else evenly spaced quantiles 0 … 1. Returns (R, count), ascending without
     a generator, unsorted with one.
     """
-    weights = weights + PDF_FLOOR
-    pdf = weights / weights.sum(-1, keepdim=True)
-    cdf = torch.cat([torch.zeros_like(pdf[:, :1]), pdf.cumsum(-1)], -1)
+    cdf = cumulative(weights)
     if generator is None:
         u = torch.linspace(0, 1, count, device=cdf.device, dtype=cdf.dtype).expand(len(cdf), count).contiguous()
     else:

@@ -33,6 +33,7 @@ from nerf_core.kernels.voxel_kernels import Adam, March, Traced
 from nerf_core.packing import to_trace
 from nerf_core.scene import Scene
 from nerf_core.spaces import Space, pixel_size
+from nerf_core.stations import BarCode, Colors, Station, absorption_station, field_station, number, skipped_station
 from nerf_core.types import Rays, Rendering, Trace
 from nerf_core.voxel_config import VoxelConfig
 
@@ -224,12 +225,63 @@ class VoxelModel:
         return functional.softplus(found.raw) * self.config.step
 
     @torch.no_grad()
-    def radiance(self, point: Tensor, directions: Tensor) -> Tensor:
-        x = self.space.points(point.to(self.device, torch.float32)[None])
-        row = self.shown.interpolate(*self.grid.cells_of(x))[0]
+    def radiance(self, points: Tensor, directions: Tensor) -> Tensor:
+        rows = self._rows_at(points)[0]
         d = directions.to(self.device, torch.float32)
-        basis = torch.stack([torch.full_like(d[:, 0], SH[0]), SH[1] * d[:, 1], SH[1] * d[:, 2], SH[1] * d[:, 0]], -1)
-        return torch.sigmoid(basis @ row[:DENSITY].view(3, 4).T)
+        return torch.sigmoid(torch.einsum("kb,pcb->pkc", self._basis(d), rows[:, :DENSITY].view(-1, 3, 4)))
+
+    @staticmethod
+    def _basis(d: Tensor) -> Tensor:
+        """Y (K, 4) at unit directions (K, 3)."""
+        return torch.stack([torch.full_like(d[:, 0], SH[0]), SH[1] * d[:, 1], SH[1] * d[:, 2], SH[1] * d[:, 0]], -1)
+
+    @torch.no_grad()
+    def density(self, points: Tensor) -> Tensor:
+        """0 in cells that no ray looks into."""
+        rows, cell = self._rows_at(points)
+        unit = float(np.prod(self.grid.voxel) ** (1 / 3)) * self.space.extent
+        sigma = functional.softplus(rows[:, DENSITY] + self.config.bias) / unit
+        return torch.where(self.grid.occupied[tuple(cell.unbind(-1))], sigma, 0)
+
+    def _rows_at(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Interpolated rows (P, 16) at world points (P, 3), and their cells (P, 3)."""
+        cell, within = self.grid.cells_of(self.space.points(points.to(self.device, torch.float32)))
+        return self.shown.interpolate(cell, within), cell
+
+    @torch.no_grad()
+    def explain(self, rays: Rays) -> tuple[Station, ...]:
+        samples = self.trace(rays).passes[0]
+        strongest = int(samples.weights[0].argmax())
+        point = rays.origins + samples.t[:, strongest, None] * rays.directions
+        cell, within = self.grid.cells_of(self.space.points(point))
+        corners = torch.cartesian_prod(*[torch.arange(2)] * 3)
+        weights = torch.where(corners == 1, within, 1 - within).prod(-1).numpy()
+        index = self.grid.row_of(cell + corners)
+        raw = torch.where(index >= 0, self.average[index.clamp(min=0), DENSITY], 0).numpy()
+        row, d = self.shown.interpolate(cell, within)[0], rays.directions
+        basis = self._basis(d)[0].numpy()
+        coefficients = row[:DENSITY].view(3, 4).numpy()
+        count = 0 if samples.count is None else int(samples.count[0])
+        return (
+            skipped_station(samples, self.grid, self.config.step),
+            Station(
+                "Grid",
+                "The heaviest sample lies in a cell whose 8 corners each hold a raw density s and coefficients of "
+                "colour. They are blended by how near the sample is to each.",
+                (BarCode(("blend", "s"), (weights, raw), max(1.0, float(np.abs(raw).max()))),),
+                (("cell", ", ".join(str(v) for v in cell[0].tolist())),
+                 ("density", f"softplus({number(float(row[DENSITY]))} + {number(self.config.bias)})")),
+            ),
+            Station(
+                "Colour",
+                "Spherical harmonics of the direction, Y₀ and three Y₁, times the blended coefficients of a channel; "
+                "a sigmoid makes that a colour. Y₀ alone would be matt; the others let it change with the view.",
+                (BarCode(("Y(d)", "red", "green", "blue"), (basis, *coefficients), float(np.abs(coefficients).max())),
+                 Colors(("towards this camera",), torch.sigmoid(torch.from_numpy(coefficients @ basis))[None].numpy())),
+            ),
+            field_station(samples, f"{count} samples, a line of rows each: there is no network to ask."),
+            absorption_station(samples),
+        )  # fmt: skip
 
     # ---- state ------------------------------------------------------------------------------------------------------
 

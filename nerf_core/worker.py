@@ -10,9 +10,10 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -26,6 +27,7 @@ from nerf_core.export import FilmJob, Job, StillJob
 from nerf_core.history import HistoryLog
 from nerf_core.kernels import choice as kernels
 from nerf_core.messages import Command, Notice, Snapshot, ViewRequest
+from nerf_core.probe import write_inspection
 from nerf_core.recovery import LastGood
 from nerf_core.scene import Scene
 from nerf_core.settings import RunSettings
@@ -38,7 +40,8 @@ NICENESS = 10  # the window's thread goes first when both want a core
 
 # What can be obeyed in the middle of a training step: it touches neither the weights nor whose they are.
 QUICK = (
-    messages.SetShare, messages.Inspect, messages.StopInspecting, messages.ExportPath, messages.ExportStill,
+    messages.SetShare, messages.Inspect, messages.StopInspecting, messages.Pin, messages.Unpin,
+    messages.ExportPath, messages.ExportStill,
     messages.CancelExport,
 )  # fmt: skip
 
@@ -77,6 +80,7 @@ class Worker:
         self._failed = False
         self._loading = ""
         self._saved_step = 0
+        self._session: Mapping[str, Any] = {}
         self._rays_a_step = 0
         self._good: LastGood | None = None
         self._accounted = 0.0  # up to when the step under way is in the budget
@@ -182,14 +186,21 @@ class Worker:
                     self._start_training(None, None)
             case messages.SetShare(train):
                 self._budget.share = min(max(train, 0.05), 0.95)
-            case messages.SaveCheckpoint(path):
-                self._save(path)
+            case messages.SaveCheckpoint(path, session):
+                self._save(path, session)
             case messages.LoadCheckpoint(path):
                 self._load(path)
             case messages.Inspect():
-                self._artist.inspect(command)
+                self._artist.rays.inspect(command)
             case messages.StopInspecting():
-                self._artist.inspect(None)
+                self._artist.rays.inspect(None)
+            case messages.Pin():
+                self._artist.rays.pin(command, self._need_trainer())
+                self._artist.rays.record(self._need_trainer())
+            case messages.Unpin(number):
+                self._artist.rays.unpin(number)
+            case messages.ExportRays(path):
+                self._export_rays(path)
             case messages.ExportPath() | messages.ExportStill():
                 self._start_export(command)
             case messages.CancelExport():
@@ -229,6 +240,8 @@ class Worker:
         self._saved_step = 0
         self._history = HistoryLog()
         self._artist.forget_pictures()
+        self._artist.rays.restart(trainer)
+        self._artist.rays.record(trainer)
 
     def _use_method(self, name: str) -> None:
         settings = replace(self.settings, method=name, preset="auto", changes={})
@@ -255,17 +268,24 @@ class Worker:
         for note in trainer.notes(description):
             self._notices.put(Notice("warning", note))
         self._saved_step = description["step"]
+        self._session = description.get("session", {})  # older ones have none
         if self.settings.method not in ("auto", trainer.method_name):
             asked = self.settings.method
             text = f"{path.name} holds a model of method {trainer.method_name}: --method {asked} is not used"
             self._notices.put(Notice("warning", text))
         self._notices.put(Notice("info", f"loaded {path.name}: step {description['step']:,}", path))
 
-    def _save(self, path: Path) -> None:
+    def _save(self, path: Path, session: Mapping[str, Any]) -> None:
         trainer = self._need_trainer()
-        checkpoint.save(path, trainer.describe(), trainer.state())
+        checkpoint.save(path, trainer.describe() | {"session": dict(session)}, trainer.state())
         self._saved_step = trainer.step_count
         self._notices.put(Notice("info", f"saved step {trainer.step_count:,} to {path}", path))
+
+    def _export_rays(self, path: Path) -> None:
+        rays = self._artist.rays
+        found = [rays.opened] if rays.opened is not None else []
+        write_inspection([*found, *rays.pinned_pixels(self._need_trainer())], path)
+        self._notices.put(Notice("info", f"wrote {path}", path))
 
     def _need_scene(self) -> Scene:
         if self._scene is None:
@@ -307,6 +327,9 @@ class Worker:
         self._account_for_training(report.rays)
         self._rays_a_step = report.rays
         self._history.add(report.step, report.loss)
+        begin = time.perf_counter()
+        if self._artist.rays.record(trainer):
+            self._budget.drew(time.perf_counter() - begin)
         if report.note:
             self._notices.put(Notice("warning", report.note))
 
@@ -324,6 +347,7 @@ class Worker:
         if self._good is not None:
             self._good.restore(trainer)
             self._history.rewind(trainer.step_count)
+            self._artist.rays.rewind(trainer.step_count)
             self._saved_step = min(self._saved_step, trainer.step_count)
         self._artist.forget_pictures()
         self._notices.put(Notice("error", f"{error}; back at step {trainer.step_count:,}, paused"))
@@ -439,6 +463,7 @@ class Worker:
             wanted_share=self._budget.share,
         )  # fmt: skip
         if trainer is not None:
+            rays = self._artist.rays
             rate = self._budget.rays_per_second() if status == "training" else 0.0
             left = None
             if rate and self._training_until is not None:
@@ -460,8 +485,10 @@ class Worker:
                 memory_bytes=memory_held(trainer.device),
                 history=self._history.view(),
                 preview=self._artist.preview(common.preview),
-                ray=self._artist.ray,
-                radiance=self._artist.radiance,
+                opened=rays.opened,
+                opened_step=rays.opened_step,
+                pinned=rays.pinned(),
+                session=self._session,
                 preview_rays_per_second=self._artist.rays_per_second("fine"),
             )
         self._snapshot = common

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from nerf_core.cameras import Camera
+from nerf_core.datasets.demo import LANDMARKS
 from nerf_core.errors import UserError
 from nerf_core.messages import (
     ExportPath,
+    ExportRays,
     Inspect,
     LoadCheckpoint,
     Notice,
     OpenScene,
+    Pin,
     SaveCheckpoint,
     StopInspecting,
+    Unpin,
 )
 from nerf_core.paths import orbit
 from nerf_core.scene import Scene
+from viewer import pins
 from viewer.link import Link
 from viewer.state import (
     Action,
@@ -26,12 +33,16 @@ from viewer.state import (
     FocusOn,
     FrameScene,
     GoToView,
+    OpenPin,
     OrbitForm,
+    PinRay,
     ResetView,
     SaveScreenshot,
+    SetDisc,
     SetPointDepth,
     ShownNotice,
     StartOrbitExport,
+    UnpinRay,
 )
 
 
@@ -51,7 +62,7 @@ class Actions:
     def tell(self, notice: Notice) -> None:
         self._state.notices.append(ShownNotice(notice, self._state.time))
 
-    def _perform(self, action: Action) -> None:
+    def _perform(self, action: Action) -> None:  # noqa: PLR0912  one branch an action
         state, scene = self._state, self._state.snapshot.scene
         match action:
             case GoToView() | FocusOn() | ResetView() | FrameScene():
@@ -59,6 +70,11 @@ class Actions:
             case SetPointDepth(t):
                 if state.inspect is not None:
                     self._perform(replace(state.inspect, point_t=t))
+            case PinRay() | OpenPin() | UnpinRay():
+                self._pin(action)
+            case SetDisc(around):
+                if state.inspect is not None:
+                    self._perform(replace(state.inspect, around=around))
             case SaveScreenshot(path):
                 self.screenshots.append(path)
             case StartOrbitExport():
@@ -71,13 +87,58 @@ class Actions:
             case OpenScene(path):
                 state.inspect = None
                 self._link.send(action if path is None else replace(action, path=own_path(path)))
-            case SaveCheckpoint(path) | LoadCheckpoint(path):
+            case SaveCheckpoint(path):
+                self._link.send(SaveCheckpoint(own_path(path), pins.to_json(state.pins)))
+            case ExportRays(path):
+                self._link.send(ExportRays(own_path(path)))
+            case LoadCheckpoint(path):
                 self._link.send(replace(action, path=own_path(path)))
             case StopInspecting():
                 state.inspect = None
                 self._link.send(action)
             case _:
                 self._link.send(action)
+
+    def _pin(self, action: PinRay | OpenPin | UnpinRay) -> None:
+        state = self._state
+        match action:
+            case PinRay(ray):
+                pin = pins.new_pin(state.pins, ray)
+                state.pins.append(pin)
+                self._link.send(Pin(pin.id, ray.camera, ray.pixel))
+            case OpenPin(number):
+                for pin in state.pins:
+                    if pin.id == number:
+                        self._perform(pin.ray)
+            case UnpinRay(number):
+                state.pins = [pin for pin in state.pins if pin.id != number]
+                self._link.send(Unpin(number))
+
+    def pin_landmarks(self, scene: Scene) -> None:
+        """Of the demo scene: out of sight, so that their histories begin with training."""
+        if scene.format != "demo" or not scene.split("train"):
+            return
+        camera = scene.views[scene.split("train")[0]].camera
+        for name, x, y in LANDMARKS:
+            pixel = int(x * camera.width), int(y * camera.height)
+            pin = replace(pins.new_pin(self._state.pins, Inspect(camera, pixel)), name=name, hidden=True)
+            self._state.pins.append(pin)
+            self._link.send(Pin(pin.id, camera, pixel))
+
+    def restore(self, session: Mapping[str, Any]) -> None:
+        """Pin what a loaded checkpoint brought back; where it brings nothing, what is pinned stays."""
+        try:
+            stored = pins.from_json(session)
+        except UserError as error:
+            self.tell(Notice("warning", str(error)))
+            return
+        if not stored:
+            return
+        for pin in self._state.pins:
+            self._link.send(Unpin(pin.id))
+        self._state.pins = stored
+        for pin in stored:
+            self._link.send(Pin(pin.id, pin.ray.camera, pin.ray.pixel))
 
     def _move(self, action: GoToView | FocusOn | ResetView | FrameScene) -> None:
         state, scene = self._state, self._state.snapshot.scene

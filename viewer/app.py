@@ -6,14 +6,16 @@ import time as clock
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 
 from nerf_core.cameras import Camera
 from nerf_core.errors import UserError
-from nerf_core.messages import Notice, ViewRequest
+from nerf_core.messages import Notice, Snapshot, ViewRequest
 from nerf_core.video import write_png
+from viewer import pins
 from viewer.actions import Actions
 from viewer.bars import Bars
 from viewer.draw.imgui_renderer import ImguiRenderer
@@ -73,7 +75,7 @@ class App:
         self._layout = Layout(layout_file)
         self._pacer = Pacer(watched=window.has_display)
         self._actions = Actions(self.state, link)
-        self._requested: tuple[Camera, bool, int] | None = None  # camera, moving, scene
+        self._requested: tuple[Camera, bool, int, str] | None = None  # camera, moving, scene, mode
         self._stamp = 0
         self._drawn_at = self.state.time
         self._frame_times: deque[float] = deque(maxlen=120)
@@ -116,31 +118,47 @@ class App:
         old, new = self.state.snapshot, self.link.snapshot()
         if new is not old:
             self.state.snapshot = new
-            picture = new.preview is not old.preview or new.ray is not old.ray or new.radiance is not old.radiance
+            picture = new.preview is not old.preview or _opened(new) != _opened(old)
             self._pacer.note(self.state.time, picture=picture, figures=True)
             if new.loaded != old.loaded and new.scene is not None:
                 self.state.camera.set_scene(new.scene)
                 self.state.inspect = self.state.current_view = None
+                self.state.pins = []
+                self._actions.pin_landmarks(new.scene)
                 self.state.checkpoint_file = ""
+            if new.session is not old.session and new.session:
+                self._actions.restore(new.session)
+        self._focus_behind()
         notices = self.link.notices()
         for notice in notices:
             self._actions.tell(notice)
         if notices:
             self._pacer.note(self.state.time, hand=True)
 
+    def _focus_behind(self) -> None:
+        """A double click on a floater lands on the surface behind it, as soon as the verdict says that it is one."""
+        state, opened = self.state, self.state.snapshot.opened
+        if state.focus is None or opened is None or opened.verdict is None:
+            return
+        if opened.camera is not state.focus.camera or opened.ray.pixel != state.focus.pixel:
+            return
+        state.focus = None
+        if opened.verdict.kind == "floater" and opened.verdict.surface_t is not None:
+            state.camera.focus(opened.ray.origin + opened.verdict.surface_t * opened.ray.direction)
+
     def _request_view(self, now: float) -> None:
         """Tell the worker what to draw, when that changed or the camera came to rest."""
         if self.state.snapshot.scene is None or min(self.window.size()) == 0:
             return
         camera, moving = self.state.camera.camera(*self.state.viewport), self.state.camera.moving(now)
-        loaded = self.state.snapshot.loaded
+        loaded, mode = self.state.snapshot.loaded, self.state.mode
         if self._requested is not None:
-            last, was_moving, was_loaded = self._requested
-            if same_view(last, camera) and (was_moving, was_loaded) == (moving, loaded):
+            last, *others = self._requested
+            if same_view(last, camera) and others == [moving, loaded, mode]:
                 return
         self._stamp += 1
-        self._requested = camera, moving, loaded
-        self.link.request_view(ViewRequest(self._stamp, camera, moving))
+        self._requested = camera, moving, loaded, mode
+        self.link.request_view(ViewRequest(self._stamp, camera, moving, mode))
 
     # ---- drawing ----------------------------------------------------------------------------------------------
 
@@ -180,6 +198,7 @@ class App:
 
     def _draw_interface(self) -> list[Action]:
         state, ui, bars, viewport = self.state, self._ui, self._bars, self._viewport
+        state.sample, state.pointed_at = state.pointed_at, None
         flying = viewport.input.keys(state, imgui.get_io().delta_time)
         held = any(imgui.is_mouse_down(button) for button in range(3))
         self._pacer.note(self.state.time, hand=flying or held)
@@ -230,6 +249,10 @@ class App:
         while now - self._frame_times[0] > 1:
             self._frame_times.popleft()
         self.state.frames_per_second = float(len(self._frame_times))
+
+    def session(self) -> dict[str, Any]:
+        """What a checkpoint keeps of the window: its pinned rays."""
+        return pins.to_json(self.state.pins)
 
     # ---- for scripts, tests and the headless mode ---------------------------------------------------------------
 
@@ -287,3 +310,8 @@ class App:
         self._renderer.release()
         implot.destroy_context()
         imgui.destroy_context(self._context)
+
+
+def _opened(snapshot: Snapshot) -> tuple[int, ...]:
+    """Differs when something of an opened ray is new."""
+    return tuple(map(id, (snapshot.opened, *(pin.ray for pin in snapshot.pinned))))

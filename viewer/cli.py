@@ -40,12 +40,17 @@ class ViewerOptions:
     """Size of text and panels offscreen, 1 by default; a window takes its screen's."""
     click: list[tuple[str, str]] = field(default_factory=list)
     """Click into the viewport at X Y after training: in pixels, or with a decimal point in fractions. Repeatable."""
+    pin: list[tuple[str, str]] = field(default_factory=list)
+    """Pin the ray at X Y of the viewport before training: its history is kept from the first step on. Repeatable."""
+    mode: str = "colour"
+    """What the picture shows of each pixel: colour, or view-dependence."""
     screenshot: Path | None = None
     """Write the whole interface as a PNG."""
     render: Path | None = None
     """Write the viewport's picture alone at full resolution: .png, or .npy (float32 before rounding)."""
     inspect: Path | None = None
-    """Write all arrays of the clicked ray and of its point's radiance as JSON."""
+    """Write all arrays of the clicked ray, its point's radiance, its verdict and the photos' evidence: .json, .npz;
+    its samples: .csv; a figure: .png, .svg."""
     orbit: Path | None = None
     """Write an orbit video (MP4)."""
     load: Path | None = None
@@ -86,8 +91,8 @@ def run(options: ViewerOptions, signals: Signals) -> int:
         raise UserError(f"--scale {scale:g}: give a number from 0.5 to 4")
     wishes = sessions.Wishes(
         load=options.load, steps=options.train.steps, seconds=options.train.seconds, save=options.save,
-        clicks=tuple(options.click), inspect=options.inspect, render=options.render, orbit=options.orbit,
-        screenshot=options.screenshot,
+        mode=options.mode, pins=tuple(options.pin), clicks=tuple(options.click), inspect=options.inspect,
+        render=options.render, orbit=options.orbit, screenshot=options.screenshot,
     )  # fmt: skip
     wishes.check()
     if options.load is not None:

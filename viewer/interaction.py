@@ -13,8 +13,9 @@ from imgui_bundle import imgui
 
 from nerf_core.checkpoint import SUFFIX
 from nerf_core.messages import Inspect, Pause, SaveCheckpoint, StopInspecting, Train
+from nerf_core.render_modes import COLOR, MODES
 from viewer.draw.viewport import same_view
-from viewer.state import Action, AppState, FocusOn, FrameScene, GoToView, ResetView, StartOrbitExport
+from viewer.state import Action, AppState, FocusOn, FrameScene, GoToView, PinRay, ResetView, StartOrbitExport
 from viewer.theme import TEXT_PIXELS
 
 CLICK_PIXELS = 4.0  # a press and release further apart, on a screen of scale 1, is a drag
@@ -71,9 +72,13 @@ class ViewportInput:
         self._press = _Press(button, x, y, (x, y))
         if button == LEFT and imgui.is_mouse_double_clicked(LEFT):
             self._press.focused = True
-            point = point_under(state, int(np.floor(x)), int(np.floor(y)))
+            column, row = int(np.floor(x)), int(np.floor(y))
+            point = point_under(state, column, row)
             if point is not None:
                 self.actions.append(FocusOn(point))
+                asked = state.inspect  # of the double click's first press
+                same = asked is not None and asked.pixel == (column, row)
+                state.focus = asked if same else None
 
     def _follow(self, state: AppState, press: _Press, x: float, y: float, em: float) -> None:
         press.dragging |= max(abs(x - press.x), abs(y - press.y)) > _reach(em)
@@ -91,7 +96,10 @@ class ViewportInput:
     def _inspect(self, state: AppState, x: int, y: int) -> None:
         width, height = state.viewport
         if state.snapshot.scene is not None and 0 <= x < width and 0 <= y < height:
-            self.actions.append(Inspect(state.camera.camera(width, height), (x, y)))
+            ray = Inspect(state.camera.camera(width, height), (x, y))
+            self.actions.append(ray)
+            if imgui.get_io().key_ctrl:
+                self.actions.append(PinRay(ray))
 
     # ---- keys -------------------------------------------------------------------------------------------------
 
@@ -127,6 +135,7 @@ class ViewportInput:
             if not state.show_help and state.inspect is not None:
                 self.actions.append(StopInspecting())
             state.show_help = False
+        _choose_mode(state)
         scene = state.snapshot.scene
         if scene is None:
             return
@@ -157,6 +166,23 @@ class ViewportInput:
         state.camera.fly(right, up, forward, seconds, imgui.get_io().key_shift)
         state.current_view = None
         return True
+
+
+def _choose_mode(state: AppState) -> None:
+    """1 … 8: what the picture shows of each pixel."""
+    keys = (
+        imgui.Key._1,
+        imgui.Key._2,
+        imgui.Key._3,
+        imgui.Key._4,
+        imgui.Key._5,
+        imgui.Key._6,
+        imgui.Key._7,
+        imgui.Key._8,
+    )
+    for key, name in zip(keys, (COLOR, *MODES), strict=False):
+        if _pressed(key):
+            state.mode = name
 
 
 def next_view(train: tuple[int, ...], current: int | None, step: int) -> int:

@@ -98,7 +98,7 @@ class Layout:
             self._raise_next, self._raise_soon = self._raise_soon, ()
         if self._build_next and area.work_size.x > 0 and area.work_size.y > 0:
             self._build_next = False
-            self._raise_next = (_build(space, panels, area.work_size, em),)
+            self._raise_next = _build(space, panels, area.work_size, em)
         elif self._raise_next:
             for title in self._raise_next:
                 imgui.set_window_focus(title)
@@ -135,8 +135,8 @@ def _checksum(body: str) -> str:
     return f"{zlib.crc32(body.encode()):08x}"
 
 
-def _build(space: int, panels: Sequence[Panel], size: ImVec2, em: float) -> str:
-    """The default; gives the title of the first of the tabs that share a place: imgui shows the last."""
+def _build(space: int, panels: Sequence[Panel], size: ImVec2, em: float) -> tuple[str, ...]:
+    """The default; gives the titles of the first of the tabs that share a place: imgui shows the last."""
     docks = imgui.internal
     docks.dock_builder_remove_node(space)
     docks.dock_builder_add_node(space, imgui.internal.DockNodeFlagsPrivate_.dock_space)
@@ -147,15 +147,17 @@ def _build(space: int, panels: Sequence[Panel], size: ImVec2, em: float) -> str:
     left_width = size.x * (1 - _share(RIGHT_EM * em, size.x))
     corner = docks.dock_builder_split_node(bottom.id_at_dir, imgui.Dir.right, _share(BOTTOM_RIGHT_EM * em, left_width))
     docks.dock_builder_dock_window(VIEWPORT, bottom.id_at_opposite_dir)
-    places = {"bottom": corner.id_at_opposite_dir, "bottom_right": corner.id_at_dir}
-    for panel in panels:
-        if panel.dock in places:
-            docks.dock_builder_dock_window(panel.title, places[panel.dock])
+    first = []
+    for place, node in (("bottom", corner.id_at_opposite_dir), ("bottom_right", corner.id_at_dir)):
+        titles = [panel.title for panel in panels if panel.dock == place]
+        for title in titles:
+            docks.dock_builder_dock_window(title, node)
+        first += titles[:1]
     middle = _share(MIDDLE_EM * em, size.y)
     rooms = (TOP_SHARE * (1 - middle), middle)
-    first_tab = _stack(right.id_at_dir, [panel.title for panel in panels if panel.dock == "right"], rooms)
+    first.append(_stack(right.id_at_dir, [panel.title for panel in panels if panel.dock == "right"], rooms))
     docks.dock_builder_finish(space)
-    return first_tab
+    return tuple(title for title in first if title)
 
 
 def _stack(node: int, titles: list[str], rooms: Sequence[float]) -> str:

@@ -48,12 +48,14 @@ DEPTHS: tuple[tuple[str, str, Glyph], ...] = (
 
 @dataclass(frozen=True)
 class Opened:
-    """What the plots show of one ray. units: of length in density's 1/length; point_t: the radiance point's."""
+    """What the plots show of one ray. units: of length in density's 1/length; point_t: the radiance point's. marked: a
+    sample that is pointed at somewhere."""
 
     ray: RayProbe
     passes: tuple[Steps, ...]
     units: Literal["unit", "NDC unit"]
     point_t: float
+    marked: tuple[Steps, int] | None = None
 
 
 class RayPlots:
@@ -132,14 +134,17 @@ class RayPlots:
         for steps in passes[:-1]:
             outline = implot.Spec(line_color=ui.theme.coarse, line_weight=0.1 * ui.em)
             implot.plot_stairs(f"{steps.probe.name} weight", steps.edges, _of_largest(steps), outline)
+        thin = implot.Spec(line_color=faded(ui.theme.alpha, 0.8), line_weight=0.07 * ui.em)
+        for steps in passes[-1:]:
+            implot.plot_stairs("alpha", steps.edges, steps.alpha, thin)
         line = implot.Spec(line_color=ui.theme.transmittance, line_weight=0.12 * ui.em)
         for steps in passes[-1:]:
             implot.plot_line("transmittance", steps.edges, steps.transmittance, line)
         if not passes:  # nothing stands in the ray's way
             implot.plot_line("transmittance", np.array([opened.ray.near, opened.ray.far]), np.ones(2), line)
-        axis_name(ui, "w / largest w, T", right=True, height=0.5)  # T is 1 or 0 there
+        axis_name(ui, "w / largest w, T, α", right=True, height=0.5)  # T is 1 or 0 there
         self._depth_marks(ui, opened.ray, glyphs=True)
-        result = self._drag_point(ui, opened.point_t), self._read(ui, passes)
+        result = self._drag_point(ui, opened.point_t), self._read(ui, passes, opened.marked)
         implot.end_plot()
         ui.mark("ray.weights")
         return result
@@ -166,7 +171,7 @@ class RayPlots:
             implot.plot_stairs(f"{steps.probe.name} density", steps.edges, sigma, line)
         axis_name(ui, f"σ (1/{opened.units})", right=True)
         self._depth_marks(ui, opened.ray, glyphs=False)
-        result = self._drag_point(ui, opened.point_t), self._read(ui, passes)
+        result = self._drag_point(ui, opened.point_t), self._read(ui, passes, opened.marked)
         implot.end_plot()
         ui.mark("ray.density")
         return result
@@ -195,7 +200,7 @@ class RayPlots:
         reading = None
         if implot.is_plot_hovered():
             row = int(np.searchsorted(bounds, implot.get_plot_mouse_pos().y, side="right")) - 1
-            reading = self._read(ui, passes[max(row, 0) : row + 1] or passes[-1:])
+            reading = self._read(ui, passes[max(row, 0) : row + 1] or passes[-1:], None)
         implot.end_plot()
         ui.mark("ray.strip")
         return reading
@@ -231,10 +236,10 @@ class RayPlots:
                 glyph(draw, ImVec2(x, top + (0.5 + 0.75 * row) * ui.em), 0.3 * ui.em, packed(ui.theme.text))
         implot.pop_plot_clip_rect()
 
-    def _read(self, ui: Ui, passes: tuple[Steps, ...]) -> tuple[Steps, int] | None:
-        """The sample nearest to the mouse, of whichever pass; it is also marked in this plot while it is read."""
-        if self.hovered is not None:
-            steps, index = self.hovered
+    def _read(self, ui: Ui, passes: tuple[Steps, ...], marked: tuple[Steps, int] | None) -> tuple[Steps, int] | None:
+        """The sample nearest to the mouse, of whichever pass; the one that is pointed at is marked in this plot."""
+        if marked is not None:
+            steps, index = marked
             x = _x(float(steps.t[index]))
             top, height = implot.get_plot_pos().y, implot.get_plot_size().y
             implot.get_plot_draw_list().add_line(ImVec2(x, top), ImVec2(x, top + height), packed(ui.theme.text))

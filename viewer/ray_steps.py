@@ -15,8 +15,8 @@ CONTIGUOUS = 1e-3  # of a sample's length: a gap that is no wider is rounding
 class Steps:
     """One pass. Sample i stands for the ray from t[i] to until[i], (S,) each; until reaches to the far end at most.
 
-    edges, weights, sigma, transmittance: (E,), stairs from the near end to the far one. Value i holds from edge i to
-    the next, and is 0 where no sample stands for the ray; transmittance is that at the edges.
+    edges, weights, sigma, alpha, transmittance: (E,), stairs from the near end to the far one. Value i holds from edge
+    i to the next, and is 0 where no sample stands for the ray; transmittance is that at the edges.
     """
 
     probe: PassProbe
@@ -25,6 +25,7 @@ class Steps:
     edges: np.ndarray
     weights: np.ndarray
     sigma: np.ndarray
+    alpha: np.ndarray
     transmittance: np.ndarray
 
 
@@ -41,10 +42,11 @@ def _steps(p: PassProbe, near: float, far: float) -> Steps:
     light, left = p.transmittance, p.transmittance[-1] * (1 - p.alpha[-1])
     kept = np.stack([np.ones(len(t), bool), beyond - until > CONTIGUOUS * (until - t)], 1)
     kept[-1, 1] = True
-    edges, weights, sigma, light = (
+    edges, weights, sigma, alpha, light = (
         np.nan_to_num(np.stack(pair, 1)[kept].astype(np.float64))
         for pair in (
-            (t, until), (p.weights, np.zeros(len(t))), (p.sigma, np.zeros(len(t))), (light, np.append(light[1:], left)),
+            (t, until), (p.weights, np.zeros(len(t))), (p.sigma, np.zeros(len(t))), (p.alpha, np.zeros(len(t))),
+            (light, np.append(light[1:], left)),
         )
     )  # fmt: skip
     before = [] if t[0] <= near else [near]
@@ -57,6 +59,7 @@ def _steps(p: PassProbe, near: float, far: float) -> Steps:
         np.concatenate([before, edges, after]),
         np.concatenate([nothing[0], weights, nothing[1]]),
         np.concatenate([nothing[0], sigma, nothing[1]]),
+        np.concatenate([nothing[0], alpha, nothing[1]]),
         np.concatenate([[1.0] * len(before), light, light[-1:] if after else []]),
     )
 

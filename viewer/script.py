@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import time
@@ -10,13 +9,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from nerf_core.checkpoint import describe, write_atomically
+from nerf_core.checkpoint import describe
 from nerf_core.console import Display, duration
-from nerf_core.errors import UserError
+from nerf_core.errors import UserError, shorten
 from nerf_core.messages import (
     CancelExport,
     Command,
     ExportStill,
+    Inspect,
     LoadCheckpoint,
     Notice,
     OpenScene,
@@ -27,11 +27,13 @@ from nerf_core.messages import (
     Train,
 )
 from nerf_core.paths import training_size
-from nerf_core.probe import inspection
+from nerf_core.probe import write_inspection
+from nerf_core.probe.report import FORMATS
+from nerf_core.render_modes import COLOR, MODES
 from nerf_core.settings import RunSettings
 from nerf_core.worker import Worker
 from viewer.app import App
-from viewer.state import StartOrbitExport
+from viewer.state import PinRay, StartOrbitExport
 
 FRAME_SECONDS = 0.25  # how often an offscreen interface is drawn while it waits: drawing takes time from training
 SHARPEN_SECONDS = 180.0  # how long a screenshot waits for the preview to reach full resolution
@@ -51,6 +53,8 @@ class Wishes:
     steps: int | None = None
     seconds: float | None = None
     save: Path | None = None
+    mode: str = COLOR
+    pins: tuple[tuple[str, str], ...] = ()
     clicks: tuple[tuple[str, str], ...] = ()
     inspect: Path | None = None
     render: Path | None = None
@@ -66,14 +70,17 @@ class Wishes:
 
     def check(self) -> None:
         """Raises UserError for what cannot be done, before hours are spent on what goes before it."""
-        for click in self.clicks:
-            for text in click:
-                _coordinate(text)
+        if self.mode not in (COLOR, *MODES):
+            raise UserError(f"--mode {shorten(self.mode)}: choose from {', '.join((COLOR, *MODES))}")
+        for option, places in (("click", self.clicks), ("pin", self.pins)):
+            for place in places:
+                for text in place:
+                    _coordinate(option, text)
         if self.load is not None:
             describe(self.load)
         if self.inspect is not None and not self.clicks:
             raise UserError(f"--inspect {self.inspect}: of which ray? add --click X Y")
-        kinds = {"screenshot": (".png",), "render": (".png", ".npy"), "orbit": (".mp4",)}
+        kinds = {"screenshot": (".png",), "render": (".png", ".npy"), "orbit": (".mp4",), "inspect": tuple(FORMATS)}
         for option, suffixes in kinds.items():
             file: Path | None = getattr(self, option)
             if file is not None and file.suffix.lower() not in suffixes:
@@ -183,22 +190,34 @@ class Script:
             shown.dismissed = True
         self.app.settle()
 
-    def _click(self, x: str, y: str) -> None:
+    def prepare(self) -> None:
+        """What comes before training: what the picture shows, and pins, whose histories begin now."""
+        self.app.state.mode = self.wishes.mode
+        self._uncover()
+        for x, y in self.wishes.pins:
+            _, _, column, row = self._place("pin", x, y)
+            camera = self.app.state.camera.camera(*self.app.state.viewport)
+            self.app.perform(PinRay(Inspect(camera, (column, row))))
+
+    def _place(self, option: str, x: str, y: str) -> tuple[float, float, int, int]:
+        """Where the viewport begins, and the pixel of it that a command line means. Raises UserError."""
         if "viewport" not in self.app.widgets:
-            raise UserError(f"--click {x} {y}: there is no viewport in so small a window; give a larger --size")
+            raise UserError(f"--{option} {x} {y}: there is no viewport in so small a window; give a larger --size")
         left, top, right, bottom = self.app.widgets["viewport"]
-        at = [_position(v, size) for v, size in ((x, right - left), (y, bottom - top))]
-        self.app.hand.click(left + at[0] + 0.5, top + at[1] + 0.5)
+        return left, top, _position(option, x, right - left), _position(option, y, bottom - top)
+
+    def _click(self, x: str, y: str) -> None:
+        left, top, column, row = self._place("click", x, y)
+        self.app.hand.click(left + column + 0.5, top + row + 0.5)
         asked = self.app.state.inspect
         if asked is None:
-            raise UserError(f"--click {x} {y}: hit no pixel of the {right - left:.0f}×{bottom - top:.0f} viewport")
-        self._wait(lambda s: s.ray is not None and s.ray.pixel == asked.pixel and s.ray.step == s.step)
+            raise UserError(f"--click {x} {y}: hit no pixel of the viewport")
+        self._wait(lambda s: s.ray is not None and s.ray.pixel == asked.pixel and s.opened_step == s.step)
 
     def _inspect(self, file: Path) -> None:
-        snapshot = self._snapshot()
-        assert snapshot.ray is not None  # --inspect comes with a click
-        assert snapshot.radiance is not None
-        write_atomically(file, json.dumps(inspection(snapshot.ray, snapshot.radiance)))
+        opened = self._snapshot().opened
+        assert opened is not None  # --inspect comes with a click
+        write_inspection([opened], file)
 
     def _film(self, file: Path, seconds: float | None) -> None:
         snapshot, form = self._snapshot(), self.app.state.orbit
@@ -295,20 +314,20 @@ class Script:
                 raise UserError("the worker ended unexpectedly")
 
 
-def _coordinate(text: str) -> float:
-    """A coordinate of --click: with a decimal point a fraction of the viewport, else pixels. Raises UserError."""
+def _coordinate(option: str, text: str) -> float:
+    """A coordinate of --click or --pin: a fraction of the viewport if it has a decimal point, else pixels."""
     try:
         value = float(text) if "." in text else int(text)
     except ValueError:
-        raise UserError(f"--click {text}: expected a whole number of pixels, or a fraction such as 0.5") from None
+        raise UserError(f"--{option} {text}: expected a whole number of pixels, or a fraction such as 0.5") from None
     if not 0 <= value <= (1 if "." in text else math.inf):  # not a number is not in between either
-        raise UserError(f"--click {text}: lies outside the viewport")
+        raise UserError(f"--{option} {text}: lies outside the viewport")
     return value
 
 
-def _position(text: str, size: float) -> int:
-    """The pixel that a coordinate of --click means in a viewport of `size`. Raises UserError."""
-    value = _coordinate(text) * (size if "." in text else 1)
+def _position(option: str, text: str, size: float) -> int:
+    """The pixel that a coordinate means in a viewport of `size`. Raises UserError."""
+    value = _coordinate(option, text) * (size if "." in text else 1)
     if value > size:
-        raise UserError(f"--click {text}: outside the viewport, which is {size:.0f} pixels wide here")
+        raise UserError(f"--{option} {text}: outside the viewport, which has {size:.0f} pixels here")
     return min(int(value), int(size) - 1)

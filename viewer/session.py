@@ -56,6 +56,7 @@ class Session:
         script = Script(self.app, self.worker, wishes, lambda: self.signals.received is not None, self.say)
         try:
             script.open(data, self.settings)
+            script.prepare()
             if self.window.has_display and not wishes.any_file():
                 self._attend(wishes)
             else:
@@ -84,7 +85,7 @@ class Session:
             return
         path = asked or autosave_path(snapshot.scene)
         self.worker.send(CancelExport())
-        self.worker.send(SaveCheckpoint(path))
+        self.worker.send(SaveCheckpoint(path, self.app.session()))
         begin = time.monotonic()
         while not self.worker.stop(0.2):
             if time.monotonic() - begin > (SAVE_SECONDS if self.signals.received else PATIENT_SECONDS):

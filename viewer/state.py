@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from nerf_core.messages import Command, Inspect, Notice, Snapshot
+from nerf_core.probe.radiance import Around
+from nerf_core.render_modes import COLOR
 from nerf_core.settings import RunSettings
 from viewer.camera_control import CameraControl
 
@@ -46,6 +49,32 @@ class SetPointDepth:
 
 
 @dataclass(frozen=True)
+class SetDisc:
+    """Turn the radiance's disc around the viewer or the density's normal."""
+
+    around: Around
+
+
+@dataclass(frozen=True)
+class PinRay:
+    """Keep this ray open beside others."""
+
+    ray: Inspect
+
+
+@dataclass(frozen=True)
+class OpenPin:
+    """Put the pinned ray of this number under the lens."""
+
+    id: int
+
+
+@dataclass(frozen=True)
+class UnpinRay:
+    id: int
+
+
+@dataclass(frozen=True)
 class SaveScreenshot:
     path: Path
 
@@ -55,7 +84,10 @@ class StartOrbitExport:
     """Export the orbit that `AppState.orbit` describes."""
 
 
-Action = Command | GoToView | FocusOn | ResetView | FrameScene | SetPointDepth | SaveScreenshot | StartOrbitExport
+Action = (
+    Command | GoToView | FocusOn | ResetView | FrameScene | SetPointDepth | SetDisc | PinRay | OpenPin | UnpinRay
+    | SaveScreenshot | StartOrbitExport
+)  # fmt: skip
 
 
 @dataclass
@@ -80,24 +112,49 @@ class ShownNotice:
 
 
 @dataclass
+class PinnedRay:
+    """A ray that stays where it is in the world. color: into the theme's palette of rays; no other pin has it."""
+
+    id: int
+    name: str
+    color: int
+    ray: Inspect
+    hidden: bool = False
+
+
+class SampleRef(NamedTuple):
+    """A sample of the opened ray: of its pass with this number, the sample with this index."""
+
+    one: int
+    at: int
+
+
+@dataclass
 class AppState:
     """One object, owned by the GUI thread; panels read it and write only what is theirs to edit (marked *)."""
 
     snapshot: Snapshot = field(default_factory=Snapshot)
     camera: CameraControl = field(default_factory=CameraControl)
     inspect: Inspect | None = None  # the ray that was asked for last; the answer is snapshot.ray
+    pins: list[PinnedRay] = field(default_factory=list)
+    sample: SampleRef | None = None  # the sample that was pointed at in the last frame, in whichever panel
+    pointed_at: SampleRef | None = None  # * and in this one
+    focus: Inspect | None = None  # where a double click went: what the verdict says of it is still to come
     viewport: tuple[int, int] = (640, 480)  # framebuffer pixels
     viewport_rect: tuple[float, float, float, float] | None = None  # x, y, width, height in imgui's coordinates
     frames_per_second: float = 0.0
     notices: list[ShownNotice] = field(default_factory=list)
     orbit: OrbitForm = field(default_factory=OrbitForm)  # *
     checkpoint_file: str = ""  # *
+    rays_file: str = "rays.json"  # *
     open_path: str = ""  # *
     settings: RunSettings = field(default_factory=RunSettings)  # * what the next capture is opened with
     focus_open: bool = False  # * give the scene panel's path field the keyboard in the next frame
     raise_panel: str = ""  # * title of the panel whose tab is to come to the front in the next frame
     show_cameras: bool = False  # * training cameras in the viewport
     show_samples: bool = True  # * the inspected ray and its samples in the viewport
+    mode: str = COLOR  # * what the viewport shows of each pixel: see nerf_core.render_modes
+    frozen_ray: bool = False  # * the radiance panel shows the whole ray instead of its point alone
     show_help: bool = False  # *
     show_panels: bool = True  # *
     current_view: int | None = None  # the photo whose camera was flown to, until the camera moves

@@ -46,6 +46,17 @@ class DarkTheme:
     density = _rgb("2fb890")  # Okabe and Ito's green, lightened to read on a dark surface
     transmittance = PURPLE
     ray = YELLOW
+    pins = (
+        ORANGE,
+        SKY,
+        GREEN,
+        YELLOW,
+        BLUE,
+        VERMILION,
+        PURPLE,
+        _rgb("b0b4ba"),
+    )  # grey for their black: the ground is dark
+    alpha = VERMILION
     point = _rgb("ffffff")
 
     def __init__(self) -> None:

@@ -8,6 +8,9 @@ from imgui_bundle import ImVec2, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.cameras import Camera
+from nerf_core.colormaps import colored
+from nerf_core.probe import RayProbe
+from nerf_core.render_modes import MODES, Mode
 from nerf_core.scene import Scene
 from viewer.draw.imgui_renderer import ImguiRenderer
 from viewer.draw.overlays import NEAR, Overlay, axis_directions, frusta
@@ -17,9 +20,10 @@ from viewer.layout import VIEWPORT
 from viewer.panel_host import PanelUi
 from viewer.state import AppState
 from viewer.theme import GREEN, SKY, VERMILION
-from viewer.widgets import faded
+from viewer.widgets import color_of, faded
 
 FRUSTUM_DEPTH = 0.12  # of the scene's radius: visible beside the scene, not in its way
+SCALE_STEPS = 48
 SHADE = ImVec4(0.0, 0.0, 0.0, 0.6)  # under bright lines and words, so that they read on any picture
 
 
@@ -101,15 +105,25 @@ class ViewportPanel:
                 if cameras:
                     overlay.lines(*frusta(cameras, depth), faded(SHADE, 0.5), 2.5 * thin)  # for a white ground
                     overlay.lines(*frusta(cameras, depth), ImVec4(color.x, color.y, color.z, 0.55), thin)
-        ray = state.snapshot.ray
-        if not state.show_samples or ray is None:
+        if not state.show_samples:
             return
-        start = ray.origin + ray.near * ray.direction
-        end = ray.origin + ray.far * ray.direction
-        overlay.lines(start[None], end[None], SHADE, 3 * thin)
-        overlay.lines(start[None], end[None], theme.ray, 1.2 * thin)
-        if ray.passes:
-            overlay.samples(ray, ui.em, theme.ground)
+        shown = {pin.id: pin for pin in state.pins if not pin.hidden}
+        for opened in state.snapshot.pinned:
+            if opened.ray is not None and opened.id in shown:
+                _draw_ray(ui, overlay, opened.ray, theme.pins[shown[opened.id].color])
+        ray = state.snapshot.ray
+        if ray is None:
+            return
+        pin = next(
+            (pin for pin in state.pins if pin.ray.camera is _camera_of(state) and pin.ray.pixel == ray.pixel), None
+        )
+        _draw_ray(ui, overlay, ray, theme.ray if pin is None else theme.pins[pin.color])
+        if state.sample is not None and state.sample.one < len(ray.passes):
+            one = ray.passes[state.sample.one]
+            if state.sample.at < len(one.t):
+                place = ray.origin + float(one.t[state.sample.at]) * ray.direction
+                overlay.ring(place, 0.8 * ui.em, SHADE, 3 * thin)
+                overlay.ring(place, 0.8 * ui.em, theme.text, 1.5 * thin)
         radiance = state.snapshot.radiance
         if radiance is not None:
             overlay.point(radiance.point, 1.15 * ui.em, SHADE)
@@ -129,12 +143,27 @@ class ViewportPanel:
             words.append(snapshot.stage)
         if words:
             _chip(ui, draw, ImVec2(origin.x + 0.6 * ui.em, origin.y + size.y - 2.2 * ui.em), "  ·  ".join(words))
+        if snapshot.preview.mode in MODES:
+            _scale(ui, draw, ImVec2(origin.x + 0.6 * ui.em, origin.y + 0.6 * ui.em), MODES[snapshot.preview.mode])
         if state.show_cameras and snapshot.scene is not None:
             place = ImVec2(origin.x + size.x - 3 * ui.em, origin.y + size.y - 3 * ui.em)
             _axes(ui, draw, place, state.camera.camera(int(size.x), int(size.y)), snapshot.scene.up)
 
     def release(self) -> None:
         self._picture.release()
+
+
+def _camera_of(state: AppState) -> Camera | None:
+    return state.inspect.camera if state.inspect is not None else None
+
+
+def _draw_ray(ui: PanelUi, overlay: Overlay, ray: RayProbe, color: ImVec4) -> None:
+    thin = max(1.0, ui.em / 14)
+    start, end = ray.origin + ray.near * ray.direction, ray.origin + ray.far * ray.direction
+    overlay.lines(start[None], end[None], SHADE, 3 * thin)
+    overlay.lines(start[None], end[None], color, 1.2 * thin)
+    if ray.passes:
+        overlay.samples(ray, ui.em, ui.theme.ground)
 
 
 def _why_empty(state: AppState) -> tuple[str, str]:
@@ -168,6 +197,24 @@ def _chip(ui: PanelUi, draw: imgui.ImDrawList, place: ImVec2, words: str) -> Non
     draw.add_rect_filled(place, far, imgui.color_convert_float4_to_u32(SHADE), 0.2 * ui.em)
     at = ImVec2(int(place.x + pad), int(place.y + 0.5 * pad))
     draw.add_text(at, imgui.color_convert_float4_to_u32(ui.theme.text), words)
+
+
+def _scale(ui: PanelUi, draw: imgui.ImDrawList, place: ImVec2, mode: Mode) -> None:
+    """A mode's name and what its colours mean."""
+    words = f"{mode.label}   {mode.low:g}", f"{mode.high:g} or more"
+    widths = [imgui.calc_text_size(text).x for text in words]
+    pad, bar, high = 0.45 * ui.em, 8 * ui.em, imgui.get_text_line_height()
+    far = ImVec2(place.x + sum(widths) + bar + 4 * pad, place.y + high + pad)
+    draw.add_rect_filled(place, far, imgui.color_convert_float4_to_u32(SHADE), 0.2 * ui.em)
+    y, x = place.y + 0.5 * pad, place.x + pad
+    text = imgui.color_convert_float4_to_u32(ui.theme.text)
+    draw.add_text(ImVec2(x, y), text, words[0])
+    x += widths[0] + pad
+    for k, rgb in enumerate(colored(np.linspace(0, 1, SCALE_STEPS), 0, 1, mode.colors).tolist()):
+        low = ImVec2(x + k * bar / SCALE_STEPS, y + 0.15 * high)
+        high_corner = ImVec2(x + (k + 1) * bar / SCALE_STEPS, y + 0.85 * high)
+        draw.add_rect_filled(low, high_corner, imgui.color_convert_float4_to_u32(color_of(rgb)))
+    draw.add_text(ImVec2(x + bar + pad, y), text, words[1])
 
 
 def _axes(ui: PanelUi, draw: imgui.ImDrawList, centre: ImVec2, camera: Camera, up: np.ndarray) -> None:

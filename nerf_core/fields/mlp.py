@@ -60,10 +60,14 @@ class MlpField(nn.Module):
         """γ(d): unit (R, 3) → (R, D)."""
         return encodings.frequency(directions, self.direction_frequencies, self.include_input, self.pi)
 
+    def encode_positions(self, x: Tensor) -> Tensor:
+        """γ(x): (P, 3) → (P, E)."""
+        return encodings.frequency(x, self.position_frequencies, self.include_input, self.pi)
+
     def geometry(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """x (P, 3) → raw density (P,) float32, trunk output (P, width) in the compute precision."""
         with self._autocast():
-            encoded = encodings.frequency(x, self.position_frequencies, self.include_input, self.pi)
+            encoded = self.encode_positions(x)
             if self.position_frequencies:  # 8 bits hold sines and cosines, but not bare coordinates
                 encoded = encoded.to(self.precision)
             h = encoded[:, :0]
@@ -90,6 +94,20 @@ class MlpField(nn.Module):
                 joined = torch.cat([self.feature(trunk), encoded_directions.to(self.precision)], -1)
                 trunk = functional.relu(self.branch(joined), inplace=True)
             return torch.sigmoid(self.rgb(trunk).float())
+
+    def colors(self, trunk: Tensor, encoded_directions: Tensor) -> Tensor:
+        """`color` of every point with every direction: (P, width), (K, D) → (P, K, 3).
+
+        The branch layer is linear before its ReLU, so that its two inputs' parts are computed once each, and added.
+        """
+        with self._autocast():
+            if self.feature is None or self.branch is None:
+                return torch.sigmoid(self.rgb(trunk).float())[:, None].expand(-1, len(encoded_directions), -1)
+            feature = self.feature(trunk).float()
+        own, branch = feature.shape[1], self.branch
+        of_points = functional.linear(feature, branch.weight[:, :own], branch.bias)
+        of_directions = functional.linear(encoded_directions.float(), branch.weight[:, own:])
+        return torch.sigmoid(self.rgb(functional.relu(of_points[:, None] + of_directions)))
 
     def forward(self, x: Tensor, encoded_directions: Tensor) -> tuple[Tensor, Tensor]:
         """x (P, 3), γ(d) (P, D) → raw density (P,), colour (P, 3)."""

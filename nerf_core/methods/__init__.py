@@ -11,6 +11,7 @@ from torch import Tensor
 from nerf_core.batches import Draw
 from nerf_core.registry import Registry
 from nerf_core.scene import Scene
+from nerf_core.stations import Station
 from nerf_core.types import Rays, Rendering, Trace
 
 
@@ -71,8 +72,16 @@ class Method(Protocol):
         """`render` with everything it composited kept."""
         ...
 
-    def radiance(self, point: Tensor, directions: Tensor) -> Tensor:
-        """Colours (K, 3) that the world point (3,) emits against the ray directions (K, 3), camera to point."""
+    def radiance(self, points: Tensor, directions: Tensor) -> Tensor:
+        """Colours (P, K, 3) that world points (P, 3) emit against the ray directions (K, 3), camera to point."""
+        ...
+
+    def density(self, points: Tensor) -> Tensor:
+        """σ (P,) at world points (P, 3): that of `Samples.sigma` where space is not bent, else per unit of the box."""
+        ...
+
+    def explain(self, rays: Rays) -> tuple[Station, ...]:
+        """What happens to one ray between its beginning and its colour, with its own values."""
         ...
 
     def frozen(self) -> Self:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from copy import copy
 from typing import ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -23,6 +24,7 @@ from nerf_core.methods import METHODS
 from nerf_core.mlp_model import MlpModel, Parametrised
 from nerf_core.packing import Packed, opened
 from nerf_core.scene import Scene
+from nerf_core.stations import Marks, Station, Stems, absorption_station, field_station
 from nerf_core.types import Rays, Rendering, Trace
 from nerf_core.voxel_model import VoxelModel
 
@@ -179,8 +181,36 @@ class GuidedNerf(MlpModel):
         passes = (*guide.passes, opened("fine", self.space, rays, samples, tau, rgb))
         return Trace(self.space.rendering(rays, pixel), passes)
 
-    def radiance(self, point: Tensor, directions: Tensor) -> Tensor:
-        return super().radiance(point, directions) if self._ready else self.guide.radiance(point, directions)
+    def radiance(self, points: Tensor, directions: Tensor) -> Tensor:
+        return super().radiance(points, directions) if self._ready else self.guide.radiance(points, directions)
+
+    def density(self, points: Tensor) -> Tensor:
+        return super().density(points) if self._ready else self.guide.density(points)
+
+    def explain(self, rays: Rays) -> tuple[Station, ...]:
+        if not self._ready:
+            return self.guide.explain(rays)
+        guide, fine = self.trace(rays).passes
+        t, weights = (v[0].cpu().numpy() for v in (guide.t, guide.weights))
+        count = 0 if fine.count is None else int(fine.count[0])
+        return (
+            Station(
+                "The guide",
+                "A voxel grid that was trained first knows where the ray meets something: its samples' weights.",
+                (Stems("guide's w", t, weights),),
+            ),
+            Station(
+                "Placed samples",
+                f"Those that weigh more than {self.config.least:g} are kept, {count} of {len(t)}: only they are put to "
+                "the network, where the paper's method would ask at 256.",
+                (Marks(fine.t[0, :count].cpu().numpy(), np.zeros(0, np.float32)),),
+            ),
+            self.code_station(rays, fine),
+            field_station(
+                fine, "The paper's network is asked at each: how dense, and which colour towards the camera?"
+            ),
+            absorption_station(fine),
+        )
 
     # ---- state ------------------------------------------------------------------------------------------------------
 

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from nerf_core.batches import Draw
 from nerf_core.cells import Cells
+from nerf_core.encodings import spherical_harmonics
 from nerf_core.fields.hash_field import HashField
 from nerf_core.fixed_step import FixedStep
 from nerf_core.hash_config import HashConfig
@@ -30,6 +31,7 @@ from nerf_core.optimizers import adam_state, load_adam
 from nerf_core.packing import to_trace
 from nerf_core.scene import Scene
 from nerf_core.spaces import Space, pixel_size
+from nerf_core.stations import BarCode, Station, absorption_station, field_station, skipped_station
 from nerf_core.types import Rays, Rendering, Trace
 
 TILE = 2048  # rays drawn at once on a CPU: some 10 ms
@@ -210,13 +212,58 @@ class Hash:
         return to_trace("hash", self.space, rays, samples, tau, rgb, pixel)
 
     @torch.no_grad()
-    def radiance(self, point: Tensor, directions: Tensor) -> Tensor:
-        box = self.space.points(point.to(self.device, torch.float32)[None])
+    def radiance(self, points: Tensor, directions: Tensor) -> Tensor:
+        _, geometry = self._geometry(points)
+        d = directions.to(self.device, torch.float32)
+        shape = len(points), len(d)
+        return self.field.radiance(geometry.repeat_interleave(shape[1], 0), d.repeat(shape[0], 1)).view(*shape, 3)
+
+    @torch.no_grad()
+    def density(self, points: Tensor) -> Tensor:
+        """Where the occupancy grid lets rays look; 0 elsewhere."""
+        raw, _ = self._geometry(points)
+        cell, _ = self.occupancy.cells.cells_of(self.space.points(points.to(self.device, torch.float32)))
+        return torch.where(self.occupancy.cells.occupied[tuple(cell.unbind(-1))], softened(raw) / self.space.extent, 0)
+
+    def _geometry(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        return self.field.geometry(self.field.encode(self._unit(points)))
+
+    def _unit(self, points: Tensor) -> Tensor:
+        """World points (P, 3) → (P, 3) in [0, 1], as the field sees them."""
+        box = self.space.points(points.to(self.device, torch.float32))
         cells = self.occupancy.cells
         low, sides = (torch.from_numpy(v).to(box) for v in (cells.origin, cells.voxel * np.array(cells.size)))
-        _, geometry = self.field.geometry(self.field.encode(((box - low) / sides).clamp(0, 1)))
-        d = directions.to(self.device, torch.float32)
-        return self.field.radiance(geometry.expand(len(d), -1), d)
+        return ((box - low) / sides).clamp(0, 1)
+
+    @torch.no_grad()
+    def explain(self, rays: Rays) -> tuple[Station, ...]:
+        samples = self.trace(rays).passes[0]
+        strongest = int(samples.weights[0].argmax())
+        rays = rays.to(self.device)
+        point = rays.origins + samples.t[:, strongest, None] * rays.directions
+        features = self.field.encode(self._unit(point))
+        _, geometry = self.field.geometry(features)
+        resolutions = self.field.levels.resolutions
+        levels = features[0].view(len(resolutions), -1).cpu().numpy()
+        vector, harmonics = geometry[0].cpu().numpy(), spherical_harmonics(rays.directions)[0].cpu().numpy()
+        peak = max(float(np.abs(vector).max()), float(np.abs(harmonics).max()))
+        return (
+            skipped_station(samples, self.occupancy.cells, self.step_cells),
+            Station(
+                "Hash grid",
+                f"{len(levels)} grids, each finer than the last, hold {levels.shape[1]} numbers a corner; the finer "
+                "ones share their rows by a hash. The heaviest sample's are blended within its cell on each level.",
+                (BarCode(tuple(f"{r}³" for r in resolutions), tuple(levels), float(np.abs(levels).max())),),
+            ),
+            Station(
+                "Networks",
+                "A small network turns them into 16 numbers, of which the first is the density's logarithm; a second "
+                "one turns those and the direction's spherical harmonics into colour.",
+                (BarCode(("geometry", "Y(d)"), (vector, harmonics), peak),),
+            ),
+            field_station(samples, "The same at every sample that the occupancy grid let through."),
+            absorption_station(samples),
+        )
 
     # ---- state ------------------------------------------------------------------------------------------------------
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import ClassVar, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -15,8 +17,9 @@ from nerf_core.batches import Draw
 from nerf_core.methods import METHODS
 from nerf_core.mlp_model import MlpModel, Parametrised
 from nerf_core.nerf_config import NerfConfig
-from nerf_core.sampling import inverse_transform, spaced, stratified
+from nerf_core.sampling import cumulative, inverse_transform, spaced, stratified
 from nerf_core.scene import Scene
+from nerf_core.stations import Marks, Station, Transfer, absorption_station, field_station
 from nerf_core.types import Rays, Rendering, Samples, Trace
 from nerf_core.volume import absorb, composite, expected_depth
 
@@ -219,6 +222,47 @@ class Nerf(MlpModel):
         if len(rays) > self.tile:
             raise ValueError(f"trace opens at most {self.tile} rays at a time, got {len(rays)}")
         return self._tile(rays, "fine")
+
+    def explain(self, rays: Rays) -> tuple[Station, ...]:
+        passes = self.trace(rays).passes
+        p, world = self.parametrise(rays.to(self.device)), partial(self._world_t, rays.to(self.device))
+        u = self._coarse_u(p, random=False)
+        edges = torch.cat([u[:, :1], (u[:, 1:] + u[:, :-1]) / 2, u[:, -1:]], 1)
+        spacing = "1/t" if self.disparity and self.ndc is None else "t" if self.ndc is None else "disparity (NDC)"
+        stations = [
+            Station(
+                "Stratified samples",
+                f"{u.shape[1]} depths, evenly spaced in {spacing}. In training each is drawn anew from its bin, so "
+                "that in the long run every depth is looked at; for a picture it stays in the middle.",
+                (Marks(world(u), world(edges)),),
+            ),
+            self.code_station(rays, passes[0]),
+            field_station(passes[0], "A network is asked at every sample: how dense is it there, and which colour "
+                          "does it emit towards the camera?"),
+            absorption_station(passes[0]),
+        ]  # fmt: skip
+        if len(passes) > 1:
+            middle, weights = (u[:, 1:] + u[:, :-1]) / 2, passes[0].weights[:, 1:-1]
+            count = self.config.fine_samples
+            draws = inverse_transform(middle, weights, count, None)
+            levels = np.linspace(0, 1, count, dtype=np.float32)
+            stations += [
+                Station(
+                    "Resampling",
+                    f"The coarse weights, made a density, say where {count} more samples are worth it: evenly spaced "
+                    "levels (random ones in training), sent through the inverse of its sum, fall where it climbs.",
+                    (Transfer(world(middle), cumulative(weights)[0].cpu().numpy(), levels, world(draws)),),
+                ),
+                field_station(
+                    passes[1], "The fine network is asked at all samples, old and new.", "Fine density, colour"
+                ),
+                absorption_station(passes[1], "Fine α, T and w"),
+            ]
+        return tuple(stations)
+
+    def _world_t(self, rays: Rays, u: Tensor) -> np.ndarray:
+        t = u if self.ndc is None else self.ndc.world_t(rays.origins, rays.directions, u)
+        return t[0].cpu().numpy()
 
     # ---- state ----------------------------------------------------------------------------------------------------
 

@@ -9,10 +9,24 @@ from typing import get_args
 import numpy as np
 
 from nerf_core.cameras import Camera
-from nerf_core.messages import Export, History, Inspect, Notice, Preview, Snapshot, Status
-from nerf_core.probe import SPHERE_COLUMNS, SPHERE_ROWS, PassProbe, RadianceProbe, RayProbe, disc_grid
+from nerf_core.messages import Export, History, Inspect, Notice, Pinned, Preview, Snapshot, Status
+from nerf_core.probe import (
+    SPHERE_COLUMNS,
+    SPHERE_ROWS,
+    Layer,
+    Opened,
+    PassProbe,
+    RadianceProbe,
+    RayHistory,
+    RayProbe,
+    Sightings,
+    Standing,
+    Verdict,
+    disc_grid,
+)
 from nerf_core.scene import Scene, View
-from viewer.state import AppState, ShownNotice
+from nerf_core.stations import BarCode, Colors, Marks, Station, Stems, Transfer
+from viewer.state import AppState, PinnedRay, ShownNotice
 
 
 def make_camera(eye: np.ndarray) -> Camera:
@@ -86,7 +100,48 @@ def make_radiance(ray: RayProbe) -> RadianceProbe:
     directions = np.concatenate([sphere.reshape(-1, 3), disc])
     point = ray.origin + t * ray.direction
     rgb = (0.5 - 0.5 * directions).astype(np.float32)
-    return RadianceProbe(ray.step, point, t, directions, rgb, axes, up, azimuth0)
+    return RadianceProbe(ray.step, point, t, directions, rgb, 0.9 * rgb, axes, up, azimuth0, axes[2], "viewer", 0.21)
+
+
+def make_evidence(scene: Scene, radiance: RadianceProbe) -> Sightings:
+    """Twelve photos, of which every fourth has something in front of the point."""
+    views = np.array(scene.split("train")[:12])
+    count = len(views)
+    directions = np.array([scene.views[i].camera.c2w[:, 3] - radiance.point for i in views])
+    distance = np.linalg.norm(directions, axis=1)
+    rgb = np.linspace(0.2, 0.8, 3 * count).reshape(count, 3).astype(np.float32)
+    hidden = np.arange(count) % 4 == 3
+    return Sightings(
+        radiance.point, 0.04, len(scene.split("train")), count, views, np.tile([100.5, 75.5], (count, 1)), distance,
+        np.linspace(0, 1.5, count), directions / distance[:, None], np.where(hidden, 0.1, 0.95), np.full(count, 0.9),
+        rgb, rgb + 0.02, rgb - 0.02,
+    )  # fmt: skip
+
+
+def make_opened(ray: RayProbe) -> Opened:
+    scene, radiance = make_scene(), make_radiance(ray)
+    evidence = make_evidence(scene, radiance)
+    layer = Layer(3.2, 3.1, 3.3, 0.1, 0.03, 0.4, 1.0, np.array([0.9, 0.1, 0.1]))
+    standing = Standing(layer, evidence, 9, 0.2, 0.03, 0.3, 0.1)
+    reasons = ("a layer at 3.2 makes 40% of the pixel, but the 9 photos that see it would be matched better without",)
+    verdict = Verdict("floater", reasons, 3.8, (standing,))
+    t = np.linspace(2, 6, 9)
+    walk = (
+        Station("Camera and pixel", "A sentence.", rows=(("pixel", "412, 233"),)),
+        Station("Samples", "Another sentence.", (Marks(t, t[:4]), Stems("w", t, t / 10))),
+        Station("Encoding", "A third.", (BarCode(("γ(x)", "γ(d)"), (np.sin(t), np.cos(t)), 1.0),)),
+        Station("Resampling", "A fourth.", (Transfer(t, np.linspace(0, 1, 9), np.linspace(0, 1, 5), t[::2]),)),
+        Station("Pixel", "The last.", (Colors(("model", "photo"), np.array([[1, 0, 0], [0.9, 0.1, 0]])),)),
+    )
+    return Opened(make_camera(np.array([3.2, 0, 2.4])), ray, verdict, radiance, evidence, walk)
+
+
+def make_ray_history() -> RayHistory:
+    steps = np.array([0, 1, 2, 5, 11, 40, 130, 900, 12_000])
+    weights = np.random.default_rng(0).random((len(steps), 96)).astype(np.float32) / 96
+    color = np.linspace(0, 1, 3 * len(steps)).reshape(-1, 3)
+    depth = np.where(steps < 2, np.nan, 3.8)
+    return RayHistory(np.linspace(2, 6, 97), steps, weights, color, depth, np.linspace(0, 1, len(steps)))
 
 
 def make_history(last: int = 12_400) -> History:
@@ -104,8 +159,8 @@ def make_snapshot(status: Status = "training", density: float = 40.0) -> Snapsho
     return Snapshot(
         status=status, loaded=1, scene=make_scene(), method="nerf", device="CPU", step=12_400, saved_step=10_000,
         total_steps=30_000, seconds=612.0, rays_per_second=640_123.0, seconds_left=70.2, train_share=0.62,
-        memory_bytes=512 << 20, history=make_history(), preview=preview, ray=ray, radiance=make_radiance(ray),
-        preview_rays_per_second=9_000.0,
+        memory_bytes=512 << 20, history=make_history(), preview=preview, opened=make_opened(ray), opened_step=12_400,
+        preview_rays_per_second=9_000.0, pinned=(Pinned(1, ray, make_ray_history()), Pinned(2, None, None)),
     )  # fmt: skip
 
 
@@ -117,6 +172,7 @@ def make_state(snapshot: Snapshot) -> AppState:
         state.camera.set_scene(snapshot.scene)
     if snapshot.ray is not None:
         state.inspect = Inspect(state.camera.camera(*state.viewport), snapshot.ray.pixel)
+        state.pins = [PinnedRay(1, "the wall", 0, state.inspect), PinnedRay(2, "another", 5, state.inspect, True)]
     return state
 
 
@@ -131,17 +187,29 @@ def odd_ray() -> RayProbe:
     return replace(ray, passes=(empty, odd), near=3.0, far=3.0, color=np.full(3, np.nan), depth_expected=None)
 
 
+def odd_opened() -> Opened:
+    ray = odd_ray()
+    radiance = replace(make_radiance(make_ray()), rgb=np.full_like(make_radiance(make_ray()).rgb, np.nan), normal=None)
+    evidence = make_evidence(make_scene(), radiance).at(np.zeros(0, np.int64))
+    nan = np.full(3, np.nan)
+    charts = (Stems("w", nan, nan), Marks(nan, nan[:0]), BarCode(("γ",), (nan,), np.nan), Transfer(nan, nan, nan, nan))
+    walk = (Station("Odd", "Nothing but holes.", (*charts, Stems("w", nan[:0], nan[:0]))),)
+    return Opened(make_camera(np.array([3.2, 0, 2.4])), ray, None, radiance, evidence, walk)
+
+
 def states() -> dict[str, AppState]:
     """By name, all that a panel has to survive."""
     full, alone = make_snapshot(), Snapshot()
-    noise = replace(full, step=3, saved_step=0, history=make_history(150), ray=None, radiance=None)
+    noise = replace(full, step=3, saved_step=0, history=make_history(150), opened=None)
     found = {
         "empty": make_state(alone),
         "loading": make_state(replace(alone, status="loading", loading="photos: 12 of 100")),
         "first noise": make_state(noise),
         "background": make_state(make_snapshot(density=0.0)),
-        "odd": make_state(replace(full, ray=odd_ray(), history=History(np.arange(3), np.zeros(3), np.full(3, np.nan)))),
-        "asked": make_state(replace(full, ray=None, radiance=None)),
+        "odd": make_state(
+            replace(full, opened=odd_opened(), history=History(np.arange(3), np.zeros(3), np.full(3, np.nan)))
+        ),
+        "asked": make_state(replace(full, opened=None)),
     }
     for status in get_args(Status):
         found.setdefault(status, make_state(replace(full, status=status)))

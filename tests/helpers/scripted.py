@@ -13,13 +13,16 @@ from nerf_core.messages import (
     Inspect,
     Notice,
     Pause,
+    Pin,
+    Pinned,
     Preview,
     Snapshot,
     StopInspecting,
     Train,
+    Unpin,
     ViewRequest,
 )
-from nerf_core.probe import PassProbe, RadianceProbe, RayProbe, disc_grid
+from nerf_core.probe import SPHERE_COLUMNS, SPHERE_ROWS, Opened, PassProbe, RadianceProbe, RayProbe, Verdict, disc_grid
 from nerf_core.scene import Scene, View
 
 BALL, GROUND_SIZE = 1.0, 3.0
@@ -113,7 +116,9 @@ def open_ray(inspect: Inspect) -> tuple[RayProbe, RadianceProbe]:
 
 def _radiance(camera: Camera, point: np.ndarray, t: float, color: np.ndarray) -> RadianceProbe:
     polar, azimuth = np.meshgrid(
-        (np.arange(32) + 0.5) / 32 * np.pi, (np.arange(64) + 0.5) / 64 * 2 * np.pi, indexing="ij"
+        (np.arange(SPHERE_ROWS) + 0.5) / SPHERE_ROWS * np.pi,
+        (np.arange(SPHERE_COLUMNS) + 0.5) / SPHERE_COLUMNS * 2 * np.pi,
+        indexing="ij",
     )
     around = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], -1)
     x, y, inside = disc_grid()
@@ -122,7 +127,8 @@ def _radiance(camera: Camera, point: np.ndarray, t: float, color: np.ndarray) ->
     gloss = np.clip(directions @ np.array([0.5, -0.3, 0.8]), 0, 1)[:, None] ** 8
     rgb = np.clip(color + 0.5 * gloss, 0, 1).astype(np.float32)
     up, first = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
-    return RadianceProbe(100, point, t, directions, rgb, camera.c2w[:, :3].T.copy(), up, first)
+    axes = camera.c2w[:, :3].T.copy()
+    return RadianceProbe(100, point, t, directions, rgb, rgb, axes, up, first, axes[2], "viewer", 0.1)
 
 
 class ScriptedWorker:
@@ -154,9 +160,17 @@ class ScriptedWorker:
                 self.current = replace(self.current, status="paused")
             case Inspect():
                 ray, radiance = open_ray(command)
-                self.current = replace(self.current, ray=ray, radiance=radiance)
+                verdict = Verdict("surface", ("one layer",), ray.depth_median, ())
+                opened = Opened(command.camera, ray, verdict, radiance)
+                self.current = replace(self.current, opened=opened, opened_step=ray.step)
             case StopInspecting():
-                self.current = replace(self.current, ray=None, radiance=None)
+                self.current = replace(self.current, opened=None)
+            case Pin(number, camera, pixel):
+                ray, _ = open_ray(Inspect(camera, pixel))
+                self.current = replace(self.current, pinned=(*self.current.pinned, Pinned(number, ray, None)))
+            case Unpin(number):
+                left = tuple(pin for pin in self.current.pinned if pin.id != number)
+                self.current = replace(self.current, pinned=left)
             case _:
                 pass
 

@@ -145,7 +145,7 @@ def test_wrong_arguments_are_one_line(
         (["train", "--ndc", "perhaps"], "--ndc"),
         (["eval"], "DIR"),
         (["fly"], "fly"),
-        ([], "{train, eval, render}"),
+        ([], "{train, eval, render, probe}"),
     ],
 )
 def test_what_cannot_be_parsed_is_one_line(arguments: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -209,3 +209,32 @@ def test_a_cancelled_render_leaves_no_file(capture: Path, tmp_path: Path) -> Non
     _, errors = process.communicate(timeout=60)
     assert (process.returncode, errors) == (130, "nerf-core: interrupted (SIGINT)\n")
     assert list(films.iterdir()) == []
+
+
+def test_probe_opens_a_pixel_of_a_run(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run, file = tmp_path / "run", tmp_path / "ray.json"
+    assert main(train(capture, run, "--steps", "3")) == 0
+    capsys.readouterr()
+    figure = tmp_path / "deep" / "ray.svg"
+    words = ["probe", str(run), "--camera", "r_2", "--pixel", "8", "8", "--write", str(file), "--write", str(figure)]
+    assert main(words) == 0
+    told = capsys.readouterr().out
+    stored = json.loads(file.read_text())
+    assert told.startswith(stored["verdict"]["kind"])
+    assert "step 3" in told
+    assert stored["pixel"] == [8, 8]
+    assert stored["camera"]["width"] == 16
+    assert figure.is_file()
+    assert main([*words[:2], "--camera", str(file), "--pixel", "8", "8", "--write", str(tmp_path / "again.json")]) == 0
+    assert json.loads((tmp_path / "again.json").read_text()) == stored  # an opened ray names its own camera
+    capsys.readouterr()
+    for wrong, text in (
+        (["--camera", "r_9", "--pixel", "8", "8"], "--camera r_9: is none of the 6 photos"),
+        (["--camera", "r_2", "--pixel", "16", "0"], "pixel 16, 0 lies outside the 16×16 picture"),
+        (
+            ["--camera", "r_2", "--pixel", "1", "1", "--write", str(tmp_path / "a.txt")],
+            "a.txt: an opened ray is written",
+        ),
+    ):
+        assert main(["probe", str(run), *wrong]) == 2
+        assert text in said(capsys)

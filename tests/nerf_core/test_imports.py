@@ -17,7 +17,8 @@ from nerf_core.volume import absorb
 CORE, VIEWER = Path(nerf_core.__file__).parent, Path(viewer.__file__).parent
 # What only a window, a format, a video or a command line needs.
 EDGES = {
-    "moderngl", "glfw", "imgui_bundle", "viewer", "pycolmap", "tyro", "rich", "imageio_ffmpeg", "numba", "platformdirs"
+    "moderngl", "glfw", "imgui_bundle", "viewer", "pycolmap", "tyro", "rich", "imageio_ffmpeg", "numba", "platformdirs",
+    "matplotlib",
 }  # fmt: skip
 
 

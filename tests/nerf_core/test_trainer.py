@@ -54,7 +54,7 @@ def test_whoever_watches_changes_nothing(make_trainer: MakeTrainer, scene: Scene
     def look() -> None:
         watched.method.render(rays, "coarse")
         watched.method.trace(rays[:8])
-        watched.method.radiance(torch.zeros(3), torch.eye(3))
+        watched.method.radiance(torch.zeros(1, 3), torch.eye(3))
 
     assert differing(run(watched, 6, look).state(), run(alone, 6).state()) == []
 

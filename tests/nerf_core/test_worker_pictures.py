@@ -106,19 +106,19 @@ def test_the_windows_frames_are_no_training(tiny: RunSettings) -> None:
 
 
 def test_an_opened_ray_stays_live(open_desk: OpenDesk) -> None:
-    desk = open_desk()
+    desk = open_desk(steps=100_000)
     scene = desk.worker.snapshot().scene
     assert scene is not None
     camera = scene.views[0].camera
     desk.send(Inspect(camera, (8, 8)))
     desk.until(lambda s: s.ray is not None and s.ray.pixel == (8, 8) and s.ray.step == 0)
     desk.send(Train())
-    shown = desk.until(lambda s: s.ray is not None and s.ray.step > 0)
+    shown = desk.until(lambda s: s.ray is not None and s.ray.step > 0 and s.radiance is not None)
     assert shown.ray is not None
     assert shown.radiance is not None
     np.testing.assert_allclose(shown.ray.color, shown.ray.rendered_color, atol=1e-5)
     desk.send(Inspect(camera, (3, 4), point_t=3.5))
-    moved = desk.until(lambda s: s.ray is not None and s.ray.pixel == (3, 4))
+    moved = desk.until(lambda s: s.ray is not None and s.ray.pixel == (3, 4) and s.radiance is not None)
     assert moved.radiance is not None
     assert moved.radiance.t == 3.5
     desk.send(Inspect(camera, (99, 0)))

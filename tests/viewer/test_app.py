@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -21,16 +22,29 @@ from nerf_core.messages import (
     Notice,
     OpenScene,
     Pause,
+    Pin,
     Reset,
     SaveCheckpoint,
     Snapshot,
     StopInspecting,
     Train,
+    Unpin,
 )
+from nerf_core.probe import Verdict
 from viewer.actions import orbit_export
 from viewer.app import App
 from viewer.panels import PANELS, Ui
-from viewer.state import Action, AppState, GoToView, OrbitForm, SaveScreenshot, SetPointDepth
+from viewer.state import (
+    Action,
+    AppState,
+    GoToView,
+    OpenPin,
+    OrbitForm,
+    PinRay,
+    SaveScreenshot,
+    SetPointDepth,
+    UnpinRay,
+)
 from viewer.window import Window
 
 Start = Callable[..., tuple[App, scripted.ScriptedWorker]]
@@ -533,7 +547,7 @@ def test_a_new_scene_closes_the_ray_and_moves_the_camera(start: Start) -> None:
     app.perform(GoToView(1))
     app.settle(30)
     assert not np.allclose(app.state.camera.c2w(), home)
-    worker.current = replace(worker.current, loaded=2, ray=None, radiance=None)
+    worker.current = replace(worker.current, loaded=2, opened=None)
     app.settle()
     assert app.state.inspect is None
     assert app.state.current_view is None
@@ -612,3 +626,74 @@ def test_every_registered_panel_was_drawn(start: Start) -> None:
     app.settle()
     assert PANELS.names()
     assert not app.state.notices  # a panel that fails would have told
+
+
+# ---- pinned rays --------------------------------------------------------------------------------------------------
+
+
+def test_ctrl_click_pins_a_ray_which_stays_while_the_camera_moves(start: Start) -> None:
+    app, worker = start()
+    x, y = middle(app)
+    imgui.get_io().add_key_event(imgui.Key.mod_ctrl, True)
+    app.hand.click(x, y)
+    imgui.get_io().add_key_event(imgui.Key.mod_ctrl, False)
+    app.settle()
+    (pin,) = app.state.pins
+    assert [command for command in worker.sent if isinstance(command, Pin)] == [
+        Pin(pin.id, pin.ray.camera, pin.ray.pixel)
+    ]
+    before = pin.ray.camera.c2w.copy()
+    app.state.camera.orbit(80, 10, 600)
+    app.hand.click(x + 60, y)
+    app.settle()
+    np.testing.assert_array_equal(app.state.pins[0].ray.camera.c2w, before)
+    assert app.state.inspect is not None
+    assert app.state.inspect.pixel != pin.ray.pixel
+    app.perform(OpenPin(pin.id))
+    assert app.state.inspect is pin.ray
+    app.perform(UnpinRay(pin.id))
+    assert (app.state.pins, worker.sent[-1]) == ([], Unpin(pin.id))
+
+
+def test_a_checkpoint_carries_the_pins(start: Start) -> None:
+    app, worker = start()
+    app.perform(PinRay(Inspect(app.state.camera.camera(100, 80), (40, 30))))
+    app.perform(SaveCheckpoint(Path("a.safetensors")))
+    saved = worker.sent[-1]
+    assert isinstance(saved, SaveCheckpoint)
+    app.perform(UnpinRay(app.state.pins[0].id))
+    worker.current = replace(worker.current, session=json.loads(json.dumps(saved.session)))
+    app.settle()
+    (pin,) = app.state.pins
+    assert pin.ray.pixel == (40, 30)
+    assert isinstance(worker.sent[-1], Pin)
+    worker.current = replace(worker.current, session={"pins": "hostile"})
+    app.settle()
+    assert len(app.state.pins) == 1
+    assert "cannot be read" in app.state.notices[-1].notice.text
+
+
+def test_a_double_click_on_a_floater_lands_behind_it(start: Start) -> None:
+    app, worker = start()
+    x, y = middle(app)
+    app.hand.double_click(x, y)
+    app.settle()
+    opened = worker.current.opened
+    assert opened is not None
+    assert app.state.focus is None  # the verdict, a surface, has come already
+    app.state.focus = app.state.inspect
+    worker.current = replace(
+        worker.current, opened=replace(opened, verdict=Verdict("floater", ("one layer",), 7.5, ()))
+    )
+    app.settle(40)  # the camera eases there
+    np.testing.assert_allclose(app.state.camera.pivot, opened.ray.origin + 7.5 * opened.ray.direction, atol=1e-4)
+
+
+def test_a_render_mode_is_asked_for_with_a_key(start: Start) -> None:
+    app, worker = start()
+    app.hand.key(imgui.Key._2)
+    app.settle()
+    assert worker.views[-1].mode == "view-dependence"
+    app.hand.key(imgui.Key._1)
+    app.settle()
+    assert worker.views[-1].mode == "colour"

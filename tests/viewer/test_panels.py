@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from imgui_bundle import ImVec2, imgui, implot
-from panel_states import make_ray, make_snapshot, make_state, states
+from panel_states import make_camera, make_opened, make_ray, make_snapshot, make_state, states
 
 from nerf_core.datasets import LoadOptions
 from nerf_core.messages import (
     CancelExport,
+    ExportRays,
     LoadCheckpoint,
     OpenScene,
     Pause,
@@ -34,10 +35,14 @@ from viewer.state import (
     FocusOn,
     FrameScene,
     GoToView,
+    OpenPin,
     OrbitForm,
+    PinRay,
     ResetView,
+    SetDisc,
     SetPointDepth,
     StartOrbitExport,
+    UnpinRay,
 )
 from viewer.theme import DarkTheme
 from viewer.widgets import duration, number, rate, vector
@@ -311,25 +316,6 @@ def test_the_export_tells_its_time_before_it_starts() -> None:
     assert estimate(form, own, speed=0.0, share=0.6).endswith("not measured yet")
 
 
-def test_training_cameras_that_have_the_point_in_their_frame_are_told_from_the_others() -> None:
-    """Against the cameras' own projection, lens and all; some look away from the point, one stands in it."""
-    from viewer.panels.radiance import TrainingCameras
-
-    scene, rng = make_snapshot().scene, np.random.default_rng(3)
-    assert scene is not None
-    bent = tuple(replace(view, camera=replace(view.camera, k1=0.3, p1=0.02)) for view in scene.views)
-    cameras = TrainingCameras(replace(scene, views=bent))
-    for point in [*rng.normal(scale=1.5, size=(20, 3)), bent[scene.split("train")[0]].camera.c2w[:, 3]]:
-        framed = []
-        for i in scene.split("train"):
-            camera = bent[i].camera
-            (pixel,), (depth,) = camera.project(point[None])
-            framed.append(depth > 0 and 0 <= pixel[0] < camera.width and 0 <= pixel[1] < camera.height)
-        views = cameras.look_at(point)
-        assert views.framed.tolist() == framed
-        assert np.isfinite(views.directions).all()
-
-
 # ---- the ray and its point --------------------------------------------------------------------------------------
 
 
@@ -360,7 +346,8 @@ def test_axes_stay_while_the_same_ray_is_trained_on(screen: Screen) -> None:
         ray = make_ray(density, step=state.snapshot.step + 1)
         if changes:
             ray = replace(ray, pixel=(1, 2), near=1.0, far=9.0)
-        state.snapshot = replace(state.snapshot, ray=ray, step=ray.step)
+        opened = replace(make_opened(ray), ray=ray)
+        state.snapshot = replace(state.snapshot, opened=opened, step=ray.step)
         for _ in range(2):
             screen.frame(panel, state)
         low, high = panel.plots.t_limits
@@ -403,6 +390,109 @@ def test_hover_reads_the_direction_under_the_mouse(screen: Screen, widget: str, 
         assert on_disc is not None
         back = ((on_disc[0] + 1) / 2, (1 - on_disc[1]) / 2)
     np.testing.assert_allclose(back, place, atol=0.01)
+
+
+# ---- the microscope's other panels ------------------------------------------------------------------------------
+
+
+def test_pins_are_opened_hidden_removed_and_written(screen: Screen) -> None:
+    panel, state = PANELS.get("rays")(), make_state(make_snapshot())
+    screen.size = (360, 500)
+    assert screen.click(panel, state, "rays.pin") == []  # the opened ray is pinned already
+    assert screen.click(panel, state, "rays.open 2") == [OpenPin(2)]
+    assert screen.click(panel, state, "rays.remove 1") == [UnpinRay(1)]
+    screen.click(panel, state, "rays.hide 2")
+    assert not state.pins[1].hidden
+    assert screen.click(panel, state, "rays.write") == [ExportRays(Path("rays.json"))]
+    state.pins = []
+    assert state.inspect is not None
+    assert screen.click(panel, state, "rays.pin") == [PinRay(state.inspect)]
+
+
+def test_a_line_of_the_table_points_at_its_sample(screen: Screen) -> None:
+    panel, state = PANELS.get("samples")(), make_state(make_snapshot())
+    screen.size = (760, 300)
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    imgui.get_io().add_mouse_pos_event(120, 120)
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    assert state.pointed_at is not None
+    assert state.pointed_at.one == 1
+    screen.click(panel, state, "samples.pass 0")
+    imgui.get_io().add_mouse_pos_event(120, 120)
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    assert state.pointed_at.one == 0
+
+
+def test_a_photo_of_the_evidence_is_flown_to(screen: Screen) -> None:
+    panel, state = PANELS.get("evidence")(), make_state(make_snapshot())
+    screen.size = (420, 400)
+    evidence = state.snapshot.evidence
+    assert evidence is not None
+    assert screen.click(panel, state, "evidence.2") == [GoToView(int(evidence.views[2]))]
+
+
+def test_the_line_of_a_ray_in_a_photo_passes_through_its_points() -> None:
+    from viewer.panels.evidence import epipolar
+
+    ray, camera = make_ray(), make_camera(np.array([0.5, 3.2, 1.0]))
+    line = epipolar(camera, ray)
+    for t in (2.5, 3.8, 5.5):
+        (pixel,), _ = camera.project((ray.origin + t * ray.direction)[None])
+        assert np.nanmin(np.linalg.norm(line - pixel, axis=1)) < 3
+    behind = epipolar(make_camera(ray.origin + 3.0 * ray.direction), ray)
+    assert np.isfinite(behind).any() or np.isnan(behind).all()
+
+
+def test_the_radiance_is_of_the_point_or_of_the_whole_ray(screen: Screen) -> None:
+    panel, state = PANELS.get("radiance")(), make_state(make_snapshot())
+    screen.click(panel, state, "radiance.Whole ray")
+    assert state.frozen_ray
+    screen.click(panel, state, "radiance.Point")
+    assert not state.frozen_ray
+    assert screen.click(panel, state, "radiance.normal") == [SetDisc("normal")]
+
+
+def test_what_no_photo_looked_at_is_hatched() -> None:
+    from viewer.panels.radiance import FAR_DEGREES, Pictures, unseen
+
+    radiance, evidence = make_snapshot().radiance, make_snapshot().evidence
+    assert radiance is not None
+    assert evidence is not None
+    far = unseen(radiance.directions, evidence)
+    seen = evidence.directions[evidence.seen]
+    for k in range(0, len(far), 501):
+        nearest = np.degrees(np.arccos(np.clip(seen @ radiance.directions[k], -1, 1))).min()
+        assert far[k] == (nearest > FAR_DEGREES)
+    assert 0.2 < far.mean() < 0.99
+    plain = Pictures.of(radiance, replace(evidence, transmittance=evidence.transmittance * 0), False)
+    some = Pictures.of(radiance, evidence, False)
+    assert (plain.sphere != some.sphere).any()
+    assert unseen(radiance.directions, None).all()
+
+
+def test_every_station_is_drawn(screen: Screen) -> None:
+    panel, state = PANELS.get("walk")(), make_state(make_snapshot())
+    screen.size = (2200, 300)
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    opened = state.snapshot.opened
+    assert opened is not None
+    assert {f"walk.{station.title}" for station in opened.walk} <= set(screen.widgets)
+
+
+def test_the_history_is_of_the_opened_pin(screen: Screen) -> None:
+    panel, state = PANELS.get("ray_history")(), make_state(make_snapshot())
+    screen.size = (900, 260)
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    assert "ray_history.map" in screen.widgets
+    state.pins = []
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    assert "ray_history.map" not in screen.widgets
 
 
 # ---- notices ----------------------------------------------------------------------------------------------------

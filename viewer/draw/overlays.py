@@ -48,6 +48,13 @@ class Overlay:
             self._draw.add_circle_filled(centre, radius, fill)
             self._draw.add_circle(centre, radius, ring, thickness=max(1.0, 0.08 * em))
 
+    def ring(self, position: np.ndarray, radius: float, color: ImVec4, thickness: float) -> None:
+        """A circle of `radius` pixels around a world point."""
+        pixels, depth = self._camera.project(np.asarray(position, dtype=np.float64)[None])
+        if depth[0] >= self._near:
+            packed = imgui.color_convert_float4_to_u32(color)
+            self._draw.add_circle(ImVec2(*(pixels[0] + self._origin)), radius, packed, thickness=thickness)
+
     def point(self, position: np.ndarray, em: float, color: ImVec4) -> None:
         """A crosshair with a gap, so that what it marks stays visible."""
         pixels, depth = self._camera.project(np.asarray(position, dtype=np.float64)[None])

@@ -28,6 +28,8 @@ class Theme(Protocol):
     density: ImVec4
     transmittance: ImVec4
     ray: ImVec4
+    pins: tuple[ImVec4, ...]
+    alpha: ImVec4
     point: ImVec4
 
 

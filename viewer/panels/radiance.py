@@ -10,59 +10,68 @@ from typing import Literal
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
 
-from nerf_core.cameras import distort
-from nerf_core.probe import DISC_SIZE, SPHERE_COLUMNS, SPHERE_ROWS, RadianceProbe, disc_grid
-from nerf_core.scene import Scene
+from nerf_core.probe import (
+    DISC_SIZE,
+    SPHERE_COLUMNS,
+    SPHERE_ROWS,
+    RadianceProbe,
+    Sightings,
+    diffuse_of,
+    disc_grid,
+)
 from viewer.panels import PANELS, Ui
-from viewer.state import Action, AppState, SetPointDepth
+from viewer.state import Action, AppState, SetDisc, SetPointDepth
 from viewer.widgets import Row, button, figures, hint, mono, number, packed, swatch, triple, vector
 
-CAPTIONS = ("facing the viewer", "all directions, up at the top")
+CAPTIONS = {"viewer": "facing the viewer", "normal": "around the normal"}
+SPHERE_CAPTION = "all directions; hatched: unseen"
+FAR_DEGREES = 20.0  # from the nearest photo: what the model says there was never compared with anything
+ZOOM, HATCH = 3, 9  # the pictures are drawn so many times larger, for stripes so many pixels apart
 
 
 @dataclass(frozen=True)
 class Pictures:
-    """What one probe looks like; made once, so that it is uploaded once."""
+    """What one probe looks like; made once, so that it is uploaded once. Hatched where no photo has looked from."""
 
     probe: RadianceProbe
+    evidence: Sightings | None
+    frozen: bool
     disc: np.ndarray
     sphere: np.ndarray
 
+    def shows(self, probe: RadianceProbe, evidence: Sightings | None, frozen: bool) -> bool:
+        return self.probe is probe and self.evidence is evidence and self.frozen == frozen
+
     @staticmethod
-    def of(probe: RadianceProbe) -> Pictures:
-        disc = probe.disc_image()[_nearest_inside()]
-        disc[..., 3] = 1
-        sphere = np.concatenate([probe.sphere_image(), np.ones((SPHERE_ROWS, SPHERE_COLUMNS, 1), np.float32)], -1)
-        return Pictures(probe, _bytes(disc), _bytes(sphere))
+    def of(probe: RadianceProbe, evidence: Sightings | None, frozen: bool) -> Pictures:
+        far = unseen(probe.directions, evidence)
+        count = SPHERE_ROWS * SPHERE_COLUMNS
+        disc, hidden = probe.disc_image(frozen), np.zeros((DISC_SIZE, DISC_SIZE), bool)
+        hidden[disc_grid()[2]] = far[count:]
+        disc[..., 3] = hidden  # the alpha of what lies outside is no longer of use
+        disc = disc[_nearest_inside()]
+        sphere = probe.sphere_image(frozen)
+        hidden = far[:count].reshape(SPHERE_ROWS, SPHERE_COLUMNS, 1).astype(np.float32)
+        return Pictures(probe, evidence, frozen, _hatched(disc), _hatched(np.concatenate([sphere, hidden], -1)))
 
 
-@dataclass(frozen=True)
-class TrainingViews:
-    """Directions (C, 3) from the point to the training cameras, and which of them (C,) have it in their frame."""
+def unseen(directions: np.ndarray, evidence: Sightings | None) -> np.ndarray:
+    """Which directions (K, 3), from a point outwards, lie farther than FAR_DEGREES from any photo that sees it."""
+    seen = evidence.directions[evidence.seen] if evidence is not None else np.zeros((0, 3))
+    if not len(seen):
+        return np.ones(len(directions), bool)
+    return (directions @ seen.T).max(1) < np.cos(np.radians(FAR_DEGREES))
 
-    directions: np.ndarray
-    framed: np.ndarray
 
-
-class TrainingCameras:
-    """A capture's training cameras side by side: there may be thousands, and a point asks all of them at once."""
-
-    def __init__(self, scene: Scene | None) -> None:
-        self.scene = scene
-        cameras = [scene.views[i].camera for i in scene.split("train")] if scene is not None else []
-        self._c2w = np.array([c.c2w for c in cameras], np.float64).reshape(-1, 3, 4)
-        self._intrinsics = np.array([c.intrinsics() for c in cameras], np.float64).reshape(-1, 11)
-
-    def look_at(self, point: np.ndarray) -> TrainingViews:
-        offsets = point - self._c2w[:, :, 3]
-        local = np.einsum("cij,ci->cj", self._c2w[:, :, :3], offsets)
-        depth = -local[:, 2]
-        plane = np.stack([local[:, 0], -local[:, 1]], -1) / np.maximum(depth, 1e-12)[:, None]  # behind: not framed
-        width, height, fx, fy, cx, cy, *lens = self._intrinsics.T
-        x, y = distort(plane, *lens).T
-        x, y = x * fx + cx, y * fy + cy
-        framed = (depth > 0) & (x >= 0) & (x < width) & (y >= 0) & (y < height)
-        return TrainingViews(_unit(-offsets), framed)
+def _hatched(image: np.ndarray) -> np.ndarray:
+    """(h, w, 4) colours and where to hatch → uint8 (ZOOM h, ZOOM w, 4), opaque."""
+    large = image.repeat(ZOOM, 0).repeat(ZOOM, 1)
+    y, x = np.mgrid[: large.shape[0], : large.shape[1]]
+    stripe = ((x + y) % HATCH < HATCH // 3) & (large[..., 3] > 0.5)
+    rgb = large[..., :3]
+    dark = rgb.mean(-1, keepdims=True) < 0.5  # a stripe that shows on any colour
+    rgb = np.where(stripe[..., None], 0.55 * rgb + np.where(dark, 0.45, 0.0), rgb)
+    return _bytes(np.concatenate([rgb, np.ones((*rgb.shape[:2], 1))], -1))
 
 
 @PANELS.register("radiance")
@@ -74,46 +83,76 @@ class RadiancePanel:
     def __init__(self) -> None:
         self.hovered: tuple[np.ndarray, np.ndarray] | None = None  # direction and colour under the mouse
         self._pictures: Pictures | None = None
-        self._cameras = TrainingCameras(None)
-        self._views = self._cameras.look_at(np.zeros(3))
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
-        probe = state.snapshot.radiance
+        probe, evidence = state.snapshot.radiance, state.snapshot.evidence
         if probe is None:
             hint(ui, _nothing_yet(state))
             return
-        if self._pictures is None or self._pictures.probe is not probe:
-            self._pictures = Pictures.of(probe)
-            if self._cameras.scene is not state.snapshot.scene:
-                self._cameras = TrainingCameras(state.snapshot.scene)
-            self._views = self._cameras.look_at(probe.point)
-        yield from self._draw(ui, state, self._pictures, self._views)
+        known = self._pictures
+        if known is None or not known.shows(probe, evidence, state.frozen_ray):
+            self._pictures = known = Pictures.of(probe, evidence, state.frozen_ray)
+        yield from self._draw(ui, state, known)
         if self.hovered is not None:
             _tooltip(ui, *self.hovered)
 
-    def _draw(self, ui: Ui, state: AppState, pictures: Pictures, views: TrainingViews) -> Iterator[Action]:
+    def _draw(self, ui: Ui, state: AppState, pictures: Pictures) -> Iterator[Action]:
         """The disc, and the map with the figures beside it where there is room, else below."""
-        viewer = _unit(state.camera.c2w()[:, 3] - pictures.probe.point)
+        probe = pictures.probe
+        viewer = _unit(state.camera.c2w()[:, 3] - probe.point)
+        yield from _choices(ui, state)
         avail, gap, line = imgui.get_content_region_avail(), ui.em, imgui.get_text_line_height_with_spacing()
         side = max(min(avail.y - line, (avail.x - gap) * 0.36), 5 * ui.em)
         beside = side + gap + 9 * ui.em <= avail.x
         imgui.begin_group()
-        self.hovered = _disc(ui, pictures, views, viewer, min(side, avail.x))
+        self.hovered = _disc(ui, pictures, viewer, min(side, avail.x))
         imgui.push_text_wrap_pos(imgui.get_cursor_pos_x() + side)
-        imgui.text_colored(ui.theme.muted, CAPTIONS[0])
+        imgui.text_colored(ui.theme.muted, CAPTIONS[probe.around if probe.normal is not None else "viewer"])
         imgui.pop_text_wrap_pos()
         imgui.end_group()
         if beside:
             imgui.same_line(0, gap)
         imgui.begin_group()
-        width = min(imgui.get_content_region_avail().x, 2 * max(avail.y - 5 * line, 4 * ui.em))
-        self.hovered = _sphere(ui, pictures, views, viewer, width) or self.hovered
-        hint(ui, CAPTIONS[1])
-        yield from _point(ui, state, pictures.probe)
+        width = min(imgui.get_content_region_avail().x, 2 * max(avail.y - 7 * line, 4 * ui.em))
+        self.hovered = _sphere(ui, pictures, viewer, width) or self.hovered
+        hint(ui, SPHERE_CAPTION)
+        yield from _point(ui, state, probe)
         if state.snapshot.ray is not None and state.snapshot.ray.depth_strongest is None:
             hint(ui, "The ray met nothing: this point is empty, and its colour is never seen.", ui.theme.warning)
-        _sight(ui, views)
+        _numbers(ui, state, pictures, viewer)
+        _sight(ui, pictures.evidence)
         imgui.end_group()
+
+
+def _choices(ui: Ui, state: AppState) -> Iterator[Action]:
+    """Of what the colours are, and what the disc is turned to."""
+    for label, frozen, tip in (
+        ("Point", False, "the colour that this point alone emits"),
+        ("Whole ray", True, "the pixel if every sample of the ray kept its weight and was looked at from there"),
+    ):
+        if imgui.radio_button(label, state.frozen_ray == frozen):
+            state.frozen_ray = frozen
+        ui.mark(f"radiance.{label}")
+        imgui.set_item_tooltip(tip)
+        imgui.same_line()
+    around = state.inspect.around if state.inspect is not None else "viewer"
+    changed, normal = imgui.checkbox("Normal", around == "normal")
+    ui.mark("radiance.normal")
+    imgui.set_item_tooltip("turn the disc's middle to where the density falls fastest, instead of to the viewer")
+    if changed:
+        yield SetDisc("normal" if normal else "viewer")
+
+
+def _numbers(ui: Ui, state: AppState, pictures: Pictures, viewer: np.ndarray) -> None:
+    """How view-dependent the point is, and what of its colour everybody sees."""
+    rows: list[Row] = [("view-dependence", number(pictures.probe.dependence, 3))]
+    diffuse = diffuse_of(pictures.evidence) if pictures.evidence is not None else None
+    if diffuse is not None:
+        towards = int(np.argmax(pictures.probe.directions @ viewer))
+        rest = np.maximum(pictures.probe.rgb[towards] - diffuse, 0)
+        rows.append(("diffuse", triple(diffuse), partial(swatch, ui, diffuse)))
+        rows.append(("specular here", triple(rest), partial(swatch, ui, rest)))
+    figures(ui, "numbers", rows)
 
 
 def _point(ui: Ui, state: AppState, probe: RadianceProbe) -> Iterator[Action]:
@@ -131,9 +170,7 @@ def _point(ui: Ui, state: AppState, probe: RadianceProbe) -> Iterator[Action]:
     figures(ui, "point", [("x", vector(probe.point))])
 
 
-def _disc(
-    ui: Ui, pictures: Pictures, views: TrainingViews, viewer: np.ndarray, side: float
-) -> tuple[np.ndarray, np.ndarray] | None:
+def _disc(ui: Ui, pictures: Pictures, viewer: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray] | None:
     """A hover answers with the direction and the colour under the mouse."""
     probe, low, radius = pictures.probe, imgui.get_cursor_screen_pos(), side / 2
     high, centre = ImVec2(low.x + side, low.y + side), ImVec2(low.x + radius, low.y + radius)
@@ -149,19 +186,17 @@ def _disc(
         at = probe.disc_position(direction)
         return None if at is None else ImVec2(centre.x + at[0] * radius, centre.y - at[1] * radius)
 
-    _marks(ui, place, views, viewer)
+    _marks(ui, place, pictures.evidence, viewer)
     mouse = imgui.get_mouse_pos()
     x, y = (mouse.x - centre.x) / radius, (centre.y - mouse.y) / radius
     if not hovered or x * x + y * y >= 1:
         return None
     direction = np.array([x, y, np.sqrt(1 - x * x - y * y)]) @ probe.axes
     row, column = (min(int((v + 1) / 2 * DISC_SIZE), DISC_SIZE - 1) for v in (-y, x))
-    return direction, pictures.disc[row, column, :3] / 255
+    return direction, probe.disc_image(pictures.frozen)[_nearest_inside()][row, column, :3]
 
 
-def _sphere(
-    ui: Ui, pictures: Pictures, views: TrainingViews, viewer: np.ndarray, width: float
-) -> tuple[np.ndarray, np.ndarray] | None:
+def _sphere(ui: Ui, pictures: Pictures, viewer: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray] | None:
     probe, low, height = pictures.probe, imgui.get_cursor_screen_pos(), width / 2
     imgui.image(ui.texture("radiance sphere", pictures.sphere), ImVec2(width, height))
     ui.mark("radiance.sphere")
@@ -172,7 +207,7 @@ def _sphere(
         column, row = probe.sphere_position(direction)
         return ImVec2(low.x + column * width, low.y + row * height)
 
-    _marks(ui, place, views, viewer)
+    _marks(ui, place, pictures.evidence, viewer)
     if not hovered:
         return None
     mouse = imgui.get_mouse_pos()
@@ -180,17 +215,20 @@ def _sphere(
     azimuth, polar = 2 * np.pi * column, np.pi * row
     side = np.cross(probe.up, probe.azimuth0)
     around = np.cos(azimuth) * probe.azimuth0 + np.sin(azimuth) * side
-    rgb = pictures.sphere[int(row * SPHERE_ROWS), int(column * SPHERE_COLUMNS), :3] / 255
+    rgb = probe.sphere_image(pictures.frozen)[int(row * SPHERE_ROWS), int(column * SPHERE_COLUMNS)]
     return np.cos(polar) * probe.up + np.sin(polar) * around, rgb
 
 
-def _marks(ui: Ui, place: Callable[[np.ndarray], ImVec2 | None], views: TrainingViews, viewer: np.ndarray) -> None:
-    """Training cameras as dots, hollow where the point is out of their frame; the current view as crosshairs."""
+def _marks(
+    ui: Ui, place: Callable[[np.ndarray], ImVec2 | None], evidence: Sightings | None, viewer: np.ndarray
+) -> None:
+    """Photos that see the point as dots, hollow where something hides it from them; the current view as crosshairs."""
     draw, r = imgui.get_window_draw_list(), 0.14 * ui.em
     light, dark = packed(ImVec4(1, 1, 1, 0.9)), packed(ImVec4(0, 0, 0, 0.9))  # one of them shows on any colour
-    for direction, framed in zip(views.directions, views.framed, strict=True):
+    photos = zip(evidence.directions, evidence.seen, strict=True) if evidence is not None else ()
+    for direction, seen in photos:
         at = place(direction)
-        if at is not None and framed:
+        if at is not None and seen:
             draw.add_circle_filled(at, 1.6 * r, dark, 8)
             draw.add_circle_filled(at, r, light, 8)
         elif at is not None:
@@ -205,16 +243,15 @@ def _marks(ui: Ui, place: Callable[[np.ndarray], ImVec2 | None], views: Training
         draw.add_line(ImVec2(at.x, at.y - reach), ImVec2(at.x, at.y + reach), color, weight)
 
 
-def _sight(ui: Ui, views: TrainingViews) -> None:
-    count, framed = len(views.framed), int(views.framed.sum())
-    if count and not framed:
-        hint(
-            ui,
-            f"None of the {count:,} training cameras has this point in its frame: its colour is a guess.",
-            ui.theme.warning,
-        )
-    elif count:
-        hint(ui, f"{framed:,} of {count:,} training cameras (dots) have it in their frame")
+def _sight(ui: Ui, evidence: Sightings | None) -> None:
+    if evidence is None or not evidence.asked:
+        return
+    count = int(evidence.seen.sum())
+    if not count:
+        text = f"None of the {evidence.asked:,} training photos sees this point: its colour is a guess."
+        hint(ui, text, ui.theme.warning)
+    else:
+        hint(ui, f"{count:,} of {evidence.asked:,} training photos see it (dots), {evidence.framed:,} have it in frame")
 
 
 def _tooltip(ui: Ui, direction: np.ndarray, rgb: np.ndarray) -> None:

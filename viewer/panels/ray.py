@@ -13,10 +13,9 @@ from nerf_core.probe import RayProbe
 from viewer.panels import PANELS, Ui
 from viewer.ray_plots import DEPTHS, Glyph, Opened, RayPlots
 from viewer.ray_steps import Steps, steps_of
-from viewer.state import Action, AppState, SetPointDepth
+from viewer.state import Action, AppState, SampleRef, SetPointDepth
 from viewer.widgets import Row, faded, figures, hint, number, packed, same_line_if_fits, swatch, triple
 
-BACKGROUND_OPACITY = 0.01  # under it the ray met nothing that one could see
 AXIS = "over t (world units)"
 BEYOND = 0.01  # weight past the end of the axis that is worth a word
 SIDE_EM, SIDE_NEEDS_EM = 17.0, 36.0  # the figures' column, and the width from which it stands beside the plots
@@ -54,7 +53,9 @@ class RayPanel:
         if beside:
             imgui.end_child()
         if self.plots.hovered is not None:
-            _tooltip(ui, *self.plots.hovered)
+            steps, index = self.plots.hovered
+            state.pointed_at = SampleRef(next(k for k, p in enumerate(ray.passes) if p is steps.probe), index)
+            _tooltip(ui, steps, index)
         if t is not None:
             yield SetPointDepth(t)
 
@@ -75,13 +76,25 @@ class RayPanel:
             self._passes,
             units="NDC unit" if scene is not None and scene.ndc is not None else "unit",
             point_t=_point_t(state, ray),
+            marked=self._marked(state, ray),
         )
         return self.plots.draw(ui, opened, imgui.get_content_region_avail())
+
+    def _marked(self, state: AppState, ray: RayProbe) -> tuple[Steps, int] | None:
+        ref = state.sample
+        if ref is None or ref.one >= len(ray.passes):
+            return None
+        steps = next((s for s in self._passes if s.probe is ray.passes[ref.one]), None)
+        return (steps, ref.at) if steps is not None and ref.at < len(steps.t) else None
 
     def _legend(self, ui: Ui) -> None:
         entries = [(_weights_of(s), "box", ui.theme.coarse) for s in self._passes[:-1]]
         entries += [(_weights_of(s), "filled", ui.theme.fine) for s in self._passes[-1:]]
-        entries += [("T", "line", ui.theme.transmittance), ("σ", "line", ui.theme.density)]
+        entries += [
+            ("T", "line", ui.theme.transmittance),
+            ("α", "line", ui.theme.alpha),
+            ("σ", "line", ui.theme.density),
+        ]
         entries.append(("point", "bar", ui.theme.point))
         for i, (label, shape, color) in enumerate(entries):
             if i:
@@ -96,8 +109,7 @@ class RayPanel:
         asked = state.inspect
         if asked is not None and asked.pixel != ray.pixel:
             hint(ui, f"Opening the ray through pixel {asked.pixel[0]:,}, {asked.pixel[1]:,} …")
-        if ray.opacity < BACKGROUND_OPACITY:
-            hint(ui, f"Background: the ray met nothing (opacity {number(ray.opacity, 2)}).", ui.theme.warning)
+        _verdict(ui, state)
         last = ray.passes[-1]
         beyond = float(last.weights[last.t > ray.far].sum())
         if beyond > BEYOND:
@@ -119,6 +131,21 @@ class RayPanel:
         ui.mark("ray.log")
         if changed:
             self.plots.scale_density(self._passes)
+
+
+def _verdict(ui: Ui, state: AppState) -> None:
+    """What is wrong with the pixel, in a word and a sentence."""
+    verdict = state.snapshot.opened.verdict if state.snapshot.opened is not None else None
+    if verdict is None:
+        hint(ui, "Asking the photos …")
+        return
+    good = verdict.kind in ("surface", "several surfaces", "background")
+    imgui.push_font(None, 1.15 * ui.em)
+    imgui.text_colored(ui.theme.good if good else ui.theme.warning, verdict.kind.capitalize())
+    imgui.pop_font()
+    ui.mark("ray.verdict")
+    for reason in verdict.reasons:
+        hint(ui, f"{reason[0].upper()}{reason[1:]}.", ui.theme.text)
 
 
 def _weights_of(steps: Steps) -> str:

@@ -8,10 +8,11 @@ from typing import Literal
 from imgui_bundle import ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
+from nerf_core.render_modes import COLOR, MODES
 from viewer.draw.viewport import same_view
 from viewer.panels import PANELS, Ui
 from viewer.state import Action, AppState, FocusOn, FrameScene, ResetView
-from viewer.widgets import Row, button, figures, hint, number, same_line_if_fits, vector
+from viewer.widgets import Row, button, field_width, figures, hint, number, same_line_if_fits, vector
 
 FRAME, HOME = f"{icons.ICON_FA_EXPAND}  Frame", f"{icons.ICON_FA_HOUSE}  Home"
 FOCUS, HELP = f"{icons.ICON_FA_CROSSHAIRS}  Focus", f"{icons.ICON_FA_KEYBOARD}  Keys"
@@ -45,7 +46,8 @@ class ViewPanel:
         tip = "orbit the inspected point; in the viewport: double click"
         if button(ui, FOCUS, "view.focus", enabled=radiance is not None, tip=tip) and radiance is not None:
             yield FocusOn(radiance.point)
-        _, state.show_samples = imgui.checkbox("Inspected ray", state.show_samples)
+        _modes(ui, state)
+        _, state.show_samples = imgui.checkbox("Opened rays", state.show_samples)
         ui.mark("view.samples")
         same_line_if_fits("     Cameras")
         _, state.show_cameras = imgui.checkbox("Cameras", state.show_cameras)
@@ -53,6 +55,19 @@ class ViewPanel:
         same_line_if_fits(HELP)
         if button(ui, HELP, "view.help", tip="what mouse and keys do (H)"):
             state.show_help = not state.show_help
+
+
+def _modes(ui: Ui, state: AppState) -> None:
+    """What the picture shows of each pixel."""
+    names = [COLOR, *MODES]
+    labels = ["Colour", *(mode.label for mode in MODES.values())]
+    field_width(ui, "shows")
+    at = names.index(state.mode) if state.mode in names else 0
+    _, chosen = imgui.combo("shows", at, labels)
+    ui.mark("view.mode")
+    state.mode = names[chosen]
+    if state.mode in MODES:
+        imgui.set_item_tooltip(MODES[state.mode].tip)
 
 
 def _preview_state(ui: Ui, state: AppState) -> tuple[str, ImVec4]:

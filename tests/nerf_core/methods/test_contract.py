@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 import torch
 
@@ -131,16 +132,43 @@ def test_rendering_leaves_the_model_as_it_is(make: MakeMethod, scene: Scene) -> 
     for quality in ("coarse", "fine"):
         method.render(rays, quality)
     method.trace(rays)
-    method.radiance(torch.zeros(3), torch.eye(3))
+    method.radiance(torch.zeros(2, 3), torch.eye(3))
+    method.density(torch.zeros(2, 3))
+    method.explain(rays[:1])
     after = method.state()
     assert [name for name in before if not torch.equal(before[name], after[name])] == []
 
 
 def test_radiance_is_a_colour_a_direction(make: MakeMethod, scene: Scene) -> None:
     directions = torch.nn.functional.normalize(torch.randn(50, 3, dtype=torch.float64), dim=-1)
-    rgb = trained(make(), scene).radiance(torch.tensor([0.1, 0.2, 0.3], dtype=torch.float64), directions)
-    assert rgb.shape == (50, 3)
+    points = torch.tensor([[0.1, 0.2, 0.3], [0.3, 0.0, -0.2]], dtype=torch.float64)
+    method = trained(make(), scene)
+    rgb = method.radiance(points, directions)
+    assert rgb.shape == (2, 50, 3)
     assert ((rgb >= 0) & (rgb <= 1)).all()
+    torch.testing.assert_close(rgb[1], method.radiance(points[1:], directions)[0], rtol=1e-4, atol=1e-5)
+
+
+def test_density_is_that_of_the_samples(make: MakeMethod, scene: Scene) -> None:
+    method, (rays, _) = trained(make(), scene, 6), some_rays(scene, 20)
+    last = method.trace(rays).passes[-1]
+    for ray in range(len(rays)):
+        count = last.t.shape[1] if last.count is None else int(last.count[ray])
+        points = rays.origins[ray] + last.t[ray, :count, None].to(rays.origins) * rays.directions[ray]
+        torch.testing.assert_close(method.density(points), last.sigma[ray, :count], rtol=2e-2, atol=2e-2)
+
+
+def test_a_walk_has_stations_with_finite_values(make: MakeMethod, scene: Scene) -> None:
+    method, (rays, _) = trained(make(), scene), some_rays(scene, 3)
+    for ray in range(3):
+        stations = method.explain(rays[ray : ray + 1])
+        assert len({s.title for s in stations}) == len(stations) >= 4
+        for station in stations:
+            assert station.sentence.endswith((".", "?"))
+            for chart in station.charts:
+                for value in chart:
+                    if isinstance(value, np.ndarray):
+                        assert np.isfinite(value).all(), station.title
 
 
 @pytest.mark.parametrize("name", ["nerf", "nerf-guided"])

@@ -62,7 +62,9 @@ def test_until_the_guide_is_done_its_picture_is_shown_and_then_stays_as_it_is(sc
     assert early.stage == "the guide learns, 59 of 60 steps: the picture is its own"
     assert torch.equal(early.render(rays).color, early.guide.render(rays).color)
     assert [p.name for p in early.trace(rays).passes] == ["voxels"]
-    assert torch.equal(early.radiance(torch.zeros(3), torch.eye(3)), early.guide.radiance(torch.zeros(3), torch.eye(3)))
+    where = torch.zeros(1, 3), torch.eye(3)
+    assert torch.equal(early.radiance(*where), early.guide.radiance(*where))
+    assert torch.equal(early.density(where[0]), early.guide.density(where[0]))
 
 
 class _TheGuideItself(nn.Module):

@@ -247,7 +247,7 @@ def test_radiance_is_what_the_network_emits(scene: Scene, view_directions: bool)
     directions = nn.functional.normalize(torch.randn(9, 3), dim=-1)
     point, net = torch.tensor([0.3, -0.2, 0.5]), method.networks["fine"]
     _, rgb = net(point.expand(9, 3), net.encode_directions(directions))
-    torch.testing.assert_close(method.radiance(point, directions), rgb)
+    torch.testing.assert_close(method.radiance(point[None], directions)[0], rgb)
 
 
 # ---- NDC ----------------------------------------------------------------------------------------------------------
@@ -311,7 +311,7 @@ def test_radiance_under_ndc_is_asked_for_at_the_projected_point(forward: Scene) 
     scale = 2 * forward.views[0].camera.fx / 16
     x = torch.tensor([scale * 0.3 / 2.5, scale * -0.2 / 2.5, 1 - 2 / 2.5])
     _, rgb = net(x.expand(9, 3), net.encode_directions(directions))
-    torch.testing.assert_close(method.radiance(world, directions), rgb)
+    torch.testing.assert_close(method.radiance(world[None], directions)[0], rgb)
 
 
 def test_samples_are_linear_in_disparity_where_the_scene_says_so(scene: Scene) -> None:

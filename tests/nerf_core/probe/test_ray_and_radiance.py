@@ -9,6 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from balls import Ball as PlainBall
+from balls import model_of
 from torch import Tensor, nn
 
 from nerf_core.cells import Cells
@@ -19,15 +21,20 @@ from nerf_core.methods.hash import Hash
 from nerf_core.methods.nerf import Nerf
 from nerf_core.nerf_config import NerfConfig
 from nerf_core.probe import (
+    DISC_SIZE,
     SPHERE_COLUMNS,
     SPHERE_ROWS,
     RadianceProbe,
     RayProbe,
     disc_grid,
     inspection,
+    open_pixel,
     open_radiance,
     open_ray,
+    view_dependence,
 )
+from nerf_core.probe.radiance import density_normal
+from nerf_core.probe.ray import MOST_RAYS
 from nerf_core.render import render_camera, tile_rays
 from nerf_core.scene import Scene
 from nerf_core.settings import RunSettings
@@ -50,8 +57,14 @@ class Ball(nn.Module):
     def geometry(self, x: Tensor) -> tuple[Tensor, Tensor]:
         return torch.where(x.norm(dim=-1) < self.radius, self.value, -1.0), x
 
+    def encode_positions(self, x: Tensor) -> Tensor:
+        return x
+
     def color(self, trunk: Tensor, encoded: Tensor) -> Tensor:
         return (0.5 + 0.5 * encoded).expand(len(trunk), 3)
+
+    def colors(self, trunk: Tensor, encoded: Tensor) -> Tensor:
+        return (0.5 + 0.5 * encoded).expand(len(trunk), -1, -1)
 
     def forward(self, x: Tensor, encoded: Tensor) -> tuple[Tensor, Tensor]:
         raw, trunk = self.geometry(x)
@@ -165,7 +178,10 @@ def test_a_ray_without_samples_shows_none(scene: Scene, method: str) -> None:
     np.testing.assert_array_equal(ray.color, scene.background)
     radiance = open_radiance(model, scene, ray, UP)
     assert radiance.t == (ray.near + ray.far) / 2
-    json.dumps(inspection(ray, radiance), allow_nan=False)
+    opened = open_pixel(model, scene, scene.views[0].camera, (8, 8), 3)
+    assert opened.verdict is not None
+    assert opened.verdict.kind == "background"
+    json.dumps(inspection(opened), allow_nan=False)
 
 
 @pytest.mark.parametrize("method", ["voxels", "nerf-guided", "hash", "nerf"])
@@ -179,7 +195,7 @@ def test_the_radiance_is_the_colour_that_a_ray_finds_there(scene: Scene, method:
         last = ray.passes[-1]
         k = int(np.argmax(last.weights))
         point = torch.from_numpy(ray.origin.astype(np.float64) + float(last.t[k]) * ray.direction.astype(np.float64))
-        found = trainer.method.radiance(point, torch.from_numpy(ray.direction.astype(np.float64))[None])[0]
+        found = trainer.method.radiance(point[None], torch.from_numpy(ray.direction.astype(np.float64))[None])[0, 0]
         np.testing.assert_allclose(found.numpy(), last.rgb[k], atol=2e-3)
 
 
@@ -217,7 +233,8 @@ def opened(scene: Scene, pixel: tuple[int, int] = (9, 6), **field: float) -> tup
 def test_the_plot_is_over_the_way_to_the_viewer(scene: Scene) -> None:
     """The network is given d, camera to point: a field of 0.5 + 0.5·d shows 0.5 − 0.5·v."""
     _, radiance = opened(scene)
-    assert len(radiance.directions) >= 2048
+    assert SPHERE_ROWS * SPHERE_COLUMNS >= 4096
+    assert disc_grid()[2].sum() >= 4096
     np.testing.assert_allclose(np.linalg.norm(radiance.directions, axis=-1), 1, atol=1e-12)
     np.testing.assert_allclose(radiance.rgb, 0.5 - 0.5 * radiance.directions, atol=1e-6)
 
@@ -225,7 +242,7 @@ def test_the_plot_is_over_the_way_to_the_viewer(scene: Scene) -> None:
 def test_towards_the_viewer_the_point_emits_what_the_pixel_shows(scene: Scene) -> None:
     ray, radiance = opened(scene)
     np.testing.assert_allclose(radiance.axes[2], -ray.direction, atol=1e-6)
-    centre = radiance.disc_image()[28, 28]
+    centre = radiance.disc_image()[DISC_SIZE // 2, DISC_SIZE // 2]
     np.testing.assert_allclose(centre[:3], ray.color, atol=1e-3)
     assert centre[3] == 1
 
@@ -277,3 +294,80 @@ def test_the_disc_is_the_whole_circle_and_nothing_but_it() -> None:
     x, y, inside = disc_grid()
     assert inside.mean() == pytest.approx(np.pi / 4, rel=0.01)
     assert np.array_equal(inside, np.hypot(x, y) < 1)
+
+
+def test_a_matt_ball_is_matt_and_a_known_one_has_its_number(scene: Scene) -> None:
+    """rgb = 0.5 + 0.5 d: over a hemisphere a direction's parts have variances 1/12, 1/3 and 1/3: √(¼ · ¼) in all."""
+    towards = torch.nn.functional.normalize(torch.randn(20, 3, dtype=torch.float64), dim=-1)
+    found = view_dependence(ball_method(scene), torch.zeros(20, 3, dtype=torch.float64), towards)
+    np.testing.assert_allclose(found, 0.25, atol=0.01)
+    matt = model_of(scene, PlainBall((0.0, 0.0, 0.0), 0.7, (0.8, 0.2, 0.15)))
+    assert view_dependence(matt, torch.zeros(3, 3), towards[:3]).max() < 1e-6
+
+
+def test_a_frozen_ray_shows_the_pixel_to_its_own_camera(scene: Scene) -> None:
+    method = ball_method(scene, density=1.0)
+    ray, radiance = opened(scene, density=1.0)
+    last = ray.passes[-1]
+    for k in range(0, len(radiance.directions), 997):
+        d = torch.from_numpy(-radiance.directions[k])[None]
+        points = ray.origin.astype(float) + last.t[:, None].astype(float) * ray.direction.astype(float)
+        colors = method.radiance(torch.from_numpy(points), d)[:, 0].numpy()
+        expected = last.weights @ colors + (1 - last.weights.sum()) * ray.background
+        np.testing.assert_allclose(radiance.frozen_rgb[k], expected, atol=3e-3)
+    centre = radiance.disc_image(frozen=True)[DISC_SIZE // 2, DISC_SIZE // 2, :3]
+    np.testing.assert_allclose(centre, ray.color, atol=2e-3)
+
+
+def test_the_normal_points_out_of_a_ball(scene: Scene) -> None:
+    ball = PlainBall((0.1, -0.2, 0.0), 0.7, (0.5, 0.5, 0.5))
+    method = model_of(scene, ball)
+    for direction in np.random.default_rng(0).normal(size=(10, 3)):
+        out = direction / np.linalg.norm(direction)
+        point = np.array(ball.center) + ball.radius * out
+        normal = density_normal(method, point, 0.01, out)
+        assert normal is not None
+        np.testing.assert_allclose(normal, out, atol=1e-2)
+    assert density_normal(method, np.full(3, 5.0), 0.01, np.array([0.0, 0.0, 1.0])) is None
+
+
+def test_a_disc_can_lie_around_the_normal(scene: Scene) -> None:
+    ball = PlainBall((0.0, 0.0, 0.0), 0.7, (0.5, 0.5, 0.5))
+    method, camera = model_of(scene, ball), scene.views[2].camera
+    ray = open_ray(method, scene, camera, (9, 6), 0)
+    radiance = open_radiance(method, scene, ray, camera.c2w[:, 1], around="normal")
+    assert radiance.normal is not None
+    np.testing.assert_allclose(radiance.axes[2], radiance.normal, atol=1e-9)
+    np.testing.assert_allclose(radiance.normal, radiance.point / np.linalg.norm(radiance.point), atol=0.1)
+
+
+def test_a_slice_is_the_disc_along_a_line(scene: Scene) -> None:
+    """The field is 0.5 + 0.5 d, so that a slice's colours tell their directions."""
+    _, radiance = opened(scene)
+    for azimuth in (0.0, 0.7, 2.5):
+        angles, rgb = radiance.slice(azimuth)
+        inner = np.abs(angles) < 1.3
+        along = np.cos(azimuth) * radiance.axes[0] + np.sin(azimuth) * radiance.axes[1]
+        directions = np.cos(angles)[:, None] * radiance.axes[2] + np.sin(angles)[:, None] * along
+        np.testing.assert_allclose(rgb[inner], 0.5 - 0.5 * directions[inner], atol=0.02)
+        for angle, direction in zip(angles[::20], directions[::20], strict=True):
+            assert radiance.slice_position(direction, azimuth) == pytest.approx((angle, 0.0), abs=1e-9)
+
+
+@pytest.mark.parametrize("method", ["voxels", "nerf-guided", "hash", "nerf"])
+def test_every_pixel_is_the_sum_of_its_samples(scene: Scene, method: str) -> None:
+    """10,000 and more of them, as they are opened, against the full picture."""
+    small = {"guide_steps": "30"} if "guided" in method else {"width": "32"} if method == "nerf" else {}
+    trainer = Trainer(scene, RunSettings(method=method, changes=small))
+    for _ in range(40):
+        trainer.step()
+    camera = scene.views[5].camera.resized(104, 104)
+    whole = render_camera(trainer.method, camera, scene)[0].reshape(-1, 3)
+    count, background = min(trainer.method.tile, MOST_RAYS), np.array(scene.background)
+    worst = 0.0
+    for start in range(0, 104 * 104, count):
+        last = trainer.method.trace(tile_rays(camera, scene, start, count)).passes[-1]
+        weights, rgb = last.weights.double().cpu().numpy(), last.rgb.double().cpu().numpy()
+        color = np.einsum("rs,rsc->rc", weights, rgb) + (1 - weights.sum(-1))[:, None] * background
+        worst = max(worst, float(np.abs(color - whole[start : start + count]).max()))
+    assert worst < 1e-5

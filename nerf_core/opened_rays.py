@@ -1,0 +1,171 @@
+"""The rays that are kept open for the window while training goes on: the one under the lens, and those pinned."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields
+
+from nerf_core.messages import Inspect, Pin, Pinned
+from nerf_core.probe import Opened, RayProbe, Witnesses, open_pixel, open_ray
+from nerf_core.probe.history import HistoryRecorder
+from nerf_core.probe.opened import pieces
+from nerf_core.trainer import Trainer
+
+REFRESH_SECONDS = {"cpu": 0.4, "cuda": 0.09}  # between two looks at a ray while training goes on: 2 and 10 a second
+PART = 0.1  # of the time at most: where a look takes longer, it comes more rarely
+
+
+@dataclass
+class _Clock:
+    """When something is to be looked at anew."""
+
+    step: int = -1
+    began: float = -1e9
+    took: float = 0.0
+
+    def due(self, trainer: Trainer, training: bool) -> bool:
+        if self.step == trainer.step_count or not training:
+            return self.step != trainer.step_count
+        every = max(REFRESH_SECONDS.get(trainer.device.type, 0.4), self.took / PART)
+        return time.monotonic() - self.began > every
+
+    def begin(self, trainer: Trainer) -> None:
+        self.step, self.began, self.took = trainer.step_count, time.monotonic(), 0.0
+
+    def reset(self) -> None:
+        self.step, self.began = -1, -1e9
+
+
+@dataclass
+class _Pin:
+    command: Pin
+    recorder: HistoryRecorder
+    ray: RayProbe | None = None
+    clock: _Clock = field(default_factory=_Clock)
+
+
+class OpenedRays:
+    """Does one piece at a time: a ray, its verdict, its radiance, its walk. Owned by the worker thread.
+
+    `opened` has the newest of each of one ray; `opened_step` is the step of all of it, −1 while it is not whole.
+    """
+
+    def __init__(self) -> None:
+        self._pins: dict[int, _Pin] = {}
+        self._witnesses: Witnesses | None = None
+        self._clock = _Clock()
+        self.inspect(None)
+
+    # ---- what is wanted ----------------------------------------------------------------------------------------------
+
+    def inspect(self, command: Inspect | None) -> None:
+        """Open this ray; None: none."""
+        same = command is not None and self._asked is not None and _same_ray(command, self._asked)
+        self._asked = command
+        self._pieces: Iterator[None] | None = None
+        self._clock.reset()
+        if not same:
+            self.opened: Opened | None = None
+        self.opened_step = -1
+
+    _asked: Inspect | None = None
+
+    def pin(self, command: Pin, trainer: Trainer) -> None:
+        self._pins[command.id] = _Pin(command, HistoryRecorder(trainer.step_count, trainer.total_steps))
+
+    def unpin(self, number: int) -> None:
+        self._pins.pop(number, None)
+
+    def forget(self) -> None:
+        """The model was exchanged: what is open is to be opened anew, histories begin again."""
+        self._pieces, self.opened_step = None, -1
+        self._clock.reset()
+        for pin in self._pins.values():
+            pin.clock.reset()
+
+    def restart(self, trainer: Trainer) -> None:
+        """Another model, or another course of training: its history begins now."""
+        self.forget()
+        for pin in self._pins.values():
+            pin.recorder = HistoryRecorder(trainer.step_count, trainer.total_steps)
+
+    def rewind(self, step: int) -> None:
+        self.forget()
+        for pin in self._pins.values():
+            pin.recorder.rewind(step)
+
+    def pinned(self) -> tuple[Pinned, ...]:
+        return tuple(Pinned(number, pin.ray, pin.recorder.view()) for number, pin in self._pins.items())
+
+    def pinned_pixels(self, trainer: Trainer) -> list[Opened]:
+        """The pinned rays but the one that is open anyway, opened whole now."""
+        commands = [pin.command for pin in self._pins.values()]
+        return [
+            open_pixel(trainer.method, trainer.scene, one.camera, one.pixel, trainer.step_count)
+            for one in commands
+            if self._asked is None or one.camera is not self._asked.camera or one.pixel != self._asked.pixel
+        ]
+
+    # ---- what is done ------------------------------------------------------------------------------------------------
+
+    def record(self, trainer: Trainer) -> bool:
+        """After a training step: take the records that are due. Whether there were any."""
+        due = [pin for pin in self._pins.values() if pin.recorder.due(trainer.step_count)]
+        for pin in due:
+            self._open(pin, trainer)
+        return bool(due)
+
+    def draw(self, trainer: Trainer, training: bool) -> bool:
+        """One piece; whether there was any to do. What was begun is finished, however old it becomes meanwhile."""
+        if self._pieces is None and self._asked is not None and self._clock.due(trainer, training):
+            self._clock.begin(trainer)
+            self._pieces = self._look(self._asked, trainer)
+        if self._pieces is not None:
+            begin = time.monotonic()
+            if next(self._pieces, True):
+                self._pieces = None
+            self._clock.took += time.monotonic() - begin
+            return True
+        for pin in sorted(self._pins.values(), key=lambda pin: pin.clock.began):
+            if pin.clock.due(trainer, training):
+                self._open(pin, trainer)
+                return True
+        return False
+
+    def _open(self, pin: _Pin, trainer: Trainer) -> None:
+        pin.clock.begin(trainer)
+        begin = time.monotonic()
+        try:
+            pin.ray = open_ray(trainer.method, trainer.scene, pin.command.camera, pin.command.pixel, trainer.step_count)
+        except Exception:
+            del self._pins[pin.command.id]  # reported once, not twice a second
+            raise
+        pin.clock.took = time.monotonic() - begin
+        if pin.recorder.due(trainer.step_count):
+            pin.recorder.add(pin.ray)
+
+    def _look(self, asked: Inspect, trainer: Trainer) -> Iterator[None]:
+        """The ray and all that is known of it, a piece at a time; training may go on between two of them."""
+        step, self.opened_step = trainer.step_count, -1
+        if self._witnesses is None or self._witnesses.scene is not trainer.scene:
+            self._witnesses = Witnesses(trainer.scene)
+        try:
+            for opened in pieces(
+                trainer.method, self._witnesses, asked.camera, asked.pixel, step, asked.point_t, asked.around
+            ):
+                self.opened = opened if self.opened is None else _with_older(opened, self.opened)
+                yield
+        except Exception:
+            self._asked = self._pieces = None  # a ray that cannot be opened is reported once, not twice a second
+            raise
+        self.opened_step = step
+
+
+def _with_older(new: Opened, old: Opened) -> Opened:
+    """What of the same ray is not known anew yet stays as it was: panels do not blink."""
+    return Opened(*(getattr(new, f.name) or getattr(old, f.name) for f in fields(Opened)))
+
+
+def _same_ray(a: Inspect, b: Inspect) -> bool:
+    return a.camera is b.camera and a.pixel == b.pixel

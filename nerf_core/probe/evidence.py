@@ -1,0 +1,206 @@
+"""What the training photos know of a point: who sees it, what they show, how the model would stand without it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nerf_core.cameras import Cameras, distort
+from nerf_core.methods import Method
+from nerf_core.probe.ray import MOST_RAYS, sample_ends
+from nerf_core.scene import Scene
+from nerf_core.types import Rays, Trace
+
+MOST_VIEWS = 256  # that are asked about one point: those that look at it most as the ray does
+SEEN = 0.5  # transmittance up to a point from which on a photo is said to see it
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """V training photos that have a world point in their frame, the clearest and then the nearest in angle first.
+
+    point: (3,). framed: how many have it in their frame, of `asked` training photos; V of them were looked at.
+    views: (V,) into `Scene.views`. pixels: (V, 2) where the point lies in the photo, in pixels; what follows is of the
+    pixel that holds it. distance: (V,). angle: (V,) radians between that look at the point and the ray's.
+    directions: (V, 3) unit, from the point to the camera. transmittance: (V,) of the model, from the camera up to
+    `margin` before the point; share: (V,) what the stretch of ± `margin` around the point weighs in that pixel.
+    observed, predicted: (V, 3) the photo's colour and the model's. emitted: (V, 3) what the point emits that way.
+    """
+
+    point: np.ndarray
+    margin: float
+    asked: int
+    framed: int
+    views: np.ndarray
+    pixels: np.ndarray
+    distance: np.ndarray
+    angle: np.ndarray
+    directions: np.ndarray
+    transmittance: np.ndarray
+    share: np.ndarray
+    observed: np.ndarray
+    predicted: np.ndarray
+    emitted: np.ndarray
+
+    @property
+    def seen(self) -> np.ndarray:
+        """(V,) bool: whether the photo sees the point, as the model has it."""
+        return self.transmittance >= SEEN
+
+    def at(self, index: np.ndarray) -> Sightings:
+        """Those of an index or mask over V."""
+        rows = ("point", "margin", "asked", "framed")
+        return replace(self, **{f.name: getattr(self, f.name)[index] for f in fields(self) if f.name not in rows})
+
+
+FEWEST_LOOKS = 3  # with fewer one cannot tell what stays the same from all sides
+
+
+def diffuse_of(sightings: Sightings) -> np.ndarray | None:
+    """What a point emits towards everybody: per channel the least that it shows any photo that sees it, (3,).
+
+    The rest of its colour is specular: it is added, and depends on the view. None where fewer than FEWEST_LOOKS see it.
+    """
+    emitted = sightings.emitted[sightings.seen]
+    return emitted.min(0) if len(emitted) >= FEWEST_LOOKS else None
+
+
+class Witnesses:
+    """A scene's training photos, ready to be asked; made once a scene, for its cameras lie side by side."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.views = np.array(sorted(scene.split("train")), np.int64)
+        cameras = [scene.views[i].camera for i in self.views]
+        self._cameras = Cameras(cameras, scene.near, scene.far) if cameras else None
+        self._c2w = np.array([c.c2w for c in cameras], np.float64).reshape(-1, 3, 4)
+        self._intrinsics = np.array([c.intrinsics() for c in cameras], np.float64).reshape(-1, 11)
+
+    def project(self, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where the cameras have a world point (3,): pixels (C, 2), and whether it lies in their frame (C,)."""
+        offsets = point - self._c2w[:, :, 3]
+        local = np.einsum("cij,ci->cj", self._c2w[:, :, :3], offsets)
+        depth = -local[:, 2]
+        plane = np.stack([local[:, 0], -local[:, 1]], -1) / np.maximum(depth, 1e-12)[:, None]  # behind: not framed
+        width, height, fx, fy, cx, cy, *lens = self._intrinsics.T
+        plane = np.clip(plane, -1e6, 1e6)  # beside the camera; a lens would take that to a power that overflows
+        pixels = distort(plane, *lens) * np.stack([fx, fy], -1) + np.stack([cx, cy], -1)
+        inside = (pixels >= 0).all(-1) & (pixels[:, 0] < width) & (pixels[:, 1] < height)
+        return pixels, (depth > 0) & inside
+
+    def rays(self, index: np.ndarray, pixels: np.ndarray) -> Rays:
+        """Through the centres of the pixels that hold `pixels` (V, 2), of the cameras at `index` (V,) of `views`."""
+        assert self._cameras is not None
+        centres = torch.from_numpy(np.floor(pixels) + 0.5)
+        return self._cameras.rays(torch.from_numpy(index), centres)
+
+    def look(self, method: Method, point: np.ndarray, towards: np.ndarray, margin: float) -> Sightings:
+        """Everything the photos know of a world point (3,). towards: (3,) unit, the look that angles are measured from,
+        camera to point. margin: how far before the point light must have come; about the thickness of what is there."""
+        pixels, framed = self.project(point)
+        offsets = point - self._c2w[:, :, 3]
+        distance = np.linalg.norm(offsets, axis=-1)
+        looks = offsets / np.maximum(distance, 1e-12)[:, None]  # a camera in the point itself looks nowhere
+        angle = np.arccos(np.clip(looks @ towards, -1, 1))
+        index = np.flatnonzero(framed)
+        index = index[np.argsort(angle[index], kind="stable")[:MOST_VIEWS]]
+        light, share, predicted = self._traced(method, index, pixels[index], distance[index], margin)
+        looking = torch.from_numpy(looks[index])
+        emitted = method.radiance(torch.from_numpy(point)[None], looking)[0].cpu().numpy()
+        found = Sightings(
+            point, margin, len(self.views), int(framed.sum()), self.views[index], pixels[index], distance[index],
+            angle[index], -looks[index], light, share, self.observed(index, pixels[index]), predicted, emitted,
+        )  # fmt: skip
+        return found.at(np.lexsort((found.angle, ~found.seen)))
+
+    def observed(self, index: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+        """The photos' colours (V, 3) float32 at the pixels that hold `pixels` (V, 2)."""
+        colors = np.zeros((len(index), 3), np.float32)
+        for k, (view, (x, y)) in enumerate(zip(self.views[index], np.floor(pixels).astype(int), strict=True)):
+            colors[k] = self.scene.images[view][y, x] / np.float32(65535)
+        return colors
+
+    def _traced(
+        self, method: Method, index: np.ndarray, pixels: np.ndarray, distance: np.ndarray, margin: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Transmittance (V,), share (V,) and predicted colour (V, 3)."""
+        light, share = np.zeros(len(index)), np.zeros(len(index))
+        color = np.zeros((len(index), 3), np.float32)
+        if not len(index):
+            return light, share, color
+        at = torch.from_numpy(distance)
+        for part, one in self._opened(method, self.rays(index, pixels)):
+            before = one.light_at(at[part] - margin)
+            light[part], share[part] = before.numpy(), (before - one.light_at(at[part] + margin)).numpy()
+            color[part] = one.trace.rendering.color.cpu().numpy()
+        return light, share, color
+
+    def otherwise(self, method: Method, seen: Sightings, reaches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The pixels of `seen` as they would be without what begins at the point, and with it opaque.
+
+        Without, (B, V, 3), one for each of B reaches: the stretch from `margin` before the point to `reach` behind it
+        is taken out of the pixel's ray. What is left is the part in front of it, and, as far as light comes to the
+        point, a ray that begins behind it. Opaque, (V, 3): the part in front, then the point's colour.
+        """
+        if not len(seen.views):
+            return np.zeros((len(reaches), 0, 3), np.float32), np.zeros((0, 3), np.float32)
+        rays = self.rays(np.searchsorted(self.views, seen.views), seen.pixels)
+        distance, front = torch.from_numpy(seen.distance), torch.zeros(len(rays), 3)
+        for part, one in self._opened(method, rays):
+            front[part] = one.color_until(distance[part] - seen.margin)
+        light = torch.from_numpy(seen.transmittance).float()[:, None]
+        without = []
+        for reach in reaches.tolist():
+            rest = method.render(self.beginning(rays, distance + reach))
+            without.append(front + light * rest.color.cpu())
+        return torch.stack(without).numpy(), (front + light * torch.from_numpy(seen.emitted)).numpy()
+
+    def beginning(self, rays: Rays, begin: Tensor) -> Rays:
+        """The same rays (V) from world distances `begin` (V,) on."""
+        begin = begin.clamp(min=0).float()
+        if self.scene.ndc is not None:  # there a ray begins where its origin lies: t is then counted from there
+            return replace(rays, origins=rays.origins + begin[:, None] * rays.directions)
+        near = torch.maximum(rays.near, begin)
+        return replace(rays, near=near, far=torch.maximum(rays.far, near))
+
+    def _opened(self, method: Method, rays: Rays) -> Iterator[tuple[slice, OpenedRays]]:
+        """A piece of the rays at a time."""
+        piece = min(method.tile, MOST_RAYS)
+        for first in range(0, len(rays), piece):
+            part = slice(first, first + piece)
+            yield part, OpenedRays.of(self.scene, rays[part], method.trace(rays[part]))
+
+
+@dataclass(frozen=True)
+class OpenedRays:
+    """Traced rays, to be asked about what lies up to some distance: t, until, tau (R, S) float64, world and optical."""
+
+    trace: Trace
+    t: Tensor
+    until: Tensor
+    tau: Tensor
+
+    @staticmethod
+    def of(scene: Scene, rays: Rays, trace: Trace) -> OpenedRays:
+        last = trace.passes[-1]
+        tau = (last.sigma.double() * last.delta.double()).cpu()
+        return OpenedRays(trace, last.t.double().cpu(), sample_ends(scene, rays, last), tau)
+
+    def _covered(self, end: Tensor) -> Tensor:
+        """Which share (R, S) of each sample's stretch lies in front of `end` (R,)."""
+        length = (self.until - self.t).clamp(min=1e-12)  # a sample of no length is in front or behind as a whole
+        return ((end[:, None] - self.t) / length).clamp(0, 1)
+
+    def light_at(self, end: Tensor) -> Tensor:
+        """Transmittance (R,) up to world distances `end` (R,): exp(−Σ τ_i), a sample that holds `end` in part."""
+        return torch.exp(-(self.tau * self._covered(end)).sum(-1))
+
+    def color_until(self, end: Tensor) -> Tensor:
+        """What the stretch up to `end` (R,) shows, without any background: (R, 3)."""
+        last = self.trace.passes[-1]
+        weights = last.transmittance.cpu() * -torch.expm1(-self.tau * self._covered(end)).float()
+        return torch.einsum("rs,rsc->rc", weights, last.rgb.cpu())

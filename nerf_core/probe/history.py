@@ -1,0 +1,94 @@
+"""How a ray came to be what it is: its weights over t, its colour and its depth, over the steps of training."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nerf_core.probe.ray import RayProbe
+
+BINS = 96  # over t
+RECORDS = 240  # of a whole schedule: as many as one wants to look at, spaced evenly in log(step)
+
+
+@dataclass(frozen=True)
+class RayHistory:
+    """steps (N,) int64, ascending. edges (BINS + 1,) world distances. weights (N, BINS): Σ w per bin.
+
+    color (N, 3); depth (N,): median depth, else expected, NaN where nothing was hit; opacity (N,).
+    """
+
+    edges: np.ndarray
+    steps: np.ndarray
+    weights: np.ndarray
+    color: np.ndarray
+    depth: np.ndarray
+    opacity: np.ndarray
+
+
+class HistoryRecorder:
+    """Takes a ray's record at steps that are spaced evenly in their logarithm, from the first it was given on."""
+
+    def __init__(self, first: int, last: int) -> None:
+        """Of a ray that is watched from step `first` of a schedule that ends at `last`."""
+        self._due = iter((first + log_spaced(max(last - first, 1), RECORDS)).tolist())
+        self._next: int | None = next(self._due, None)
+        self._edges: np.ndarray | None = None
+        self._rows: list[tuple[int, np.ndarray, np.ndarray, float, float]] = []
+        self._view: RayHistory | None = None
+
+    def due(self, step: int) -> bool:
+        return self._next is not None and step >= self._next
+
+    def add(self, ray: RayProbe) -> None:
+        """Keep this ray's record; whether one is due is for the caller to ask."""
+        if self._rows and ray.step <= self._rows[-1][0]:
+            return
+        if self._edges is None:
+            self._edges = np.linspace(ray.near, max(ray.far, ray.near + 1e-6), BINS + 1)  # fixed: rows are compared
+        depth = ray.depth_median if ray.depth_median is not None else ray.depth_expected
+        row = binned(ray, self._edges)
+        self._rows.append((ray.step, row, ray.color, np.nan if depth is None else depth, ray.opacity))
+        self._view = None
+        while self._next is not None and self._next <= ray.step:
+            self._next = next(self._due, None)
+
+    def rewind(self, step: int) -> None:
+        """Forget what came after `step`, which training went back to."""
+        self._rows = [row for row in self._rows if row[0] <= step]
+        self._view = None
+
+    def view(self) -> RayHistory | None:
+        """What was recorded so far; None before the first."""
+        if self._view is None and self._rows and self._edges is not None:
+            steps, weights, color, depth, opacity = zip(*self._rows, strict=True)
+            self._view = RayHistory(
+                self._edges, np.array(steps), np.stack(weights), np.stack(color), np.array(depth), np.array(opacity)
+            )
+        return self._view
+
+
+def binned(ray: RayProbe, edges: np.ndarray) -> np.ndarray:
+    """Σ w (BINS,) of the pass that made the pixel, a sample's weight spread evenly over its stretch; float32."""
+    last = ray.passes[-1]
+    if not len(last.t):
+        return np.zeros(len(edges) - 1, np.float32)
+    t = np.nan_to_num(last.t.astype(np.float64))
+    until = np.clip(np.nan_to_num(last.until.astype(np.float64), nan=np.inf), t, np.append(t[1:], np.inf))
+    until = np.where(np.isfinite(until) & (until < 1e9), until, t)  # a last δ without end: all of it where it begins
+    total = np.concatenate([[0], np.cumsum(np.nan_to_num(last.weights), dtype=np.float64)])
+    knots = np.maximum.accumulate(np.stack([t, until], -1).ravel() + 1e-12 * np.arange(2 * len(t)))
+    return np.diff(np.interp(edges, knots, np.stack([total[:-1], total[1:]], -1).ravel())).astype(np.float32)
+
+
+def log_spaced(last: int, count: int) -> np.ndarray:
+    """At least min(count, last + 1) integers from 0 to `last`, ascending, evenly in log(1 + k) where they can be."""
+    if last + 1 <= count:
+        return np.arange(last + 1)
+    more = count
+    while True:
+        found = np.unique(np.round(np.expm1(np.linspace(0, np.log1p(last), more))).astype(np.int64))
+        if len(found) >= count:
+            return found
+        more = int(1.2 * more) + 1

@@ -1,0 +1,223 @@
+"""One point and all its directions, opened up as plain arrays: what it emits, and what the whole ray would show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nerf_core.methods import Method
+from nerf_core.probe.ray import PassProbe, RayProbe
+from nerf_core.scene import Scene
+
+SPHERE_ROWS, SPHERE_COLUMNS = 48, 96  # 4,608 directions over the sphere
+DISC_SIZE = 73  # some 4,180 more over the hemisphere that faces the viewer, or around the normal
+COMPARED = 64  # directions whose colours are compared to say how view-dependent a point is
+FROZEN_WEIGHT = 0.999  # of a frozen ray: the heaviest samples, so much of its weight, look around; the rest does not
+STEEP = 1e-6  # of σ: a gradient that changes it by no more over a sample's length points nowhere
+
+Around = Literal["viewer", "normal"]
+
+
+@dataclass(frozen=True)
+class RadianceProbe:
+    """The colour that one point emits towards directions v (unit, from the point outwards): c(x, d = −v).
+
+    directions: (K, 3); the first SPHERE_ROWS × SPHERE_COLUMNS cover the sphere row by row, from +up to −up, azimuth
+    growing along a row; the rest are the disc's pixels inside the unit circle, row by row.
+    rgb: (K, 3), the point alone. frozen_rgb: (K, 3), the pixel if every sample of the ray kept its weight and showed
+    the colour that it emits towards v: Σ w_i c(x_i, −v) and background.
+    axes: (3, 3) rows right, up, towards the viewer or along the normal: what the disc is drawn in. up: the sphere map's
+    pole; its azimuth 0 is `azimuth0`, growing towards cross(up, azimuth0). normal: −∇σ, unit; None where σ is flat.
+    dependence: see `view_dependence`.
+    """
+
+    step: int
+    point: np.ndarray
+    t: float
+    directions: np.ndarray
+    rgb: np.ndarray
+    frozen_rgb: np.ndarray
+    axes: np.ndarray
+    up: np.ndarray
+    azimuth0: np.ndarray
+    normal: np.ndarray | None
+    around: Around
+    dependence: float
+
+    def sphere_image(self, frozen: bool = False) -> np.ndarray:
+        """(SPHERE_ROWS, SPHERE_COLUMNS, 3) float32."""
+        rgb = self.frozen_rgb if frozen else self.rgb
+        return rgb[: SPHERE_ROWS * SPHERE_COLUMNS].reshape(SPHERE_ROWS, SPHERE_COLUMNS, 3)
+
+    def disc_image(self, frozen: bool = False) -> np.ndarray:
+        """(DISC_SIZE, DISC_SIZE, 4) float32, row 0 at the top, alpha 0 outside the circle."""
+        inside = disc_grid()[2]
+        image = np.zeros((DISC_SIZE, DISC_SIZE, 4), np.float32)
+        image[inside, :3] = (self.frozen_rgb if frozen else self.rgb)[SPHERE_ROWS * SPHERE_COLUMNS :]
+        image[inside, 3] = 1
+        return image
+
+    def sphere_position(self, direction: np.ndarray) -> tuple[float, float]:
+        """Where a unit direction lies on the map: (column, row) in [0, 1), left to right and top to bottom."""
+        side = np.cross(self.up, self.azimuth0)
+        azimuth = np.arctan2(direction @ side, direction @ self.azimuth0) % (2 * np.pi)
+        polar = np.arccos(np.clip(direction @ self.up, -1, 1))
+        return float(azimuth / (2 * np.pi)), float(polar / np.pi)
+
+    def disc_position(self, direction: np.ndarray) -> tuple[float, float] | None:
+        """Where a unit direction lies on the disc, (x, y) in [−1, 1], y up; None on the far hemisphere."""
+        x, y, z = self.axes @ direction
+        return (float(x), float(y)) if z >= 0 else None
+
+    def slice(self, azimuth: float, frozen: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """The disc along its diameter at `azimuth` (radians from the disc's right): angles (A,) −π/2 … π/2 from the
+        disc's axis, and colours (A, 3)."""
+        angles = np.linspace(-np.pi / 2, np.pi / 2, 2 * DISC_SIZE + 1)[1:-1]
+        image, r = self.disc_image(frozen), np.sin(angles)
+        x, y = r * np.cos(azimuth), r * np.sin(azimuth)
+        return angles, _bilinear(image, (x + 1) / 2 * DISC_SIZE - 0.5, (1 - y) / 2 * DISC_SIZE - 0.5)
+
+    def slice_position(self, direction: np.ndarray, azimuth: float) -> tuple[float, float]:
+        """Of a unit direction the angle within a slice's plane, and how far out of the plane it lies, in radians."""
+        x, y, z = self.axes @ direction
+        along, across = x * np.cos(azimuth) + y * np.sin(azimuth), y * np.cos(azimuth) - x * np.sin(azimuth)
+        return float(np.arctan2(along, z)), float(np.arcsin(np.clip(across, -1, 1)))
+
+
+def disc_grid() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """x, y (y up) of the disc's pixel centres and which of them lie inside: three (DISC_SIZE, DISC_SIZE) arrays."""
+    centres = (np.arange(DISC_SIZE) + 0.5) / DISC_SIZE * 2 - 1
+    x, y = np.meshgrid(centres, -centres)
+    return x, y, x * x + y * y < 1
+
+
+def open_radiance(
+    method: Method,
+    scene: Scene,
+    ray: RayProbe,
+    camera_up: np.ndarray,
+    point_t: float | None = None,
+    around: Around = "viewer",
+) -> RadianceProbe:
+    """The colours that the point at distance `point_t` of `ray` emits.
+
+    None: at the median depth, else at the strongest sample; where there is none, in the middle of the ray.
+    The network takes d, camera to point; the plot is over v = −d. `camera_up` (3,) turns the disc upright; around: what
+    its middle is. Where the density has no normal, it is the viewer.
+    """
+    t = ray.point_t() if point_t is None else point_t
+    origin, along = ray.origin.astype(np.float64), ray.direction.astype(np.float64)
+    point, last = origin + t * along, ray.passes[-1]
+    normal = density_normal(method, point, _length_at(last, t, scene), -along)
+    axes = _facing(normal if around == "normal" and normal is not None else -along, camera_up)
+    pole = scene.up / np.linalg.norm(scene.up)
+    azimuth0 = _facing(pole, axes[0])[1]
+    directions = np.concatenate([_sphere(pole, azimuth0), _disc(axes)])
+    looking = torch.from_numpy(-directions)
+    rgb = method.radiance(torch.from_numpy(point)[None], looking)[0].cpu().numpy()
+    frozen = _frozen(method, ray, looking)
+    dependence = float(view_dependence(method, torch.from_numpy(point)[None], torch.from_numpy(-along)[None])[0])
+    return RadianceProbe(
+        ray.step, point, float(t), directions, rgb, frozen, axes, pole, azimuth0, normal, around, dependence
+    )
+
+
+def view_dependence(method: Method, points: Tensor, towards: Tensor) -> Tensor:
+    """How much the colours differ that points (P, 3) emit over the hemispheres that face `towards` (P, 3): (P,).
+
+    The root of the mean square by which a channel differs from its mean over the hemisphere's directions, each as
+    often as any other; 0 of a matt point, ½ at most. Directions that nobody has seen count as well.
+    """
+    directions = torch.from_numpy(_spread(2 * COMPARED)).to(points)
+    rgb = method.radiance(points, -directions).to(points)
+    facing = (towards.to(points) @ directions.T > 0).to(rgb)[..., None]
+    count = facing.sum(1)
+    mean = (rgb * facing).sum(1) / count
+    return ((rgb - mean[:, None]).square() * facing).sum(1).div(count).mean(-1).sqrt()
+
+
+def density_normal(method: Method, point: np.ndarray, length: float, towards: np.ndarray) -> np.ndarray | None:
+    """−∇σ/‖∇σ‖ at a world point (3,) by central differences over `length` on each side, (3,) float64; None: flat.
+
+    Of a sheet whose two sides fall alike it has no sign: then it is the one that leans towards `towards` (3,).
+    """
+    offsets = length * np.concatenate([np.eye(3), -np.eye(3)])
+    sigma = method.density(torch.from_numpy(point + offsets)).double().cpu().numpy()
+    slope = sigma[:3] - sigma[3:]
+    size = float(np.linalg.norm(slope))
+    if not np.isfinite(size) or size <= STEEP * max(float(sigma.max()), 1e-12):
+        return None
+    normal = -slope / size
+    return normal if normal @ towards >= 0 else -normal
+
+
+def _length_at(one: PassProbe, t: float, scene: Scene) -> float:
+    """The length of the sample at t: what the density is resolved to there; a hundredth of the scene at most."""
+    most = 0.01 * scene.radius
+    if not len(one.t):
+        return most
+    k = max(int(np.searchsorted(one.t, t, side="right")) - 1, 0)
+    return float(np.clip(np.nan_to_num(one.until[k] - one.t[k], posinf=most), 0.01 * most, most))
+
+
+def _frozen(method: Method, ray: RayProbe, looking: Tensor) -> np.ndarray:
+    """Σ w_i c(x_i, d) + (1 − Σ w_i) background over directions d (K, 3): (K, 3) float32."""
+    last = ray.passes[-1]
+    order = np.argsort(-last.weights, kind="stable")
+    reach = np.cumsum(last.weights[order], dtype=np.float64)
+    needed = int(np.searchsorted(reach, FROZEN_WEIGHT * reach[-1])) + 1 if len(reach) else 0
+    kept, rest = np.split(order, [needed])
+    color = last.weights[rest].astype(np.float64) @ last.rgb[rest] + (1 - ray.opacity) * ray.background
+    total = torch.from_numpy(color).float().expand(len(looking), 3).clone()
+    for k in kept.tolist():  # one at a time: all at once would take a gigabyte with a network
+        point = ray.origin.astype(np.float64) + float(last.t[k]) * ray.direction.astype(np.float64)
+        total += float(last.weights[k]) * method.radiance(torch.from_numpy(point)[None], looking)[0].cpu().float()
+    return total.numpy()
+
+
+def _facing(towards: np.ndarray, hint: np.ndarray) -> np.ndarray:
+    """Rows right, up, towards: a right-handed frame whose up leans to `hint` as far as it can."""
+    towards = towards / np.linalg.norm(towards)
+    right = np.cross(hint, towards)
+    if np.linalg.norm(right) < 1e-6:  # the hint lies along the direction itself: any other axis will do
+        right = np.cross(np.eye(3)[int(np.argmin(np.abs(towards)))], towards)
+    right = right / np.linalg.norm(right)
+    return np.stack([right, np.cross(towards, right), towards])
+
+
+def _sphere(pole: np.ndarray, azimuth0: np.ndarray) -> np.ndarray:
+    polar = (np.arange(SPHERE_ROWS) + 0.5) / SPHERE_ROWS * np.pi
+    azimuth = (np.arange(SPHERE_COLUMNS) + 0.5) / SPHERE_COLUMNS * 2 * np.pi
+    polar, azimuth = (v.reshape(-1, 1) for v in np.meshgrid(polar, azimuth, indexing="ij"))
+    around = np.cos(azimuth) * azimuth0 + np.sin(azimuth) * np.cross(pole, azimuth0)
+    return np.cos(polar) * pole + np.sin(polar) * around
+
+
+def _disc(axes: np.ndarray) -> np.ndarray:
+    x, y, inside = disc_grid()
+    x, y = x[inside], y[inside]
+    return np.stack([x, y, np.sqrt(1 - x * x - y * y)], -1) @ axes
+
+
+def _spread(count: int) -> np.ndarray:
+    """Unit directions (count, 3), evenly over the sphere: a spiral of equal areas that turns by the golden angle."""
+    k = np.arange(count) + 0.5
+    z, angle = 1 - 2 * k / count, np.pi * (3 - np.sqrt(5)) * k
+    r = np.sqrt(1 - z * z)
+    return np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)
+
+
+def _bilinear(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """(A, 3) at texel coordinates of an (h, w, 4) image, weighted by alpha: nothing bleeds in from outside."""
+    total = np.zeros((len(x), 4))
+    column, row = np.floor(x).astype(int), np.floor(y).astype(int)
+    for i, wy in ((0, 1 - (y - row)), (1, y - row)):
+        for j, wx in ((0, 1 - (x - column)), (1, x - column)):
+            texel = image[np.clip(row + i, 0, len(image) - 1), np.clip(column + j, 0, image.shape[1] - 1)]
+            weight = np.maximum(wx * wy, 1e-9)[:, None] * texel[:, 3:]  # 1e-9: at the rim any inside texel will do
+            total += weight * np.concatenate([texel[:, :3], np.ones((len(x), 1))], -1)
+    return total[:, :3] / np.maximum(total[:, 3:], 1e-12)

@@ -1,0 +1,149 @@
+"""An opened pixel for keeping: JSON and NPZ with everything, CSV with the samples, PNG and SVG with a figure."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nerf_core.camera_files import camera_values
+from nerf_core.checkpoint import finite, write_atomically
+from nerf_core.errors import UserError
+from nerf_core.probe.opened import Opened
+from nerf_core.probe.ray import PassProbe
+
+SAMPLE = ("t", "until", "delta", "sigma", "alpha", "transmittance", "weights")
+
+
+def inspection(opened: Opened) -> dict[str, Any]:
+    """Everything as JSON values: finite numbers, null for what is not defined, lists of lists."""
+    return finite(arrays(opened))
+
+
+def arrays(opened: Opened) -> dict[str, Any]:
+    """Everything as nested dicts and lists of arrays and numbers; what is not known yet is left out."""
+    ray, verdict, radiance = opened.ray, opened.verdict, opened.radiance
+    found: dict[str, Any] = {
+        "step": ray.step,
+        "camera": camera_values(opened.camera),
+        "pixel": list(ray.pixel),
+        "origin": ray.origin,
+        "direction": ray.direction,
+        "near": ray.near,
+        "far": ray.far,
+        "background": ray.background,
+        "passes": [_plain(one) for one in ray.passes],
+        "color": ray.color,
+        "opacity": ray.opacity,
+        "depth_expected": ray.depth_expected,
+        "depth_median": ray.depth_median,
+        "depth_strongest": ray.depth_strongest,
+        "rendered_color": ray.rendered_color,
+    }
+    if verdict is not None:
+        found["verdict"] = {
+            "kind": verdict.kind,
+            "reasons": list(verdict.reasons),
+            "surface_t": verdict.surface_t,
+            "layers": [
+                {
+                    **_plain(s.layer),
+                    "witnesses": s.witnesses,
+                    "error": s.error,
+                    "without": s.without,
+                    "opaque": s.opaque,
+                }
+                for s in verdict.standings
+            ],
+        }
+    if radiance is not None:
+        names = ("point", "t", "directions", "rgb", "frozen_rgb", "axes", "normal", "dependence")
+        found["radiance"] = {name: getattr(radiance, name) for name in names}
+    if opened.evidence is not None:
+        found["evidence"] = _plain(opened.evidence)
+    return found
+
+
+def _plain(value: Any) -> dict[str, Any]:
+    return {f.name: getattr(value, f.name) for f in fields(value)}
+
+
+# ---- files --------------------------------------------------------------------------------------------------------
+
+
+def write_inspection(opened: Sequence[Opened], file: Path) -> None:
+    """Write one opened pixel, or several, in the format of the file's suffix (FORMATS). Raises UserError.
+
+    JSON: the object of `inspection`, or {"rays": [...]} of several; NPZ: the same names, joined by "/"; CSV: a line a
+    sample; PNG, SVG: a figure of the one, or of each below the other.
+    """
+    check_format(file)
+    if not opened:
+        raise UserError(f"{file}: there is no opened ray to write")
+    write_atomically(file, FORMATS[file.suffix.lower()](opened))
+
+
+def check_format(file: Path) -> None:
+    """Raises UserError where `write_inspection` would not know how to write `file`."""
+    if file.suffix.lower() not in FORMATS:
+        raise UserError(f"{file}: an opened ray is written as {', '.join(FORMATS)}: name such a file")
+
+
+def _json(opened: Sequence[Opened]) -> bytes:
+    found = [inspection(one) for one in opened]
+    return json.dumps(found[0] if len(found) == 1 else {"rays": found}, allow_nan=False).encode()
+
+
+def _npz(opened: Sequence[Opened]) -> bytes:
+    flat: dict[str, np.ndarray] = {}
+    for k, one in enumerate(opened):
+        _flatten(arrays(one), f"rays/{k}/" if len(opened) > 1 else "", flat)
+    data = io.BytesIO()
+    np.savez_compressed(data, allow_pickle=False, **flat)
+    return data.getvalue()
+
+
+def _flatten(value: Any, name: str, into: dict[str, np.ndarray]) -> None:
+    """Names joined by "/"; None is NaN, text is text: no object arrays, which would have to be unpickled."""
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            _flatten(inner, f"{name}{key}/", into)
+    elif isinstance(value, list) and value and isinstance(value[0], (Mapping, str)):
+        for k, inner in enumerate(value):
+            _flatten(inner, f"{name}{k}/", into)
+    else:
+        into[name.rstrip("/")] = np.asarray(np.nan if value is None else value)
+
+
+def _csv(opened: Sequence[Opened]) -> bytes:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["ray", "pass", "sample", *SAMPLE, "red", "green", "blue"])
+    for k, one in enumerate(opened):
+        for p in one.ray.passes:
+            writer.writerows([k, p.name, i, *row] for i, row in enumerate(_rows(p)))
+    return text.getvalue().encode()
+
+
+def _rows(p: PassProbe) -> list[list[float]]:
+    return np.column_stack([*(getattr(p, name) for name in SAMPLE), p.rgb]).astype(float).tolist()
+
+
+def _figure(kind: str) -> Callable[[Sequence[Opened]], bytes]:
+    def made(opened: Sequence[Opened]) -> bytes:
+        from nerf_core.probe.figure import figure
+
+        return figure(opened, kind)
+
+    return made
+
+
+FORMATS: dict[str, Callable[[Sequence[Opened]], bytes]] = {
+    ".json": _json, ".npz": _npz, ".csv": _csv, ".png": _figure("png"), ".svg": _figure("svg"),
+}  # fmt: skip

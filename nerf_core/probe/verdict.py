@@ -1,0 +1,217 @@
+"""What is wrong with a pixel, in words: its layers, what the photos say of each, and the conclusion.
+
+Two questions to the photos decide more than any threshold on shapes. Would they be matched better if a layer were not
+there? Then it is a floater. Would they be matched better if it were opaque? Then the background leaks through it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import torch
+
+from nerf_core.methods import Method
+from nerf_core.probe.evidence import Sightings, Witnesses
+from nerf_core.probe.layers import Layer, layers_of, pass_layers
+from nerf_core.probe.ray import RayProbe, passes_of
+from nerf_core.types import Rays
+
+Kind = Literal["surface", "several surfaces", "floater", "fog", "background leak", "unobserved", "background"]
+
+NOTHING = 0.05  # opacity under which a ray has met nothing that one could see
+LEAK = 0.1  # transmittance behind the last layer from which on what is behind shows
+THICK = 6.0  # grains: a layer that is thicker is no surface
+SOLID = 0.5  # of the opacity must lie in layers that are not thick, or the ray is in fog
+FEW = 2  # photos: what fewer see, nobody can have learnt
+WRONG = 0.05  # mean error of a channel in the photos that see a layer, from which on something is wrong
+BETTER = 0.6  # times the error: what a layer's absence, or its opacity, must bring it down to
+COUNTS = 0.1  # weight of a layer that is worth a verdict, in this pixel and in a photo's
+ASKED = 16  # photos that are asked how they would look otherwise
+REACHES = np.array([1.0, 3.0, 8.0, 20.0])  # grains behind a layer's end at which it may be over, where it hides that
+MOST_LAYERS = 4
+
+
+@dataclass(frozen=True)
+class Standing:
+    """A layer before the photos. error: median over the photos that see it of the mean difference between their pixel
+    and the model's; without, opaque: the same if the layer were away, or opaque; None where no photo tells.
+
+    reach: the world distance behind its middle from which on it is away in `without`.
+    """
+
+    layer: Layer
+    sightings: Sightings
+    witnesses: int
+    error: float | None
+    without: float | None
+    opaque: float | None
+    reach: float
+
+    @property
+    def floats(self) -> bool:
+        """The photos would be matched better without it."""
+        return self._better(self.without)
+
+    @property
+    def leaks(self) -> bool:
+        """They would be, were it opaque."""
+        return self._better(self.opaque)
+
+    def _better(self, other: float | None) -> bool:
+        if self.error is None or other is None or self.witnesses < FEW:
+            return False
+        return self.error >= WRONG and other <= BETTER * self.error
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """kind: one word for the pixel; reasons: a line each, with numbers. surface_t: the distance at which an eye should
+    rest, behind what floats; None where there is nothing to rest on. standings: the layers, front to back."""
+
+    kind: Kind
+    reasons: tuple[str, ...]
+    surface_t: float | None
+    standings: tuple[Standing, ...]
+
+
+def judge(method: Method, witnesses: Witnesses, ray: RayProbe) -> Verdict:
+    """Open the ray's layers, ask the photos, and conclude."""
+    *_, verdict = judging(method, witnesses, ray)
+    assert verdict is not None
+    return verdict
+
+
+def judging(method: Method, witnesses: Witnesses, ray: RayProbe) -> Iterator[Verdict | None]:
+    """`judge` in pieces, a layer at a time; the last is the verdict."""
+    found = layers_of(ray, witnesses.scene)
+    standings = []
+    for layer in sorted(sorted(found, key=lambda one: -one.weight)[:MOST_LAYERS], key=lambda one: one.t):
+        standings.append(stand(method, witnesses, ray, layer))
+        yield None
+    verdict = conclude(ray, tuple(standings))
+    if verdict.kind == "floater" and verdict.surface_t is None:
+        verdict = replace(verdict, surface_t=_hidden_surface(method, witnesses, ray, verdict.standings))
+    yield verdict
+
+
+def stand(method: Method, witnesses: Witnesses, ray: RayProbe, layer: Layer) -> Standing:
+    """What the photos say of a layer."""
+    point = ray.origin.astype(np.float64) + layer.t * ray.direction.astype(np.float64)
+    margin = layer.grain + min(layer.t - layer.begin, THICK * layer.grain)
+    sightings = witnesses.look(method, point, ray.direction.astype(np.float64), margin)
+    count = int(sightings.seen.sum())
+    asked = sightings.at(np.flatnonzero(sightings.seen & (sightings.share >= COUNTS))[:ASKED])
+    if not len(asked.views):
+        return Standing(layer, sightings, count, None, None, None, 0.0)
+    reaches = margin + REACHES * layer.grain
+    without, opaque = witnesses.otherwise(method, asked, reaches)
+    errors = [_error(colors, asked.observed) for colors in without]
+    best = int(np.argmin(errors))
+    return Standing(
+        layer, sightings, count, _error(asked.predicted, asked.observed), errors[best],
+        _error(opaque, asked.observed), float(reaches[best]),
+    )  # fmt: skip
+
+
+def _hidden_surface(
+    method: Method, witnesses: Witnesses, ray: RayProbe, standings: tuple[Standing, ...]
+) -> float | None:
+    """Where the first layer lies that does not float, behind floaters that let no light through."""
+    scene = witnesses.scene
+    begin = max(s.layer.t + s.reach for s in standings if s.floats)
+    for _ in range(MOST_LAYERS):
+        o, d, near, far = (torch.as_tensor(v, dtype=torch.float32)[None] for v in (
+            ray.origin, ray.direction, ray.near, ray.far))  # fmt: skip
+        rays = witnesses.beginning(Rays(o, d, near, far), torch.tensor([begin]))
+        shift = float((rays.origins[0] - o[0]).norm())
+        last = passes_of(scene, rays, method.trace(rays), 0)[-1]
+        found = pass_layers(replace(last, t=last.t + shift, until=last.until + shift), ray.far, scene.radius)
+        heavy = [layer for layer in found if layer.weight >= COUNTS]
+        if not heavy:
+            return None
+        behind = stand(method, witnesses, ray, heavy[0])
+        if not behind.floats:
+            return heavy[0].t
+        begin = heavy[0].t + behind.reach
+    return None
+
+
+def conclude(ray: RayProbe, standings: tuple[Standing, ...]) -> Verdict:
+    """The verdict on what is known; no more is asked."""
+    heavy = [s for s in standings if s.layer.weight >= COUNTS]
+    real = [s for s in heavy if not s.floats]
+    surface = max(real, key=lambda s: s.layer.weight, default=None)
+    kind, reasons = _concluded(ray, heavy, surface)
+    rest = surface is not None and kind != "background"
+    return Verdict(kind, reasons, surface.layer.t if rest and surface is not None else None, standings)
+
+
+def _concluded(ray: RayProbe, heavy: list[Standing], surface: Standing | None) -> tuple[Kind, tuple[str, ...]]:
+    """What is worst comes first."""
+    floaters = [s for s in heavy if s.floats]
+    thin = sum(s.layer.weight for s in heavy if s.layer.thickness <= THICK * s.layer.grain)
+    real = [s for s in heavy if not s.floats]
+    left = 1 - ray.opacity
+    kind: Kind = "surface"
+    if ray.opacity < NOTHING:
+        kind, reasons = "background", (f"the ray met nothing: its opacity is {ray.opacity:.3f}",)
+    elif floaters:
+        kind, reasons = "floater", tuple(map(_floater_reason, floaters))
+    elif surface is None or thin < SOLID * ray.opacity:
+        kind, reasons = "fog", _fog_reasons(ray, heavy, thin)
+    elif surface.witnesses < FEW:
+        kind, reasons = "unobserved", (_unobserved_reason(surface),)
+    elif left >= LEAK and surface.leaks:
+        kind, reasons = "background leak", (_leak_reason(surface, left),)
+    elif len(real) > 1:
+        parts = ", ".join(f"{s.layer.weight:.0%} at {s.layer.t:.3g}" for s in real)
+        kind, reasons = "several surfaces", (f"{len(real)} layers make the pixel: {parts}",)
+    else:
+        reasons = (_surface_reason(surface),)
+    return kind, reasons
+
+
+def _error(colors: np.ndarray, photos: np.ndarray) -> float:
+    return float(np.median(np.abs(colors - photos).mean(-1)))
+
+
+def _floater_reason(s: Standing) -> str:
+    return (
+        f"a layer at {s.layer.t:.3g} makes {s.layer.weight:.0%} of the pixel, but the {s.witnesses} photos that see it "
+        f"would be matched better without it: error {s.error:.3f}, without it {s.without:.3f}"
+    )
+
+
+def _fog_reasons(ray: RayProbe, heavy: list[Standing], thin: float) -> tuple[str, ...]:
+    share = thin / max(ray.opacity, 1e-12)
+    lines = [f"only {share:.0%} of what is seen lies in thin layers"]
+    if heavy:
+        thickest = max(heavy, key=lambda s: s.layer.thickness)
+        lines.append(
+            f"its thickest layer, at {thickest.layer.t:.3g}, is {thickest.layer.thickness:.2g} deep: "
+            f"a surface would be under {THICK * thickest.layer.grain:.2g}"
+        )
+    return tuple(lines)
+
+
+def _unobserved_reason(s: Standing) -> str:
+    seen = {0: "no training photo sees", 1: "one training photo alone sees"}[s.witnesses]
+    return f"{seen} the point at {s.layer.t:.3g} ({s.sightings.framed} of {s.sightings.asked} have it in their frame)"
+
+
+def _leak_reason(s: Standing, left: float) -> str:
+    return (
+        f"{left:.0%} of what is behind shows through the layer at {s.layer.t:.3g}; were it opaque, the {s.witnesses} "
+        f"photos that see it would be matched better: error {s.error:.3f}, opaque {s.opaque:.3f}"
+    )
+
+
+def _surface_reason(s: Standing) -> str:
+    error = "" if s.error is None else f", with an error of {s.error:.3f}"
+    return (
+        f"one layer at {s.layer.t:.3g}, {s.layer.thickness:.2g} thick, makes {s.layer.weight:.0%} of the pixel; "
+        f"{s.witnesses} training photos see it{error}"
+    )

@@ -1,0 +1,60 @@
+"""A pinned ray's records."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from panel_states import make_ray
+
+from nerf_core.probe.history import BINS, RECORDS, HistoryRecorder, binned, log_spaced
+
+
+@pytest.mark.parametrize("last", [0, 1, 5, 199, 200, 1000, 30_000, 500_000])
+def test_steps_are_even_in_their_logarithm(last: int) -> None:
+    steps = log_spaced(last, 200)
+    assert len(steps) >= min(200, last + 1)
+    assert (steps[0], steps[-1]) == (0, last)
+    assert (np.diff(steps) > 0).all()
+    if last >= 30_000:
+        late = np.diff(np.log1p(steps))[steps[1:] > 100]
+        assert late.max() < 2 * np.median(late)
+
+
+def test_a_whole_training_has_over_two_hundred_records() -> None:
+    recorder, taken = HistoryRecorder(120, 30_000), []
+    for step in range(120, 30_001):
+        if recorder.due(step):
+            recorder.add(make_ray(step=step))
+            taken.append(step)
+    history = recorder.view()
+    assert history is not None
+    assert history.steps.tolist() == taken
+    assert 200 <= len(taken) <= 1.3 * RECORDS
+    assert (taken[0], taken[-1]) == (120, 30_000)
+    assert history.weights.shape == (len(taken), BINS)
+
+
+def test_bins_hold_the_weight() -> None:
+    ray = make_ray()
+    edges = np.linspace(ray.near, ray.far, BINS + 1)
+    row = binned(ray, edges)
+    assert row.sum() == pytest.approx(ray.passes[-1].weights.sum(), abs=1e-3)
+    peak = ray.passes[-1].t[ray.passes[-1].weights.argmax()]
+    assert abs(edges[row.argmax()] - peak) < 0.1
+    none = replace(ray.passes[-1], **{name: np.zeros(0) for name in ("t", "until", "weights")})
+    assert not binned(replace(ray, passes=(none,)), edges).any()
+
+
+def test_what_training_went_back_over_is_forgotten() -> None:
+    recorder = HistoryRecorder(0, 100)
+    for step in (0, 1, 2, 5):
+        recorder.add(make_ray(step=step))
+    recorder.add(make_ray(step=5))  # the same step again is no new record
+    recorder.rewind(2)
+    history = recorder.view()
+    assert history is not None
+    assert history.steps.tolist() == [0, 1, 2]
+    empty = HistoryRecorder(0, 100)
+    assert empty.view() is None

@@ -1,0 +1,113 @@
+"""Opened pixels as files, and cameras as command lines name them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from balls import Ball, looking, model_of, ring_scene
+from panel_states import odd_opened
+
+from nerf_core.camera_files import camera_of, camera_values, picked_camera
+from nerf_core.errors import UserError
+from nerf_core.probe import Opened, open_pixel, write_inspection
+from nerf_core.scene import Scene, View
+
+RED = Ball((0.0, 0.0, 0.0), 0.7, (0.8, 0.2, 0.15))
+
+
+@pytest.fixture(scope="module")
+def opened() -> Opened:
+    scene = ring_scene(RED, count=6, size=12)
+    return open_pixel(model_of(scene, RED), scene, looking((4.0, 0.0, 0.9), 13), (6, 6), 7)
+
+
+def test_json_and_npz_hold_the_same_arrays(opened: Opened, tmp_path: Path) -> None:
+    for file in (tmp_path / "a.json", tmp_path / "a.npz"):
+        write_inspection([opened], file)
+    text, arrays = json.loads((tmp_path / "a.json").read_text()), np.load(tmp_path / "a.npz", allow_pickle=False)
+    assert text["pixel"] == arrays["pixel"].tolist() == [6, 6]
+    assert text["verdict"]["kind"] == str(arrays["verdict/kind"]) == "surface"
+    for name in ("t", "until", "sigma", "weights", "rgb"):
+        found = arrays[f"passes/1/{name}"]
+        np.testing.assert_array_equal(found, getattr(opened.ray.passes[1], name))
+        np.testing.assert_allclose(np.array(text["passes"][1][name], float)[:-1], found[:-1], rtol=1e-6)
+    assert opened.radiance is not None
+    assert opened.evidence is not None
+    np.testing.assert_allclose(text["radiance"]["frozen_rgb"], opened.radiance.frozen_rgb, atol=1e-7)
+    np.testing.assert_array_equal(arrays["evidence/views"], opened.evidence.views)
+
+
+def test_csv_has_a_line_a_sample(opened: Opened, tmp_path: Path) -> None:
+    write_inspection([opened, opened], tmp_path / "a.csv")
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "a.csv").read_text())))
+    assert len(rows) == 2 * sum(len(p.t) for p in opened.ray.passes)
+    last = [row for row in rows if row["ray"] == "1" and row["pass"] == "fine"]
+    np.testing.assert_allclose([float(row["weights"]) for row in last], opened.ray.passes[1].weights)
+    np.testing.assert_allclose([float(row["green"]) for row in last], opened.ray.passes[1].rgb[:, 1])
+
+
+@pytest.mark.parametrize(("kind", "begin"), [("png", b"\x89PNG"), ("svg", b"<?xml")])
+def test_a_figure_is_drawn_of_any_ray(opened: Opened, tmp_path: Path, kind: str, begin: bytes) -> None:
+    for name, some in (("one", [opened]), ("two", [opened, replace(opened, radiance=None, evidence=None)]),
+                       ("odd", [odd_opened()])):  # fmt: skip
+        file = tmp_path / f"{name}.{kind}"
+        write_inspection(some, file)
+        assert file.read_bytes().startswith(begin)
+        assert file.stat().st_size > 5_000
+
+
+def test_what_cannot_be_written_is_told(opened: Opened, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"ray\.txt: an opened ray is written as \.json, \.npz, \.csv, \.png, \.svg"):
+        write_inspection([opened], tmp_path / "ray.txt")
+    with pytest.raises(UserError, match="there is no opened ray"):
+        write_inspection([], tmp_path / "ray.json")
+    assert not list(tmp_path.iterdir())
+
+
+# ---- cameras ------------------------------------------------------------------------------------------------------
+
+
+def test_a_camera_comes_back_from_its_values() -> None:
+    camera = replace(looking((4.0, 1.0, 0.9), 13), k1=0.1, p2=-0.01)
+    again = camera_of(json.loads(json.dumps(camera_values(camera))))
+    assert again.intrinsics() == camera.intrinsics()
+    np.testing.assert_array_equal(again.c2w, camera.c2w)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"fx": 0}, {"width": 1 << 20}, {"c2w": [[1, 0, 0, 0]] * 3}, {"c2w": "no"}, {"fy": "nan"}, {"height": None}],
+)
+def test_values_that_are_no_camera_are_refused(change: dict[str, object], tmp_path: Path) -> None:
+    values = camera_values(looking((4.0, 1.0, 0.9), 13)) | change
+    with pytest.raises((ValueError, TypeError)):
+        camera_of(values)
+    file = tmp_path / "camera.json"
+    file.write_text(json.dumps(values))
+    with pytest.raises(UserError, match=r"camera\.json: holds no camera"):
+        picked_camera(scene_of("a"), str(file))
+
+
+def scene_of(*names: str) -> Scene:
+    scene = ring_scene(RED, count=max(len(names), 1), size=4)
+    views = tuple(View(name, view.camera) for name, view in zip(names, scene.views, strict=True))
+    return replace(scene, views=views)
+
+
+def test_a_photo_is_picked_by_its_name_or_its_end(opened: Opened, tmp_path: Path) -> None:
+    scene = scene_of("train/r_1.png", "train/r_11.png", "test/r_1.png")
+    assert picked_camera(scene, "train/r_1.png") is scene.views[0].camera
+    assert picked_camera(scene, "r_11") is scene.views[1].camera
+    with pytest.raises(UserError, match=r"--camera r_1: means 2 photos \(train/r_1\.png, test/r_1\.png"):
+        picked_camera(scene, "r_1")
+    with pytest.raises(UserError, match="--camera r_7: is none of the 3 photos"):
+        picked_camera(scene, "r_7")
+    write_inspection([opened], tmp_path / "ray.json")
+    again = picked_camera(scene, str(tmp_path / "ray.json"))
+    np.testing.assert_array_equal(again.c2w, opened.camera.c2w)

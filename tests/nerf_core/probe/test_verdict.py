@@ -1,0 +1,98 @@
+"""Faults planted into scenes that are known in closed form, and what is said of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from balls import Ball, looking, model_of, ring_scene
+
+from nerf_core.methods import Method
+from nerf_core.probe import Verdict, Witnesses, judge, open_pixel, open_ray
+from nerf_core.scene import Scene
+
+RED = Ball((0.0, 0.0, 0.0), 0.7, (0.8, 0.2, 0.15))
+FLOATER = Ball((1.5, 0.0, 0.35), 0.25, (0.1, 0.2, 0.9))
+CAMERA = looking((4.0, 0.0, 0.9), 41)
+MIDDLE = (20, 20)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return ring_scene(RED)
+
+
+def said(method: Method, scene: Scene, pixel: tuple[int, int] = MIDDLE) -> Verdict:
+    return judge(method, Witnesses(scene), open_ray(method, scene, CAMERA, pixel, 0))
+
+
+def front_of(ball: Ball) -> float:
+    """Where the middle pixel's ray meets a ball."""
+    ray = open_ray(model_of(ring_scene(RED, count=3, size=4), RED), ring_scene(RED, count=3, size=4), CAMERA, MIDDLE, 0)
+    o = ray.origin - np.array(ball.center)
+    along = o @ ray.direction
+    return float(-along - np.sqrt(along**2 - o @ o + ball.radius**2))
+
+
+def test_a_ball_is_a_surface(scene: Scene) -> None:
+    verdict = said(model_of(scene, RED), scene)
+    assert verdict.kind == "surface"
+    assert verdict.surface_t == pytest.approx(front_of(RED), abs=0.05)
+    (standing,) = verdict.standings
+    assert standing.witnesses >= 8
+    assert standing.error is not None
+    assert standing.error < 0.02
+
+
+def test_past_the_ball_there_is_background(scene: Scene) -> None:
+    verdict = said(model_of(scene, RED), scene, (1, 1))
+    assert (verdict.kind, verdict.surface_t, verdict.standings) == ("background", None, ())
+
+
+@pytest.mark.parametrize("density", [80.0, 4.0])
+def test_what_no_photo_shows_floats(scene: Scene, density: float) -> None:
+    """Opaque, it hides the ball from the ray; thin, both make the pixel. The eye is to rest on the ball."""
+    verdict = said(model_of(scene, RED, replace(FLOATER, density=density)), scene)
+    assert verdict.kind == "floater"
+    assert "would be matched better without it" in verdict.reasons[0]
+    assert verdict.surface_t == pytest.approx(front_of(RED), abs=0.05)
+
+
+def test_a_radiance_point_lands_behind_the_floater(scene: Scene) -> None:
+    opened = open_pixel(model_of(scene, RED, FLOATER), scene, CAMERA, MIDDLE, 0)
+    assert opened.radiance is not None
+    assert opened.radiance.t == pytest.approx(front_of(RED), abs=0.05)
+    assert opened.ray.depth_median is not None
+    assert opened.ray.depth_median < front_of(RED) - 0.5
+    asked = open_pixel(model_of(scene, RED, FLOATER), scene, CAMERA, MIDDLE, 0, point_t=2.5)
+    assert asked.radiance is not None
+    assert asked.radiance.t == 2.5
+
+
+def test_a_ball_that_let_light_through_leaks(scene: Scene) -> None:
+    verdict = said(model_of(scene, replace(RED, density=0.6)), scene)
+    assert verdict.kind in ("background leak", "fog")  # it is as deep as the ball, so that both are true
+    hollow = replace(RED, density=6.0, skin=0.05)
+    assert said(model_of(scene, hollow), scene).kind == "background leak"
+
+
+def test_a_true_veil_before_a_ball_is_several_surfaces() -> None:
+    veil = replace(FLOATER, density=8.0, skin=0.03)
+    scene = ring_scene(RED, veil)
+    verdict = said(model_of(scene, RED, veil), scene)
+    assert verdict.kind == "several surfaces"
+    assert len(verdict.standings) >= 2
+
+
+def test_what_no_photo_has_in_view_is_unobserved(scene: Scene) -> None:
+    """All cameras but those on the ray's side."""
+    behind = tuple(k for k, view in enumerate(scene.views) if view.camera.c2w[0, 3] < -2)
+    blind = replace(scene, splits={"train": behind})
+    verdict = said(model_of(blind, RED), blind)
+    assert verdict.kind == "unobserved"
+    assert verdict.surface_t == pytest.approx(front_of(RED), abs=0.05)
+
+
+def test_faint_density_everywhere_is_fog(scene: Scene) -> None:
+    assert said(model_of(scene, Ball((0.0, 0.0, 0.0), 1.4, (0.6, 0.4, 0.4), 0.8)), scene).kind == "fog"

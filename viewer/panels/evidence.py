@@ -1,0 +1,138 @@
+"""Which training photos see the radiance's point: what they show, what the model shows there, from which angle."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+from imgui_bundle import ImVec2, imgui
+
+from nerf_core.cameras import Camera
+from nerf_core.probe import RayProbe, Sightings
+from nerf_core.scene import Scene
+from viewer.panels import PANELS, Ui
+from viewer.state import Action, AppState, GoToView
+from viewer.widgets import hint, mono, packed, swatch
+
+PHOTO = 400  # pixels of the longer side of the photo that a hover shows, at most
+SHOWN = 48  # photos in the table, the clearest and nearest first
+THUMBNAIL = 33  # pixels of a photo a side, odd: the point's is in the middle
+COLUMNS = ("photo", "angle", "light", "photo's", "model's", "off", "")
+
+
+@PANELS.register("evidence")
+class EvidencePanel:
+    title = "Evidence"
+    dock: Literal["bottom_right"] = "bottom_right"
+    order = 1
+
+    def __init__(self) -> None:
+        self._of: Sightings | None = None
+        self._sheet = np.zeros((1, 1, 4), np.uint8)
+        self._photo_of: np.ndarray | None = None
+        self._large = self._sheet
+
+    def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
+        evidence, scene, ray = state.snapshot.evidence, state.snapshot.scene, state.snapshot.ray
+        if evidence is None or scene is None or ray is None:
+            hint(ui, "Click a pixel: here you will see which photos know the point it shows.")
+            return
+        if evidence is not self._of:
+            self._of, self._sheet = evidence, _sheet(scene, evidence)
+        count, hidden = int(evidence.seen.sum()), int((~evidence.seen).sum())
+        hint(ui, f"{count:,} of {evidence.asked:,} training photos see the point; from {hidden:,} it is hidden.")
+        if not len(evidence.views):
+            return
+        flags = imgui.TableFlags_.scroll_y | imgui.TableFlags_.sizing_fixed_fit
+        if imgui.begin_table("evidence", len(COLUMNS), flags, imgui.get_content_region_avail()):
+            imgui.table_setup_scroll_freeze(0, 1)
+            for name in COLUMNS:
+                imgui.table_setup_column(name)
+            imgui.table_headers_row()
+            for k in range(min(len(evidence.views), SHOWN)):
+                yield from self._row(ui, scene, evidence, k, ray)
+            imgui.end_table()
+
+    def _photo(self, ui: Ui, scene: Scene, evidence: Sightings, k: int, ray: RayProbe) -> None:
+        """The whole photo, with the point and the line that the ray makes in it."""
+        view = int(evidence.views[k])
+        if self._photo_of is not scene.images[view]:
+            image = scene.images[view]
+            step = max(1, -(-max(image.shape[:2]) // PHOTO))
+            small = (image[::step, ::step] >> 8).astype(np.uint8)
+            self._photo_of, self._large = image, np.dstack([small, np.full(small.shape[:2], 255, np.uint8)])
+        camera = scene.views[view].camera
+        if not imgui.begin_tooltip():
+            return
+        width = 22 * ui.em
+        scale = width / camera.width
+        size = ImVec2(width, camera.height * scale)
+        at = imgui.get_cursor_screen_pos()
+        imgui.image(ui.texture("evidence photo", self._large), size)
+        draw, color = imgui.get_window_draw_list(), packed(ui.theme.ray)
+        draw.push_clip_rect(at, ImVec2(at.x + size.x, at.y + size.y), True)
+        line = epipolar(camera, ray) * scale
+        for a, b in pairwise(line):
+            if np.isfinite(a).all() and np.isfinite(b).all():
+                draw.add_line(ImVec2(at.x + a[0], at.y + a[1]), ImVec2(at.x + b[0], at.y + b[1]), color, 0.1 * ui.em)
+        x, y = evidence.pixels[k] * scale
+        draw.add_circle(ImVec2(at.x + x, at.y + y), 0.5 * ui.em, packed(ui.theme.text), thickness=0.12 * ui.em)
+        draw.pop_clip_rect()
+        imgui.text_unformatted(scene.views[view].name)
+        imgui.text_colored(ui.theme.muted, "the line is the ray; click to fly there")
+        imgui.end_tooltip()
+
+    def _row(self, ui: Ui, scene: Scene, evidence: Sightings, k: int, ray: RayProbe) -> Iterator[Action]:
+        imgui.table_next_row()
+        imgui.table_next_column()
+        side, rows = 2.6 * ui.em, min(len(evidence.views), SHOWN)
+        at = imgui.get_cursor_screen_pos()
+        texture = ui.texture("evidence", self._sheet, smooth=False)
+        imgui.image(texture, ImVec2(side, side), ImVec2(0, k / rows), ImVec2(1, (k + 1) / rows))
+        dot, draw = ImVec2(at.x + side / 2, at.y + side / 2), imgui.get_window_draw_list()
+        for color, width in ((ui.theme.surface, 0.25 * ui.em), (ui.theme.text, 0.1 * ui.em)):
+            draw.add_circle(dot, 0.35 * ui.em, packed(color), thickness=width)
+        view = int(evidence.views[k])
+        if imgui.is_item_hovered():
+            self._photo(ui, scene, evidence, k, ray)
+            imgui.set_mouse_cursor(imgui.MouseCursor_.hand)
+        if imgui.is_item_clicked():
+            yield GoToView(view)
+        ui.mark(f"evidence.{k}")
+        off = float(np.abs(evidence.observed[k] - evidence.predicted[k]).mean())
+        with mono(ui):
+            for text in (f"{np.degrees(evidence.angle[k]):.0f}°", f"{evidence.transmittance[k]:.2f}"):
+                imgui.table_next_column()
+                imgui.text_unformatted(text)
+            for rgb in (evidence.observed[k], evidence.predicted[k]):
+                imgui.table_next_column()
+                partial(swatch, ui, rgb)()
+            imgui.table_next_column()
+            imgui.text_unformatted(f"{off:.3f}")
+            imgui.table_next_column()
+            if not evidence.seen[k]:
+                imgui.text_colored(ui.theme.muted, "hidden")
+
+
+def epipolar(camera: Camera, ray: RayProbe) -> np.ndarray:
+    """Where a ray lies in a camera's picture: (P, 2) pixels, NaN where it is behind the camera."""
+    t = np.geomspace(max(ray.near, 1e-3 * ray.far), max(ray.far, 1e-6), 96)
+    pixels, depth = camera.project(ray.origin.astype(np.float64) + t[:, None] * ray.direction.astype(np.float64))
+    return np.where(depth[:, None] > 0, pixels, np.nan)
+
+
+def _sheet(scene: Scene, evidence: Sightings) -> np.ndarray:
+    """The thumbnails one below the other: uint8 (SHOWN · THUMBNAIL, THUMBNAIL, 4)."""
+    count = max(min(len(evidence.views), SHOWN), 1)
+    sheet = np.full((count, THUMBNAIL, THUMBNAIL, 4), 255, np.uint8)
+    half = THUMBNAIL // 2
+    for k, view in enumerate(evidence.views[:SHOWN].tolist()):
+        image = scene.images[view]
+        x, y = np.floor(evidence.pixels[k]).astype(int)
+        rows = np.clip(np.arange(y - half, y + half + 1), 0, image.shape[0] - 1)  # at the rim its pixels go on
+        columns = np.clip(np.arange(x - half, x + half + 1), 0, image.shape[1] - 1)
+        sheet[k, ..., :3] = image[rows[:, None], columns] >> 8
+    return sheet.reshape(-1, THUMBNAIL, 4)

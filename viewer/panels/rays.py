@@ -1,0 +1,84 @@
+"""The pinned rays: named, coloured, hidden, opened again, removed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+from imgui_bundle import ImVec2, imgui
+from imgui_bundle import icons_fontawesome_6 as icons
+
+from nerf_core.messages import ExportRays, Pinned
+from viewer.panels import PANELS, Ui
+from viewer.pins import MOST, NAME_LENGTH
+from viewer.state import Action, AppState, OpenPin, PinnedRay, PinRay, UnpinRay
+from viewer.widgets import Row, button, field_beside, figures, hint, number, packed, swatch, triple
+
+WRITE = f"{icons.ICON_FA_FILE_EXPORT}  Write"
+PIN = f"{icons.ICON_FA_THUMBTACK}  Pin the opened ray"
+
+
+@PANELS.register("rays")
+class RaysPanel:
+    title = "Rays"
+    dock: Literal["right"] = "right"
+    order = 4
+
+    def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
+        asked = state.inspect
+        there = asked is not None and any(_same(pin, asked.pixel, asked.camera) for pin in state.pins)
+        can = asked is not None and not there and len(state.pins) < MOST
+        tip = "keep this ray open, and its history from now on (Ctrl+click in the viewport)"
+        if button(ui, PIN, "rays.pin", enabled=can, tip=tip) and asked is not None:
+            yield PinRay(asked)
+        if not state.pins:
+            hint(ui, f"Up to {MOST} rays stay where they are while you move, and keep a history of their training.")
+        if state.pins or state.snapshot.opened is not None:
+            field_beside(ui, WRITE)
+            _, state.rays_file = imgui.input_text("##file", state.rays_file)
+            ui.mark("rays.file")
+            imgui.same_line()
+            tip = "the opened ray and the pinned ones: .json, .npz, .csv, or a figure as .png or .svg"
+            if button(ui, WRITE, "rays.write", enabled=bool(state.rays_file.strip()), tip=tip):
+                yield ExportRays(Path(state.rays_file.strip()))
+        opened = {one.id: one for one in state.snapshot.pinned}
+        for pin in list(state.pins):
+            imgui.push_id(pin.id)
+            yield from _draw_pin(ui, pin, opened.get(pin.id))
+            imgui.pop_id()
+
+
+def _draw_pin(ui: Ui, pin: PinnedRay, opened: Pinned | None) -> Iterator[Action]:
+    at, high = imgui.get_cursor_screen_pos(), imgui.get_frame_height()
+    color = packed(ui.theme.pins[pin.color])
+    imgui.get_window_draw_list().add_rect_filled(at, ImVec2(at.x + 0.3 * ui.em, at.y + high), color)
+    imgui.dummy(ImVec2(0.3 * ui.em, high))
+    imgui.same_line()
+    eye = icons.ICON_FA_EYE_SLASH if pin.hidden else icons.ICON_FA_EYE
+    field_beside(ui, eye, icons.ICON_FA_MAGNIFYING_GLASS, icons.ICON_FA_XMARK)
+    changed, name = imgui.input_text("##name", pin.name)
+    ui.mark(f"rays.name {pin.id}")
+    if changed:
+        pin.name = name[:NAME_LENGTH]
+    imgui.same_line()
+    if button(ui, eye, f"rays.hide {pin.id}", tip="show in the viewport" if pin.hidden else "hide in the viewport"):
+        pin.hidden = not pin.hidden
+    imgui.same_line()
+    if button(ui, icons.ICON_FA_MAGNIFYING_GLASS, f"rays.open {pin.id}", tip="open this ray in the panels below"):
+        yield OpenPin(pin.id)
+    imgui.same_line()
+    if button(ui, icons.ICON_FA_XMARK, f"rays.remove {pin.id}", tip="remove it and its history"):
+        yield UnpinRay(pin.id)
+    ray = opened.ray if opened is not None else None
+    if ray is not None:
+        rows: list[Row] = [
+            ("colour", triple(ray.color), partial(swatch, ui, ray.color)),
+            ("depth", f"{number(ray.depth_median, 4)}   opacity {ray.opacity:.3f}   step {ray.step:,}"),
+        ]
+        figures(ui, "figures", rows)
+
+
+def _same(pin: PinnedRay, pixel: tuple[int, int], camera: object) -> bool:
+    return pin.ray.pixel == pixel and pin.ray.camera is camera

@@ -1,0 +1,81 @@
+"""The samples of the opened ray in numbers, a line each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from typing import Literal
+
+from imgui_bundle import ImVec2, imgui
+
+from nerf_core.probe import PassProbe
+from viewer.panels import PANELS, Ui
+from viewer.state import Action, AppState, SampleRef
+from viewer.widgets import faded, hint, mono, number, packed, swatch, triple
+
+COLUMNS = ("", "t", "δ", "σ", "α", "T", "w", "colour")
+WIDTHS_EM = (3.0, 5.0, 5.0, 5.0, 4.5, 4.5, 4.5, 11.0)
+
+
+@PANELS.register("samples")
+class SamplesPanel:
+    title = "Samples"
+    dock: Literal["bottom"] = "bottom"
+    order = 3
+
+    def __init__(self) -> None:
+        self.one = -1  # which pass; −1: the last
+
+    def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
+        yield from ()
+        ray = state.snapshot.ray
+        if ray is None or not ray.passes:
+            hint(ui, "Click a pixel: here you will see the samples of its ray in numbers.")
+            return
+        count = len(ray.passes)
+        self.one = self.one if 0 <= self.one < count else count - 1
+        for k, one in enumerate(ray.passes if count > 1 else ()):
+            if imgui.radio_button(f"{one.name}, {len(one.t):,}", self.one == k):
+                self.one = k
+            ui.mark(f"samples.pass {k}")
+            imgui.same_line()
+        if count > 1:
+            imgui.new_line()
+        self._table(ui, state, ray.passes[self.one])
+
+    def _table(self, ui: Ui, state: AppState, one: PassProbe) -> None:
+        flags = imgui.TableFlags_.scroll_y | imgui.TableFlags_.sizing_fixed_fit
+        if not imgui.begin_table("samples", len(COLUMNS), flags, imgui.get_content_region_avail()):
+            return
+        imgui.table_setup_scroll_freeze(0, 1)
+        for name, width in zip(COLUMNS, WIDTHS_EM, strict=True):
+            imgui.table_setup_column(name, imgui.TableColumnFlags_.width_fixed, width * ui.em)
+        imgui.table_headers_row()
+        clipper = imgui.ListClipper()  # a ray may have a thousand
+        clipper.begin(len(one.t))
+        while clipper.step():
+            for i in range(clipper.display_start, clipper.display_end):
+                self._row(ui, state, one, i)
+        imgui.end_table()
+
+    def _row(self, ui: Ui, state: AppState, one: PassProbe, i: int) -> None:
+        imgui.table_next_row()
+        imgui.table_next_column()
+        ref = SampleRef(self.one, i)
+        if state.sample == ref:
+            imgui.table_set_bg_color(imgui.TableBgTarget_.row_bg0, packed(faded(ui.theme.accent, 0.25)))
+        spans = imgui.SelectableFlags_.span_all_columns
+        with mono(ui):
+            imgui.selectable(f"{i + 1}", False, spans, ImVec2(0, 0))
+            if imgui.is_item_hovered():
+                state.pointed_at = ref
+            for values, digits in ((one.t, 5), (one.delta, 3), (one.sigma, 4)):
+                imgui.table_next_column()
+                imgui.text_unformatted(number(float(values[i]), digits))
+            for values in (one.alpha, one.transmittance, one.weights):
+                imgui.table_next_column()
+                imgui.text_unformatted(f"{float(values[i]):.4f}")
+            imgui.table_next_column()
+            partial(swatch, ui, one.rgb[i])()
+            imgui.same_line(0, 0.2 * ui.em)
+            imgui.text_unformatted(triple(one.rgb[i]))

@@ -1,0 +1,61 @@
+"""The radiance along one diameter of its disc, as lines, with what the photos show as dots."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+from imgui_bundle import ImVec2, ImVec4, imgui, implot
+
+from viewer.panels import PANELS, Ui
+from viewer.state import Action, AppState
+from viewer.widgets import axis_name, color_of, field_width, hint
+
+NEAR_DEGREES = 12.0  # a photo farther from the slice's plane has nothing to say about it
+CHANNELS = (ImVec4(0.92, 0.36, 0.32, 1), ImVec4(0.36, 0.78, 0.42, 1), ImVec4(0.40, 0.58, 0.95, 1))
+PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
+
+
+@PANELS.register("slice")
+class SlicePanel:
+    title = "Slice"
+    dock: Literal["bottom_right"] = "bottom_right"
+    order = 2
+
+    def __init__(self) -> None:
+        self.degrees = 0.0
+
+    def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
+        yield from ()
+        probe, evidence = state.snapshot.radiance, state.snapshot.evidence
+        if probe is None:
+            hint(ui, "Click a pixel: here you will see how its colour changes along a line of directions.")
+            return
+        field_width(ui, "azimuth")
+        _, self.degrees = imgui.slider_float("azimuth", self.degrees, 0.0, 180.0, "%.0f°")
+        ui.mark("slice.azimuth")
+        azimuth = float(np.radians(self.degrees))
+        angles, rgb = probe.slice(azimuth, state.frozen_ray)
+        if not implot.begin_plot("##slice", ImVec2(-1, max(imgui.get_content_region_avail().y, 6 * ui.em)), PLOT):
+            return
+        implot.setup_axis(implot.ImAxis_.x1, None, 0)
+        implot.setup_axes_limits(-90, 90, 0, 1.05, implot.Cond_.once)
+        for c, color in enumerate(CHANNELS):
+            line = implot.Spec(line_color=color, line_weight=0.12 * ui.em)
+            implot.plot_line(f"channel {c}", np.degrees(angles), rgb[:, c].astype(np.float64), line)
+        if evidence is not None:
+            for k in np.flatnonzero(evidence.seen).tolist():
+                angle, across = probe.slice_position(evidence.directions[k], azimuth)
+                if abs(np.degrees(across)) > NEAR_DEGREES or abs(angle) > np.pi / 2:
+                    continue
+                for c, color in enumerate(CHANNELS):
+                    dot = implot.Spec(
+                        marker=implot.Marker_.circle, marker_size=0.22 * ui.em, marker_line_color=color,
+                        marker_fill_color=color_of(evidence.observed[k]),
+                    )  # fmt: skip
+                    place = np.array([np.degrees(angle)]), np.array([float(evidence.observed[k, c])])
+                    implot.plot_scatter(f"photo {k} {c}", *place, dot)
+        axis_name(ui, "r, g, b; dots: photos", right=True)
+        implot.end_plot()
+        ui.mark("slice.plot")

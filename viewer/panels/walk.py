@@ -1,0 +1,155 @@
+"""Follow this pixel: the whole method as a strip of stations, with this ray's own values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, Literal
+
+import numpy as np
+from imgui_bundle import ImVec2, imgui, implot
+
+from nerf_core.colormaps import colored
+from nerf_core.stations import BarCode, Chart, Colors, Marks, Station, Stems, Transfer
+from viewer.panels import PANELS, Ui
+from viewer.state import Action, AppState
+from viewer.widgets import axis_name, color_of, faded, figures, hint, packed, swatch
+
+WIDTH_EM = 19.0
+CHART_EM = 5.0
+PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
+QUIET = implot.AxisFlags_.no_highlight
+
+
+@PANELS.register("walk")
+class WalkPanel:
+    title = "Follow this pixel"
+    dock: Literal["bottom"] = "bottom"
+    order = 2
+
+    def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
+        yield from ()
+        stations = state.snapshot.opened.walk if state.snapshot.opened is not None else ()
+        if not stations:
+            hint(ui, "Click a pixel: here you will see it go through the whole method, station by station.")
+            return
+        scroll = imgui.WindowFlags_.horizontal_scrollbar
+        imgui.begin_child("strip", ImVec2(0, 0), 0, scroll)
+        high = max(imgui.get_content_region_avail().y, 8 * ui.em)
+        for k, station in enumerate(stations):
+            if k:
+                imgui.same_line(0, 1.2 * ui.em)
+            imgui.begin_child(f"station {k}", ImVec2(WIDTH_EM * ui.em, high))
+            _draw_station(ui, k + 1, station)
+            imgui.end_child()
+            if k + 1 < len(stations):
+                _arrow(ui)
+        imgui.end_child()
+
+
+def _draw_station(ui: Ui, number: int, station: Station) -> None:
+    imgui.text_colored(ui.theme.accent, f"{number}")
+    imgui.same_line(0, 0.5 * ui.em)
+    imgui.text_unformatted(station.title)
+    ui.mark(f"walk.{station.title}")
+    hint(ui, station.sentence)
+    for k, chart in enumerate(station.charts):
+        CHARTS[type(chart)](ui, f"##{number} {k}", chart)
+    if station.rows:
+        figures(ui, "rows", station.rows)
+
+
+def _arrow(ui: Ui) -> None:
+    """Between two stations, level with their titles."""
+    low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+    x, y, r = high.x + 0.6 * ui.em, low.y + 0.55 * ui.em, 0.3 * ui.em
+    tip = ImVec2(x + r, y)
+    imgui.get_window_draw_list().add_triangle_filled(
+        ImVec2(x - r, y - r), tip, ImVec2(x - r, y + r), packed(ui.theme.muted)
+    )
+
+
+def _begin(ui: Ui, name: str, t: np.ndarray, top: float) -> bool:
+    pad = 0.25 * ui.em
+    implot.push_style_var(implot.StyleVar_.plot_padding, ImVec2(0.9 * ui.em, pad))
+    implot.push_style_var(implot.StyleVar_.plot_min_size, ImVec2(ui.em, ui.em))
+    begun = implot.begin_plot(name, ImVec2(-1, CHART_EM * ui.em), PLOT)
+    implot.pop_style_var(2)
+    if begun:
+        implot.setup_axis(implot.ImAxis_.x1, None, QUIET)
+        implot.setup_axis(implot.ImAxis_.y1, None, QUIET | implot.AxisFlags_.no_tick_labels)
+        low, high = (float(t.min()), float(t.max())) if len(t) else (0.0, 1.0)
+        span = max(high - low, 1e-6)
+        always = implot.Cond_.always
+        implot.setup_axes_limits(low - 0.03 * span, high + 0.03 * span, 0, 1.15 * max(top, 1e-30), always)
+    return begun
+
+
+def _stems(ui: Ui, name: str, chart: Stems) -> None:
+    t, y = (np.nan_to_num(v.astype(np.float64)) for v in (chart.t, chart.y))
+    top = float(y.max()) if len(y) else 1.0
+    if _begin(ui, name, t, top):
+        if len(t):
+            implot.plot_stems("stems", t, y, 0, implot.Spec(line_color=ui.theme.fine, marker=implot.Marker_.none))
+        axis_name(ui, f"{chart.name}, up to {top:.3g}, over t", right=True)
+        implot.end_plot()
+
+
+def _marks(ui: Ui, name: str, chart: Marks) -> None:
+    t = np.nan_to_num(chart.t.astype(np.float64))
+    edges = np.nan_to_num(chart.edges.astype(np.float64))
+    if _begin(ui, name, np.concatenate([t, edges]), 1.0):
+        if len(edges):
+            line = implot.Spec(line_color=faded(ui.theme.muted, 0.5))
+            implot.plot_inf_lines("bins", edges, line)
+        if len(t):
+            dots = implot.Spec(line_color=ui.theme.fine, marker=implot.Marker_.circle, marker_size=0.15 * ui.em)
+            implot.plot_stems("samples", t, np.full(len(t), 0.5), 0, dots)
+        axis_name(ui, "samples and their bins, over t" if len(edges) else "samples, over t", right=True)
+        implot.end_plot()
+
+
+def _bar_code(ui: Ui, name: str, chart: BarCode) -> None:
+    """A row of bars for each name; positive and negative in a map of two arms, which is drawn beneath."""
+    label = max(imgui.calc_text_size(n).x for n in chart.names) + 0.5 * ui.em
+    room = imgui.get_content_region_avail().x
+    high = min(1.1 * ui.em, 8 * ui.em / len(chart.names))
+    draw = imgui.get_window_draw_list()
+    peak = chart.peak if np.isfinite(chart.peak) and chart.peak > 0 else 1.0
+    for text, values in zip(chart.names, chart.values, strict=True):
+        at = imgui.get_cursor_screen_pos()
+        if high > 0.8 * ui.em:
+            draw.add_text(at, packed(ui.theme.muted), text)
+        width = (room - label) / max(len(values), 1)
+        for k, rgb in enumerate(colored(values, -peak, peak, "signed").tolist()):
+            low = ImVec2(at.x + label + k * width, at.y)
+            draw.add_rect_filled(low, ImVec2(low.x + max(width - 0.5, 0.5), at.y + high - 1), packed(color_of(rgb)))
+        imgui.dummy(ImVec2(room, high))
+        if imgui.is_item_hovered():
+            k = int((imgui.get_mouse_pos().x - at.x - label) // max(width, 1e-6))
+            if 0 <= k < len(values):
+                imgui.set_tooltip(f"{text} {k + 1} of {len(values)}: {float(values[k]):.4g}")
+    hint(ui, f"−{peak:.3g} violet … {peak:.3g} orange")
+
+
+def _transfer(ui: Ui, name: str, chart: Transfer) -> None:
+    edges, cdf, u, draws = (np.nan_to_num(v.astype(np.float64)) for v in chart)
+    if _begin(ui, name, edges, 1.0):
+        some = np.linspace(0, len(u) - 1, min(len(u), 24)).astype(int)
+        for k in some.tolist():  # from its level to the curve, and down to where it falls
+            way = implot.Spec(line_color=faded(ui.theme.coarse, 0.5))
+            implot.plot_line("way", np.array([edges[0], draws[k], draws[k]]), np.array([u[k], u[k], 0.0]), way)
+        implot.plot_line("cdf", edges, cdf, implot.Spec(line_color=ui.theme.fine, line_weight=0.12 * ui.em))
+        axis_name(ui, "levels through the inverse CDF, over t", right=True)
+        implot.end_plot()
+
+
+def _colors(ui: Ui, name: str, chart: Colors) -> None:
+    for text, rgb in zip(chart.names, chart.rgb, strict=True):
+        swatch(ui, rgb)
+        imgui.same_line(0, 0.4 * ui.em)
+        imgui.text_colored(ui.theme.muted, text)
+
+
+CHARTS: dict[type[Chart], Callable[[Ui, str, Any], None]] = {
+    Stems: _stems, Marks: _marks, BarCode: _bar_code, Transfer: _transfer, Colors: _colors,
+}  # fmt: skip
