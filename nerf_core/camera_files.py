@@ -15,6 +15,10 @@ from nerf_core.errors import UserError, shorten
 from nerf_core.scene import Scene
 
 MOST_PIXELS = 1 << 16  # a side
+# What no camera has, and what rays of float32 numbers could not bear
+FARTHEST = 1e9  # from the origin, in units of the world; principal points, in pixels
+FOCAL = 1e-3, 1e9  # pixels
+LENS = 1e6  # its coefficients
 
 
 def camera_values(camera: Camera) -> dict[str, Any]:
@@ -30,11 +34,15 @@ def camera_of(values: Mapping[str, Any]) -> Camera:
     lens = {name: float(values.get(name, 0.0) if name[0] in "kp" else values[name]) for name in names}
     if not (0 < width <= MOST_PIXELS and 0 < height <= MOST_PIXELS):
         raise ValueError(f"a picture of {width} × {height} pixels")
-    if not np.isfinite(list(lens.values())).all() or min(lens["fx"], lens["fy"]) <= 0:
-        raise ValueError("focal lengths above 0 and finite numbers are needed")
-    if c2w.shape != (3, 4) or not np.isfinite(c2w).all():
-        raise ValueError("c2w must be 3 × 4 numbers")
-    if not np.allclose(c2w[:, :3] @ c2w[:, :3].T, np.eye(3), atol=1e-4):
+    if not (FOCAL[0] <= lens["fx"] <= FOCAL[1] and FOCAL[0] <= lens["fy"] <= FOCAL[1]):
+        raise ValueError(f"fx and fy must lie between {FOCAL[0]:g} and {FOCAL[1]:g}")
+    for name in lens.keys() - {"fx", "fy"}:
+        most = FARTHEST if name[0] == "c" else LENS
+        if not abs(lens[name]) <= most:
+            raise ValueError(f"{name} must lie between ±{most:g}")
+    if c2w.shape != (3, 4) or not (np.abs(c2w) <= FARTHEST).all():
+        raise ValueError(f"c2w must be 3 × 4 numbers between ±{FARTHEST:g}")
+    if not (np.allclose(c2w[:, :3] @ c2w[:, :3].T, np.eye(3), atol=1e-4) and np.linalg.det(c2w[:, :3]) > 0):
         raise ValueError("the first three columns of c2w must be a rotation")
     return Camera(width, height, c2w=c2w, **lens)
 
@@ -49,13 +57,13 @@ def picked_camera(scene: Scene, text: str) -> Camera:
             return camera_of(inner)
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise UserError(
-                f"--camera {text}: holds no camera ({shorten(str(error), 80)}): width, height, fx, fy, cx, cy and a "
-                "3 × 4 c2w are needed"
+                f"--camera {shorten(text, 300)}: holds no camera ({shorten(str(error), 80)}): width, height, fx, fy, "
+                "cx, cy and a 3 × 4 c2w are needed"
             ) from None
     exact = [view for view in scene.views if view.name == text]
     found = exact or [view for view in scene.views if Path(view.name).stem == Path(text).stem and text in view.name]
     if len(found) == 1:
         return found[0].camera
-    some = ", ".join(view.name for view in (found or scene.views)[:3])
+    some = ", ".join(shorten(view.name) for view in (found or scene.views)[:3])
     what = f"means {len(found)} photos" if found else f"is none of the {len(scene.views):,} photos"
-    raise UserError(f"--camera {text}: {what} ({some}, …): give a photo's whole name or a .json file")
+    raise UserError(f"--camera {shorten(text, 300)}: {what} ({some}, …): give a photo's whole name or a .json file")

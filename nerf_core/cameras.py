@@ -17,6 +17,7 @@ from nerf_core.kernels.rays import fast_rays
 from nerf_core.types import Rays
 
 Lens = float | np.ndarray
+FAR_OFF = 1e9  # of the image plane: where Newton is thrown to by a lens that no one has built; it then found nothing
 UNDISTORT_STEPS = 10  # Newton converges quadratically: lenses that fold nowhere in the image need 3 to 5
 
 
@@ -79,7 +80,8 @@ def distort(xy: np.ndarray, k1: Lens, k2: Lens, k3: Lens, p1: Lens, p2: Lens) ->
 def undistort(xy: Tensor, lens: Tensor) -> Tensor:
     """Inverse of `distort` by Newton's method: xy (R, 2) and lens (R, 5) = k1, k2, k3, p1, p2 → (R, 2), float64.
 
-    Where the Jacobian degenerates (beyond the fold of an absurd calibration) the point stays where it is.
+    Where the Jacobian degenerates (beyond the fold of an absurd calibration) the point stays where it is; where that
+    throws it out of all bounds, the lens is left out.
     """
     k1, k2, k3, p1, p2 = lens.unbind(-1)
     x0, y0 = xy.unbind(-1)
@@ -98,7 +100,8 @@ def undistort(xy: Tensor, lens: Tensor) -> Tensor:
         inverse = torch.where(ok, 1 / torch.where(ok, det, torch.ones_like(det)), torch.zeros_like(det))
         x = x - (yy * ex - xy_ * ey) * inverse
         y = y - (xx * ey - xy_ * ex) * inverse
-    return torch.stack([x, y], -1)
+    lost = ~(x.abs() + y.abs() < FAR_OFF)  # no number at all among them
+    return torch.stack([torch.where(lost, x0, x), torch.where(lost, y0, y)], -1)
 
 
 class Cameras:

@@ -21,7 +21,7 @@ LEAST = {
     "samples": 1, "most_rays": 1, "levels": 1, "features": 1, "log2_rows": 4, "coarsest": 2, "hidden": 1, "cells": 4,
     "update_every": 1, "total_steps": 1, "pixels": 0.05, "slowdown": 1,
 }  # fmt: skip
-MOST_FEATURES = 2**28  # 1 GiB, and as much again for the gradient and for each moment
+MOST_FEATURES = 2**28  # 1 GiB, and as much again for the gradient, each moment and the average
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,9 @@ from nerf_core.kernels.numba_vectors import jit
 
 F = np.float32
 NEVER = F(1e30)
+STEPPED = F(2**-22)  # of t: two of float32's; a shorter step might leave t where it is, and the march would never end
 STRAIGHT = F(0.1)  # of its distance from the centre: so far a contracted ray counts as straight when it leaps
+NEARING = F(0.25)  # of the same: the longest step of one that comes nearer; far outside one step would cross the scene
 # What a ray keeps of each sample, in one row of `notes`. Its cell and the place in it make way for what is found there.
 # The cell is kept, not found again: a point that is rounded once more on its way through memory might by then lie in
 # the empty neighbour.
@@ -73,26 +75,32 @@ def march(cells: Any, rays: Any, r: Any, step: Any, notes: Any) -> Any:  # noqa:
         t, last = _clipped(gx, vx, F(nx), t, last)
         t, last = _clipped(gy, vy, F(ny), t, last)
         t, last = _clipped(gz, vz, F(nz), t, last)
-    reach_far = STRAIGHT / math.sqrt(dx * dx + dy * dy + dz * dz)  # in t: the norm is of box coordinates
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)  # in box coordinates, as the norm is, of a unit of t
     straight = step / math.sqrt(vx * vx + vy * vy + vz * vz)
-    dt = straight
-    t += rays.offsets[r] * dt
+    if not (straight > 0 and F(0) * (ox + oy + oz) == 0):  # not a ray: something in it is no number
+        return 0
+    t += rays.offsets[r] * straight
     capacity = notes.shape[0] // NOTES
     n = 0
     while t < last and n < capacity:
         px, py, pz = gx + t * vx, gy + t * vy, gz + t * vz
+        dt = straight
         if cells.contracted:
             wx, wy, wz = ox + t * dx, oy + t * dy, oz + t * dz
             f, slope, norm = _bent(wx, wy, wz, dx, dy, dz)
-            ux, uy, uz, dt = vx, vy, vz, straight
+            ux, uy, uz = vx, vy, vz
             if norm > 1:
                 px, py, pz = (wx * f - bx) * sx, (wy * f - by) * sy, (wz * f - bz) * sz
                 ux, uy, uz = (dx * f + wx * slope) * sx, (dy * f + wy * slope) * sy, (dz * f + wz * slope) * sz
                 dt = step / math.sqrt(ux * ux + uy * uy + uz * uz)
-        i, j, k = int(px), int(py), int(pz)
-        if px < 0 or py < 0 or pz < 0 or i >= nx or j >= ny or k >= nz:  # by rounding, on the border
+                if slope > 0:
+                    dt = min(dt, NEARING * norm / length)
+        dt = max(dt, t * STEPPED)
+        # outside by rounding, on the border; or no number at all, of which a cell's index must not be made
+        if not (px >= 0 and py >= 0 and pz >= 0 and px < F(nx) and py < F(ny) and pz < F(nz)):
             t += dt
             continue
+        i, j, k = int(px), int(py), int(pz)
         leap = cells.leap[np.uint64(((i >> 2) * blocks_y + (j >> 2)) * blocks_z + (k >> 2))]
         if leap > 0:  # nothing within leap − 1 blocks of this one: to the far side of that cube
             reach = 4 * (np.int64(leap) - 1)
@@ -100,7 +108,7 @@ def march(cells: Any, rays: Any, r: Any, step: Any, notes: Any) -> Any:  # noqa:
             side = F(4 + 2 * reach)
             gap = min(_gap(px, ux, x, x + side), _gap(py, uy, y, y + side), _gap(pz, uz, z, z + side))
             if norm > 1:
-                gap = min(gap, reach_far * norm)
+                gap = min(gap, STRAIGHT * norm / length)
             t += max(np.floor(gap / dt) + F(1), F(1)) * dt
         elif cells.occupied[np.uint64((i * ny + j) * nz + k)] == 0:
             t += dt

@@ -11,6 +11,7 @@ from nerf_core.kernels.numba_vectors import jit
 
 UNDISTORT_STEPS = 10  # as `nerf_core.cameras.undistort`, which explains both
 SINGULAR = 1e-9
+FAR_OFF = 1e9  # as `nerf_core.cameras.FAR_OFF`
 SMALL = 1e-13  # of the image plane: Newton's next step is below what float32 directions can hold
 
 
@@ -43,6 +44,8 @@ def rays(
                 y -= my
                 if abs(mx) + abs(my) < SMALL:
                     break
+            if not abs(x) + abs(y) < FAR_OFF:
+                x, y = x0, y0
         length = math.sqrt(x * x + y * y + 1)
         lx, ly, lz = x / length, -y / length, -1 / length
         for a in range(3):

@@ -18,6 +18,9 @@ from nerf_core.kernels.numba_here import cache_folder
 
 # numba reads the environment only when it is imported, which may be long ago
 config.CACHE_DIR = cache_folder()  # pyright: ignore[reportAttributeAccessIssue]  set there by name
+# fast mathematics but for the promise that nothing is infinite or no number, on which the compiler would drop the
+# questions whether it is: a damaged ray would then be followed to a cell that no grid has
+NEARLY_EXACT = {"nsz", "arcp", "contract", "afn", "reassoc"}
 FAST = ("fast",)  # sums may be reordered and contracted to fused multiply-adds
 _FLOAT, _I8, _I32, _I64 = ir.FloatType(), ir.IntType(8), ir.IntType(32), ir.IntType(64)
 _ROW = ir.VectorType(_FLOAT, 16)
@@ -25,7 +28,7 @@ _ROW = ir.VectorType(_FLOAT, 16)
 
 def jit(function: Any) -> Any:
     """Compiled once and cached on disk; runs without the GIL; divisions do not ask for zero first."""
-    return njit(nogil=True, cache=True, fastmath=True, error_model="numpy")(function)
+    return njit(nogil=True, cache=True, fastmath=NEARLY_EXACT, error_model="numpy")(function)
 
 
 def intrinsic(function: Any) -> Any:

@@ -13,7 +13,9 @@ from torch import Tensor
 from nerf_core.cells import BLOCK, Cells
 from nerf_core.spaces import BoxRays
 
+STEPPED = 2**-22  # of t: two of float32's; a shorter step might leave t where it is, and the march would never end
 STRAIGHT = 0.1  # of its distance from the centre: so far a contracted ray counts as straight when it leaps
+NEARING = 0.25  # of the same: the longest step of one that comes nearer; far outside one step would cross the scene
 
 
 class Marched(NamedTuple):
@@ -27,11 +29,12 @@ class Marched(NamedTuple):
 
 
 class _Where(NamedTuple):
-    """Position and velocity in cells, and ‖x‖∞, at one t of each ray."""
+    """Position and velocity in cells, ‖x‖∞, and whether that shrinks, at one t of each ray."""
 
     position: Tensor
     velocity: Tensor
     norm: Tensor
+    nearing: Tensor
 
 
 def _at(cells: Cells, rays: BoxRays, index: Tensor, t: Tensor) -> _Where:
@@ -40,15 +43,15 @@ def _at(cells: Cells, rays: BoxRays, index: Tensor, t: Tensor) -> _Where:
     d = rays.directions[index]
     x = rays.origins[index] + t[:, None] * d
     norm, axis = x.abs().max(-1)
+    along = d.gather(1, axis[:, None])[:, 0] * x.gather(1, axis[:, None])[:, 0].sign()
     velocity = d
     if cells.contracted:
         s = 1 / norm.clamp(min=1)
-        along = d.gather(1, axis[:, None])[:, 0] * x.gather(1, axis[:, None])[:, 0].sign()
         f, slope = (2 - s) * s, (2 * s - 2) * s * s * along
         outside = (norm > 1)[:, None]
         velocity = torch.where(outside, d * f[:, None] + x * slope[:, None], d)
         x = torch.where(outside, x * f[:, None], x)
-    return _Where((x - origin) / voxel, velocity / voxel, norm)
+    return _Where((x - origin) / voxel, velocity / voxel, norm, along < 0)
 
 
 def march(cells: Cells, rays: BoxRays, step: float, offsets: Tensor) -> Marched:
@@ -68,16 +71,19 @@ def march(cells: Cells, rays: BoxRays, step: float, offsets: Tensor) -> Marched:
         t, last = torch.maximum(t, low), torch.where(beside, -torch.inf, torch.minimum(last, high))
     t = t + offsets * straight
     found: list[tuple[Tensor, ...]] = []
-    alive = everyone
+    alive = everyone[(straight > 0) & rays.origins.isfinite().all(-1)]  # else something in it is no number
     while True:
         alive = alive[t[alive] < last[alive]]
         if not len(alive):
             break
         here = _at(cells, rays, alive, t[alive])
         dt = step / here.velocity.norm(dim=-1)
-        cell = here.position.long()
-        inside = ((cell >= 0) & (cell < size)).all(-1)
-        cell = torch.where(inside[:, None], cell, 0)
+        away = here.norm / rays.directions[alive].norm(dim=-1)  # from the centre, in t
+        if cells.contracted:
+            dt = torch.where((here.norm > 1) & here.nearing, dt.minimum(NEARING * away), dt)
+        dt = dt.maximum(t[alive] * STEPPED)
+        inside = ((here.position >= 0) & (here.position < size)).all(-1)
+        cell = torch.where(inside[:, None], here.position, 0.0).long()
         block = cell // BLOCK
         leap = cells.leap[tuple(block.unbind(-1))].long()
         leap = torch.where(inside, leap, 0)
@@ -86,8 +92,7 @@ def march(cells: Cells, rays: BoxRays, step: float, offsets: Tensor) -> Marched:
         gap = torch.maximum((lower - here.position) / here.velocity, (upper - here.position) / here.velocity)
         gap = torch.where(here.velocity == 0, torch.inf, gap).amin(-1)
         if cells.contracted:
-            farthest = STRAIGHT * here.norm / rays.directions[alive].norm(dim=-1)  # in t
-            gap = torch.where(here.norm > 1, gap.minimum(farthest), gap)
+            gap = torch.where(here.norm > 1, gap.minimum(STRAIGHT * away), gap)
         steps = torch.where(leap > 0, (gap / dt).floor().clamp(min=0) + 1, 1.0)
         sampled = inside & (leap == 0) & cells.occupied[tuple(cell.unbind(-1))]
         found.append((alive[sampled], t[alive][sampled], dt[sampled], cell[sampled], (here.position - cell)[sampled]))

@@ -11,6 +11,8 @@ import triton
 import triton.language as tl
 
 STRAIGHT = tl.constexpr(0.1)  # as `nerf_core.kernels.torch_march.STRAIGHT`
+NEARING = tl.constexpr(0.25)  # as there
+STEPPED = tl.constexpr(2**-22)  # as there
 
 
 @triton.jit
@@ -54,12 +56,13 @@ def march(  # noqa: PLR0915  one loop, with all that it needs in registers
     vx, vy, vz = dx * sx, dy * sy, dz * sz
     t = tl.load(near + r, mask=real, other=0.0)
     last = tl.load(far + r, mask=real, other=-1.0)
+    straight = step / tl.sqrt(vx * vx + vy * vy + vz * vz)
+    real = real & (straight > 0) & (0 * (ox + oy + oz + t + last) == 0)  # else something in the ray is no number
     if not CONTRACTED:
         t, last = clipped(gx, vx, nx, t, last)
         t, last = clipped(gy, vy, ny, t, last)
         t, last = clipped(gz, vz, nz, t, last)
     length = tl.sqrt(dx * dx + dy * dy + dz * dz)
-    straight = step / tl.sqrt(vx * vx + vy * vy + vz * vz)
     t += tl.load(offsets + r, mask=real, other=0.0) * straight
     first = tl.load(ends + r, mask=real, other=0)
     n = tl.zeros((BLOCK,), tl.int64)
@@ -86,10 +89,15 @@ def march(  # noqa: PLR0915  one loop, with all that it needs in registers
             uy = tl.where(bent, (dy * f + wy * slope) * sy, vy)
             uz = tl.where(bent, (dz * f + wz * slope) * sz, vz)
             speed = tl.sqrt(ux * ux + uy * uy + uz * uz)  # toward infinity it can round to nothing: the march is done
-            dt = tl.where(bent, step / tl.maximum(speed, 1e-30), straight)
-            farthest = tl.where(bent, STRAIGHT * norm / length, farthest)  # in t
+            away = norm / length  # from the centre, in t
+            curved = step / tl.maximum(speed, 1e-30)
+            curved = tl.where(slope > 0, tl.minimum(curved, NEARING * away), curved)
+            dt = tl.where(bent, curved, straight)
+            farthest = tl.where(bent, STRAIGHT * away, farthest)
+        dt = tl.maximum(dt, t * STEPPED)
+        inside = alive & (px >= 0) & (py >= 0) & (pz >= 0) & (px < nx) & (py < ny) & (pz < nz)
+        px, py, pz = tl.where(inside, px, 0.0), tl.where(inside, py, 0.0), tl.where(inside, pz, 0.0)
         i, j, k = px.to(tl.int32), py.to(tl.int32), pz.to(tl.int32)
-        inside = alive & (px >= 0) & (py >= 0) & (pz >= 0) & (i < nx) & (j < ny) & (k < nz)
         block = ((i >> 2) * blocks_y + (j >> 2)) * blocks_z + (k >> 2)
         hop = tl.load(leap + block, mask=inside, other=0).to(tl.int32)
         reach = 4 * (hop - 1)
@@ -112,7 +120,7 @@ def march(  # noqa: PLR0915  one loop, with all that it needs in registers
         t = tl.where(alive, t + steps * dt, t)
         alive = real & (t < last)
     if not WRITE:
-        tl.store(counts + r, n, mask=real)
+        tl.store(counts + r, n, mask=r < rays)
 
 
 @triton.jit

@@ -2,7 +2,8 @@
 
 Müller et al. 2022 ("instant-ngp", arXiv:2201.05989). Features are looked up in L grids of growing resolution whose
 vertices share a table of T rows by a spatial hash; collisions are left to the networks to sort out. Samples of all rays
-lie packed in one list, since rays need different numbers of them.
+lie packed in one list, since rays need different numbers of them. Pictures show the average of the last steps' weights
+(Polyak and Juditsky 1992), in which the noise of single batches has settled.
 """
 
 from __future__ import annotations
@@ -39,6 +40,9 @@ TILE_SAMPLES = 1 << 20  # drawn at once on a GPU: enough to keep it busy, under 
 PIECE = 1 << 13  # samples between two pumps on a CPU: some 10 ms
 ROOM = 1.25  # times the samples asked for: so many a recorded step can hold
 FEWEST = 1 << 12  # samples a step that can still be halved
+AVERAGE_EVERY = 4  # steps: the table is large, and neighbouring steps differ little
+FOLLOW = 0.1  # of the way to the weights that the average then goes: it spans some 40 steps
+YOUNG = 4.0  # in its first moves the average spans a quarter of the steps made: those before are old already
 STOP = 1e-3  # transmittance behind which no colour is looked up: it could not change an 8-bit pixel by one step
 
 
@@ -76,6 +80,7 @@ class Hash:
         )
         self.field.initialise(torch.Generator().manual_seed(seed))
         self.field.to(device)
+        self.shown = deepcopy(self.field).requires_grad_(False)  # the average, which pictures show
         self.table_gradient = torch.zeros_like(self.field.table)
         self.moments = torch.zeros_like(self.field.table), torch.zeros_like(self.field.table)
         # what changes from step to step lies in tensors: a recorded step reads it there
@@ -87,13 +92,13 @@ class Hash:
         for parameter in self.field.networks():
             parameter.grad = torch.zeros_like(parameter)
         self.updates = 0
-        self.average = 4.0 * config.cells  # samples a ray needed lately
+        self.needed = 4.0 * config.cells  # samples a ray took lately
         self.fixed: FixedStep | None = None
 
     # ---- training ---------------------------------------------------------------------------------------------------
 
     def draw(self, step: int) -> Draw:
-        count = int(min(max(self.config.samples / self.average, 64), self.config.most_rays))
+        count = int(min(max(self.config.samples / self.needed, 64), self.config.most_rays))
         if self.kernels.name == "triton":  # one of few numbers, since each takes a recording
             now = len(self.fixed.rays) if self.fixed is not None else 0
             count = now if 0.4 * count <= now <= 1.1 * count else 2 ** int(math.log2(count))
@@ -121,7 +126,9 @@ class Hash:
             self.table_gradient.zero_()
             raise
         self.updates += 1
-        self.average = max(1.0, 0.9 * self.average + 0.1 * found / len(rays))
+        if self.updates % AVERAGE_EVERY == 0:
+            self._follow(self.updates // AVERAGE_EVERY)
+        self.needed = max(1.0, 0.9 * self.needed + 0.1 * found / len(rays))
         if self.updates % self.config.update_every == 0:
             whole = self.updates <= self.config.update_every * self.config.warm_updates
             self.occupancy.update(self._tau, whole, self.generator)
@@ -130,7 +137,7 @@ class Hash:
     def _pieces(self, rays: Rays, offsets: Tensor, truth: Tensor, pump: Callable[[], None]) -> tuple[float, int]:
         """The gradient of all rays; returns the summed squared error and the number of samples."""
         error, found = 0.0, 0
-        piece = max(1, int((PIECE if self.device.type == "cpu" else self.config.samples) / self.average))
+        piece = max(1, int((PIECE if self.device.type == "cpu" else self.config.samples) / self.needed))
         for start in range(0, len(rays), piece):
             part = slice(start, start + piece)
             one, samples = self._accumulate(rays[part], offsets[part], truth[part], 2 / truth.numel())
@@ -146,6 +153,13 @@ class Hash:
                 self.step_cells, self.length, self.background, self.table_gradient, self._update,
             )  # fmt: skip
         return self.fixed
+
+    @torch.no_grad()
+    def _follow(self, move: int) -> None:
+        """Take the average, in its move 1, 2, …, some of the way to the weights."""
+        share = max(FOLLOW, YOUNG / (YOUNG + move - 1))
+        for mean, now in zip(self.shown.parameters(), self.field.parameters(), strict=True):
+            mean.lerp_(now, share)
 
     def _update(self) -> None:
         self.optimizer.step()
@@ -187,18 +201,18 @@ class Hash:
 
     @property
     def tile(self) -> int:
-        return TILE if self.device.type == "cpu" else int(min(max(TILE_SAMPLES / self.average, 2**10), 2**17))
+        return TILE if self.device.type == "cpu" else int(min(max(TILE_SAMPLES / self.needed, 2**10), 2**17))
 
     @torch.no_grad()
     def _evaluated(self, rays: Rays) -> tuple[Samples, Tensor, Tensor, Tensor]:
         """The samples of at most a tile of rays, with their optical depths and colours, and the pixels (R, 5)."""
         offsets = torch.full((len(rays),), 0.5, device=self.device)
         samples = self.kernels.march(self.occupancy.cells, self.space.rays(rays), self.step_cells, offsets)
-        raw, geometry = self.field.geometry(self.field.encode(samples.x))
+        raw, geometry = self.shown.geometry(self.shown.encode(samples.x))
         tau, ray = softened(raw) * self.length, samples.ray
         lit = self._lit(tau, samples)
         rgb = torch.zeros(len(tau), 3, device=self.device)
-        rgb[lit] = self.field.radiance(geometry[lit], rays.directions[ray[lit]])
+        rgb[lit] = self.shown.radiance(geometry[lit], rays.directions[ray[lit]])
         return samples, tau, rgb, self.kernels.composite(tau, rgb, samples, self.background)
 
     def render(self, rays: Rays, quality: str = "fine") -> Rendering:
@@ -216,7 +230,7 @@ class Hash:
         _, geometry = self._geometry(points)
         d = directions.to(self.device, torch.float32)
         shape = len(points), len(d)
-        return self.field.radiance(geometry.repeat_interleave(shape[1], 0), d.repeat(shape[0], 1)).view(*shape, 3)
+        return self.shown.radiance(geometry.repeat_interleave(shape[1], 0), d.repeat(shape[0], 1)).view(*shape, 3)
 
     @torch.no_grad()
     def density(self, points: Tensor) -> Tensor:
@@ -226,7 +240,7 @@ class Hash:
         return torch.where(self.occupancy.cells.occupied[tuple(cell.unbind(-1))], softened(raw) / self.space.extent, 0)
 
     def _geometry(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        return self.field.geometry(self.field.encode(self._unit(points)))
+        return self.shown.geometry(self.shown.encode(self._unit(points)))
 
     def _unit(self, points: Tensor) -> Tensor:
         """World points (P, 3) → (P, 3) in [0, 1], as the field sees them."""
@@ -241,9 +255,9 @@ class Hash:
         strongest = int(samples.weights[0].argmax())
         rays = rays.to(self.device)
         point = rays.origins + samples.t[:, strongest, None] * rays.directions
-        features = self.field.encode(self._unit(point))
-        _, geometry = self.field.geometry(features)
-        resolutions = self.field.levels.resolutions
+        features = self.shown.encode(self._unit(point))
+        _, geometry = self.shown.geometry(features)
+        resolutions = self.shown.levels.resolutions
         levels = features[0].view(len(resolutions), -1).cpu().numpy()
         vector, harmonics = geometry[0].cpu().numpy(), spherical_harmonics(rays.directions)[0].cpu().numpy()
         peak = max(float(np.abs(vector).max()), float(np.abs(harmonics).max()))
@@ -270,7 +284,8 @@ class Hash:
     def frozen(self) -> Hash:
         copy = object.__new__(Hash)
         copy.__dict__ |= self.__dict__
-        copy.field, copy.fixed = deepcopy(self.field), None
+        copy.field = copy.shown = deepcopy(self.shown)
+        copy.fixed = None
         copy.occupancy = Occupancy(self.occupancy.cells, self.config.empty, self.config.decay)
         return copy
 
@@ -279,10 +294,11 @@ class Hash:
 
     def state(self) -> dict[str, Tensor]:
         state = {f"field.{k}": v for k, v in self.field.state_dict().items()}
+        state |= {f"shown.{k}": v for k, v in self.shown.state_dict().items()}
         return state | adam_state(self.optimizer) | {
             "table_mean": self.moments[0], "table_square": self.moments[1], "absorbed": self.occupancy.absorbed,
             "occupied": self.occupancy.cells.occupied, "updates": torch.tensor(self.updates),
-            "average": torch.tensor(self.average, dtype=torch.float64), "generator": self.generator.get_state(),
+            "needed": torch.tensor(self.needed, dtype=torch.float64), "generator": self.generator.get_state(),
         }  # fmt: skip
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
@@ -291,17 +307,18 @@ class Hash:
         for name, own in fits.items():
             if state[name].shape != own.shape or state[name].dtype != own.dtype:
                 raise ValueError(f"{name} does not fit")
-        updates, average = int(state["updates"]), float(state["average"])
-        if updates < 0 or not 1 <= average < 1e9:
+        updates, needed = int(state["updates"]), float(state["needed"])
+        if updates < 0 or not 1 <= needed < 1e9:
             raise ValueError("the progress of training is not of the kind that is written")
         self.fixed = None  # what it recorded writes to the optimiser's old moments
         self.table_gradient.zero_()
-        self.field.load_state_dict({k: state[f"field.{k}"] for k in self.field.state_dict()})
+        for own, name in ((self.field, "field"), (self.shown, "shown")):
+            own.load_state_dict({k: state[f"{name}.{k}"] for k in own.state_dict()})
         load_adam(self.optimizer, self.field.networks(), state)
         for own, name in zip(self.moments, ("table_mean", "table_square"), strict=True):
             own.copy_(state[name])
         self.occupancy.absorbed.copy_(state["absorbed"])
         c = self.occupancy.cells
         self.occupancy.cells = Cells.of(c.origin, c.voxel, state["occupied"].to(self.device, copy=True), c.contracted)
-        self.updates, self.average = updates, average
+        self.updates, self.needed = updates, needed
         self.generator.set_state(state["generator"].cpu())

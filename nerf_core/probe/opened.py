@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nerf_core.cameras import Camera
+from nerf_core.errors import UserError
 from nerf_core.methods import Method
 from nerf_core.probe.evidence import Sightings, Witnesses
 from nerf_core.probe.layers import grain_at
@@ -43,7 +44,7 @@ def open_pixel(
     """Integer `pixel` (column, row) of `camera`, opened whole; see `open_ray` and `open_radiance`.
 
     point_t: where on the ray the radiance is looked at; None: where the verdict has the surface, else as
-    `open_radiance` chooses. Raises UserError outside the picture.
+    `open_radiance` chooses. Raises UserError outside the picture, and for a t that is no distance.
     """
     opened = None
     for opened in pieces(method, Witnesses(scene), camera, pixel, step, point_t, around):  # noqa: B007  the last counts
@@ -62,6 +63,8 @@ def pieces(
     around: Around,
 ) -> Iterator[Opened]:
     """`open_pixel` in pieces, each with more of it, for whoever has something else to do in between."""
+    if point_t is not None and not 0 <= point_t < np.inf:
+        raise UserError(f"t {point_t}: the point's distance along the ray must be a number of at least 0")
     scene = witnesses.scene
     opened = Opened(camera, open_ray(method, scene, camera, pixel, step))
     yield opened

@@ -229,7 +229,9 @@ def test_probe_opens_a_pixel_of_a_run(capture: Path, tmp_path: Path, capsys: pyt
     assert json.loads((tmp_path / "again.json").read_text()) == stored  # an opened ray names its own camera
     capsys.readouterr()
     for wrong, text in (
-        (["--camera", "r_9", "--pixel", "8", "8"], "--camera r_9: is none of the 6 photos"),
+        (["--camera", "r_9", "--pixel", "8", "8"], "--camera 'r_9': is none of the 6 photos"),
+        (["--camera", "r_2", "--pixel", "8", "8", "--t", "nan"], "t nan: the point's distance along the ray"),
+        (["--camera", "r_2", "--pixel", "8", "8", "--t", "-1"], "t -1.0: the point's distance along the ray"),
         (["--camera", "r_2", "--pixel", "16", "0"], "pixel 16, 0 lies outside the 16×16 picture"),
         (
             ["--camera", "r_2", "--pixel", "1", "1", "--write", str(tmp_path / "a.txt")],

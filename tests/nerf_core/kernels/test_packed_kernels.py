@@ -77,6 +77,47 @@ def test_a_march_finds_the_same_samples(kernels: PackedKernels, contracted: bool
     assert a.x.max() <= 1
 
 
+@pytest.mark.parametrize("contracted", [False, True])
+@each
+def test_a_march_from_far_away_takes_steps_that_float32_can_tell_apart(
+    kernels: PackedKernels, contracted: bool
+) -> None:
+    half = 2.0 if contracted else 1.0
+    cells = Cells.of(np.full(3, -half), np.full(3, half / 16), torch.ones(32, 32, 32, dtype=torch.bool), contracted)
+    away = torch.tensor([10.0, 1e4, 1e6, 1e8, 1e12, 1e25])
+    origins = away[:, None] * torch.tensor([0.6, 0.0, 0.8])
+    d = (-origins / away[:, None]).contiguous()
+    last = 1e4 + 2 * away  # as contracted scenes have it, a horizon
+    samples = kernels.march(cells, BoxRays(origins, d, d, 0 * away, last), 0.5, torch.full_like(away, 0.5))
+    counts = samples.ends.diff()
+    assert counts[0] >= 64
+    assert counts.max() < 1000
+    # a step of 2⁻²² of the distance is 1/4 at a million: from there some samples still meet the box
+    assert counts[2] >= 4
+    assert bool((samples.width >= samples.t * 2.0**-22 * 0.99).all())
+    assert bool(((samples.x >= 0) & (samples.x <= 1)).all())
+
+
+@pytest.mark.filterwarnings("ignore:.*encountered in:RuntimeWarning")  # numpy's, in Triton's interpreter
+@pytest.mark.parametrize("contracted", [False, True])
+@each
+def test_what_is_no_ray_finds_no_samples(kernels: PackedKernels, contracted: bool) -> None:
+    half = 2.0 if contracted else 1.0
+    cells = Cells.of(np.full(3, -half), np.full(3, half / 4), torch.ones(8, 8, 8, dtype=torch.bool), contracted)
+    bad = torch.tensor([torch.nan, torch.inf, -torch.inf])
+    origins, d = torch.zeros(23, 3), torch.zeros(23, 3)
+    d[:, 0] = 1
+    origins[torch.arange(9), torch.arange(9) % 3] = bad.repeat_interleave(3)
+    d[torch.arange(9, 18), torch.arange(9) % 3] = bad.repeat_interleave(3)
+    near, far = torch.zeros(23), torch.full((23,), 3.0)
+    near[18], far[19] = torch.nan, torch.nan
+    d[20], near[21] = 0, torch.inf
+    samples = kernels.march(cells, BoxRays(origins, d, d, near, far), 0.5, torch.full((23,), 0.5))
+    counts = samples.ends.diff()
+    assert counts[:22].tolist() == [0] * 22
+    assert counts[22] >= 8
+
+
 @pytest.mark.parametrize("extent", [0.1, 1.0, 10.0])
 @each
 def test_leaps_leave_next_to_nothing_out(kernels: PackedKernels, extent: float) -> None:

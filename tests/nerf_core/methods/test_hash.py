@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
+from nerf_core.cameras import camera_rays
 from nerf_core.errors import UserError
 from nerf_core.hash_config import HashConfig
 from nerf_core.methods.hash import Hash
@@ -24,8 +25,8 @@ SMALL = {"samples": "2000", "levels": "4", "log2_rows": "10", "cells": "16", "hi
         ("table_mean", torch.zeros(4, 8, 4), ValueError),
         ("field.table", torch.zeros(4, 8, 4), RuntimeError),
         ("updates", torch.tensor(-1), ValueError),
-        ("average", torch.tensor(float("nan")), ValueError),
-        ("average", torch.tensor(0.0), ValueError),
+        ("needed", torch.tensor(float("nan")), ValueError),
+        ("needed", torch.tensor(0.0), ValueError),
     ],
 )
 def test_a_state_that_does_not_fit_is_refused(
@@ -56,8 +57,38 @@ def test_fewer_samples_a_ray_make_more_rays_a_step(scene: Scene) -> None:
     trainer = Trainer(scene, RunSettings(method="hash", changes=SMALL | {"samples": "4000"}))
     method = trainer.method
     assert isinstance(method, Hash)
-    before = method.average
+    before = method.needed
     counts = [trainer.step().rays for _ in range(60)]
-    assert method.average < before / 2
+    assert method.needed < before / 2
     assert counts[-1] > 1.5 * counts[0]
-    assert method.draw(60).rays == int(max(4000 / method.average, 64))
+    assert method.draw(60).rays == int(max(4000 / method.needed, 64))
+
+
+def test_pictures_show_the_average_of_every_fourth_steps_weights(scene: Scene) -> None:
+    trainer = Trainer(scene, RunSettings(method="hash", changes=SMALL))
+    method = trainer.method
+    assert isinstance(method, Hash)
+    mean = None
+    for move in range(1, 44):
+        for _ in range(4):
+            trainer.step()
+        now = [p.detach().double() for p in method.field.parameters()]
+        share = max(0.1, 4 / (3 + move))
+        mean = now if mean is None else [m + share * (n - m) for m, n in zip(mean, now, strict=True)]
+    assert mean is not None
+    for shown, expected in zip(method.shown.parameters(), mean, strict=True):
+        torch.testing.assert_close(shown.double(), expected, rtol=1e-4, atol=1e-6)
+    rays = camera_rays(scene.views[0].camera, scene.near, scene.far)
+    before, frozen = method.render(rays).color, method.frozen()
+    restored = Hash(scene, method.config, CPU, 1)
+    restored.load_state(method.state())
+    with torch.no_grad():
+        for p in method.field.parameters():
+            p.add_(1.0)
+    assert torch.equal(method.render(rays).color, before)
+    with torch.no_grad():
+        for p in method.shown.parameters():
+            p.add_(1.0)
+    assert not torch.equal(method.render(rays).color, before)
+    assert torch.equal(frozen.render(rays).color, before)
+    assert torch.equal(restored.render(rays).color, before)

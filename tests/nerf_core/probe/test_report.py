@@ -10,10 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from balls import Ball, looking, model_of, ring_scene
+from hypothesis import given
+from hypothesis import strategies as st
 from panel_states import odd_opened
 
 from nerf_core.camera_files import camera_of, camera_values, picked_camera
+from nerf_core.cameras import Cameras
 from nerf_core.errors import UserError
 from nerf_core.probe import Opened, open_pixel, write_inspection
 from nerf_core.scene import Scene, View
@@ -82,7 +86,24 @@ def test_a_camera_comes_back_from_its_values() -> None:
 
 @pytest.mark.parametrize(
     "change",
-    [{"fx": 0}, {"width": 1 << 20}, {"c2w": [[1, 0, 0, 0]] * 3}, {"c2w": "no"}, {"fy": "nan"}, {"height": None}],
+    [
+        {"fx": 0},
+        {"fx": 1e-300},
+        {"fy": 1e300},
+        {"fy": "nan"},
+        {"cx": 1e300},
+        {"cy": "-inf"},
+        {"k1": 1e300},
+        {"p2": "nan"},
+        {"width": 1 << 20},
+        {"height": None},
+        {"c2w": "no"},
+        {"c2w": [[1, 0, 0, 0]] * 3},
+        {"c2w": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 0]]},
+        {"c2w": [[1, 0, 0, 1e300], [0, 1, 0, 0], [0, 0, 1, 0]]},
+        {"c2w": [[float("nan"), 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]},
+    ],
+    ids=str,
 )
 def test_values_that_are_no_camera_are_refused(change: dict[str, object], tmp_path: Path) -> None:
     values = camera_values(looking((4.0, 1.0, 0.9), 13)) | change
@@ -90,8 +111,30 @@ def test_values_that_are_no_camera_are_refused(change: dict[str, object], tmp_pa
         camera_of(values)
     file = tmp_path / "camera.json"
     file.write_text(json.dumps(values))
-    with pytest.raises(UserError, match=r"camera\.json: holds no camera"):
+    with pytest.raises(UserError, match=r"camera\.json.*(holds no camera|is nan)"):
         picked_camera(scene_of("a"), str(file))
+
+
+extreme = st.sampled_from([-1.0, -1e-3, 0.0, 1e-3, 1.0])
+
+
+@given(
+    st.sampled_from([1e-3, 1.0, 100.0, 1e9]), st.tuples(*[extreme] * 2), st.tuples(*[extreme] * 5),
+    st.tuples(*[extreme] * 3),
+)  # fmt: skip
+def test_every_camera_that_is_taken_has_rays_of_numbers(
+    focal: float, principal: tuple[float, ...], lens: tuple[float, ...], place: tuple[float, ...]
+) -> None:
+    values = camera_values(looking((4.0, 1.0, 0.9), 3))
+    c2w = np.concatenate([np.eye(3), 1e9 * np.array(place)[:, None]], 1).tolist()
+    values |= {"fx": focal, "fy": focal, "cx": 1e9 * principal[0], "cy": 1e9 * principal[1], "c2w": c2w}
+    values |= dict(zip(("k1", "k2", "k3", "p1", "p2"), (1e6 * k for k in lens), strict=True))
+    camera = camera_of(values)
+    pixels = torch.tensor([[0.5, 0.5], [2.5, 1.5], [1.0, 2.75]])
+    cameras, nobody = Cameras([camera], 2.0, 6.0), torch.zeros(3, dtype=torch.long)
+    for rays in (cameras.rays(nobody, pixels), cameras.plain_rays(nobody, pixels)):
+        assert all(bool(v.isfinite().all()) for v in (rays.origins, rays.directions, rays.near, rays.far))
+        torch.testing.assert_close(rays.directions.norm(dim=-1), torch.ones(3))
 
 
 def scene_of(*names: str) -> Scene:
@@ -104,9 +147,9 @@ def test_a_photo_is_picked_by_its_name_or_its_end(opened: Opened, tmp_path: Path
     scene = scene_of("train/r_1.png", "train/r_11.png", "test/r_1.png")
     assert picked_camera(scene, "train/r_1.png") is scene.views[0].camera
     assert picked_camera(scene, "r_11") is scene.views[1].camera
-    with pytest.raises(UserError, match=r"--camera r_1: means 2 photos \(train/r_1\.png, test/r_1\.png"):
+    with pytest.raises(UserError, match=r"--camera 'r_1': means 2 photos \('train/r_1\.png', 'test/r_1\.png'"):
         picked_camera(scene, "r_1")
-    with pytest.raises(UserError, match="--camera r_7: is none of the 3 photos"):
+    with pytest.raises(UserError, match="--camera 'r_7': is none of the 3 photos"):
         picked_camera(scene, "r_7")
     write_inspection([opened], tmp_path / "ray.json")
     again = picked_camera(scene, str(tmp_path / "ray.json"))
