@@ -55,6 +55,7 @@ def arrays(opened: Opened) -> dict[str, Any]:
                 {
                     **_plain(s.layer),
                     "witnesses": s.witnesses,
+                    "looked": s.looked,
                     "error": s.error,
                     "without": s.without,
                     "opaque": s.opaque,

@@ -23,21 +23,25 @@ Kind = Literal["surface", "several surfaces", "floater", "fog", "background leak
 
 NOTHING = 0.05  # opacity under which a ray has met nothing that one could see
 LEAK = 0.1  # transmittance behind the last layer from which on what is behind shows
-THICK = 6.0  # grains: a layer that is thicker is no surface
-SOLID = 0.5  # of the opacity must lie in layers that are not thick, or the ray is in fog
+THICK, DEEP = 6.0, 20.0  # grains: a thicker layer is a surface only where photos agree with it, and none at all
+HAZY = 0.03  # mean error of a channel in the photos that see a thick layer, from which on they do not agree with it
+SOLID = 0.5  # of the opacity must lie in layers that are not hazy, or the ray is in fog
 FEW = 2  # photos: what fewer see, nobody can have learnt
+ASIDE = np.radians(75)  # between looks at a point: a photo that sees it from farther round does not see this side of it
 WRONG = 0.05  # mean error of a channel in the photos that see a layer, from which on something is wrong
 BETTER = 0.6  # times the error: what a layer's absence, or its opacity, must bring it down to
+ALIKE = 0.01  # mean error of a channel: reaches whose errors differ by less are as good, and the shortest is taken
 COUNTS = 0.1  # weight of a layer that is worth a verdict, in this pixel and in a photo's
 ASKED = 16  # photos that are asked how they would look otherwise
 REACHES = np.array([1.0, 3.0, 8.0, 20.0])  # grains behind a layer's end at which it may be over, where it hides that
-MOST_LAYERS = 4
+MOST_LAYERS, MOST_HIDDEN = 4, 8
 
 
 @dataclass(frozen=True)
 class Standing:
-    """A layer before the photos. error: median over the photos that see it of the mean difference between their pixel
-    and the model's; without, opaque: the same if the layer were away, or opaque; None where no photo tells.
+    """A layer before the photos. witnesses: how many see it from the ray's side, under ASIDE from its look; looked: how
+    many do from anywhere. error: median over those of the mean difference between their pixel and the model's;
+    without, opaque: the same if the layer were away, or opaque; None where no photo tells.
 
     reach: the world distance behind its middle from which on it is away in `without`.
     """
@@ -45,6 +49,7 @@ class Standing:
     layer: Layer
     sightings: Sightings
     witnesses: int
+    looked: int
     error: float | None
     without: float | None
     opaque: float | None
@@ -61,9 +66,15 @@ class Standing:
         return self._better(self.opaque)
 
     def _better(self, other: float | None) -> bool:
-        if self.error is None or other is None or self.witnesses < FEW:
+        if self.error is None or other is None or self.looked < FEW:
             return False
         return self.error >= WRONG and other <= BETTER * self.error
+
+    @property
+    def hazy(self) -> bool:
+        """Too thick for a surface."""
+        grains = self.layer.thickness / self.layer.grain
+        return grains > DEEP or (grains > THICK and (self.error is None or self.error >= HAZY))
 
 
 @dataclass(frozen=True)
@@ -92,8 +103,10 @@ def judging(method: Method, witnesses: Witnesses, ray: RayProbe) -> Iterator[Ver
         standings.append(stand(method, witnesses, ray, layer))
         yield None
     verdict = conclude(ray, tuple(standings))
-    if verdict.kind == "floater" and verdict.surface_t is None:
-        verdict = replace(verdict, surface_t=_hidden_surface(method, witnesses, ray, verdict.standings))
+    if verdict.kind == "floater":
+        known = [s for s in standings if s.layer.weight >= COUNTS and not s.floats and s.witnesses >= FEW]
+        if not known:  # what photos know nothing of may well be the floater's inside
+            verdict = replace(verdict, surface_t=_hidden_surface(method, witnesses, ray, verdict.standings))
     yield verdict
 
 
@@ -102,16 +115,16 @@ def stand(method: Method, witnesses: Witnesses, ray: RayProbe, layer: Layer) -> 
     point = ray.origin.astype(np.float64) + layer.t * ray.direction.astype(np.float64)
     margin = layer.grain + min(layer.t - layer.begin, THICK * layer.grain)
     sightings = witnesses.look(method, point, ray.direction.astype(np.float64), margin)
-    count = int(sightings.seen.sum())
+    counts = int((sightings.seen & (sightings.angle < ASIDE)).sum()), int(sightings.seen.sum())
     asked = sightings.at(np.flatnonzero(sightings.seen & (sightings.share >= COUNTS))[:ASKED])
     if not len(asked.views):
-        return Standing(layer, sightings, count, None, None, None, 0.0)
+        return Standing(layer, sightings, *counts, None, None, None, 0.0)
     reaches = margin + REACHES * layer.grain
     without, opaque = witnesses.otherwise(method, asked, reaches)
     errors = [_error(colors, asked.observed) for colors in without]
-    best = int(np.argmin(errors))
+    best = int(np.flatnonzero(np.array(errors) <= min(errors) + ALIKE)[0])
     return Standing(
-        layer, sightings, count, _error(asked.predicted, asked.observed), errors[best],
+        layer, sightings, *counts, _error(asked.predicted, asked.observed), errors[best],
         _error(opaque, asked.observed), float(reaches[best]),
     )  # fmt: skip
 
@@ -119,10 +132,10 @@ def stand(method: Method, witnesses: Witnesses, ray: RayProbe, layer: Layer) -> 
 def _hidden_surface(
     method: Method, witnesses: Witnesses, ray: RayProbe, standings: tuple[Standing, ...]
 ) -> float | None:
-    """Where the first layer lies that does not float, behind floaters that let no light through."""
+    """Where the first layer lies that photos know and that does not float, behind what lets no light through."""
     scene = witnesses.scene
     begin = max(s.layer.t + s.reach for s in standings if s.floats)
-    for _ in range(MOST_LAYERS):
+    for _ in range(MOST_HIDDEN):
         o, d, near, far = (torch.as_tensor(v, dtype=torch.float32)[None] for v in (
             ray.origin, ray.direction, ray.near, ray.far))  # fmt: skip
         rays = witnesses.beginning(Rays(o, d, near, far), torch.tensor([begin]))
@@ -133,9 +146,9 @@ def _hidden_surface(
         if not heavy:
             return None
         behind = stand(method, witnesses, ray, heavy[0])
-        if not behind.floats:
-            return heavy[0].t
-        begin = heavy[0].t + behind.reach
+        if not behind.floats and behind.witnesses >= FEW:
+            return heavy[0].surface
+        begin = heavy[0].end  # its reach would not do: for photos that see it from behind, that is the whole floater
     return None
 
 
@@ -146,26 +159,26 @@ def conclude(ray: RayProbe, standings: tuple[Standing, ...]) -> Verdict:
     surface = max(real, key=lambda s: s.layer.weight, default=None)
     kind, reasons = _concluded(ray, heavy, surface)
     rest = surface is not None and kind != "background"
-    return Verdict(kind, reasons, surface.layer.t if rest and surface is not None else None, standings)
+    return Verdict(kind, reasons, surface.layer.surface if rest and surface is not None else None, standings)
 
 
 def _concluded(ray: RayProbe, heavy: list[Standing], surface: Standing | None) -> tuple[Kind, tuple[str, ...]]:
     """What is worst comes first."""
     floaters = [s for s in heavy if s.floats]
-    thin = sum(s.layer.weight for s in heavy if s.layer.thickness <= THICK * s.layer.grain)
+    thin = sum(s.layer.weight for s in heavy if not s.hazy)
     real = [s for s in heavy if not s.floats]
-    left = 1 - ray.opacity
+    leaking, left = next((s for s in real if s.leaks), None), 1 - ray.opacity
     kind: Kind = "surface"
     if ray.opacity < NOTHING:
         kind, reasons = "background", (f"the ray met nothing: its opacity is {ray.opacity:.3f}",)
     elif floaters:
         kind, reasons = "floater", tuple(map(_floater_reason, floaters))
+    elif surface is not None and surface.witnesses < FEW:
+        kind, reasons = "unobserved", (_unobserved_reason(surface),)
+    elif left >= LEAK and leaking is not None:
+        kind, reasons = "background leak", (_leak_reason(leaking, left),)
     elif surface is None or thin < SOLID * ray.opacity:
         kind, reasons = "fog", _fog_reasons(ray, heavy, thin)
-    elif surface.witnesses < FEW:
-        kind, reasons = "unobserved", (_unobserved_reason(surface),)
-    elif left >= LEAK and surface.leaks:
-        kind, reasons = "background leak", (_leak_reason(surface, left),)
     elif len(real) > 1:
         parts = ", ".join(f"{s.layer.weight:.0%} at {s.layer.t:.3g}" for s in real)
         kind, reasons = "several surfaces", (f"{len(real)} layers make the pixel: {parts}",)
@@ -180,18 +193,19 @@ def _error(colors: np.ndarray, photos: np.ndarray) -> float:
 
 def _floater_reason(s: Standing) -> str:
     return (
-        f"a layer at {s.layer.t:.3g} makes {s.layer.weight:.0%} of the pixel, but the {s.witnesses} photos that see it "
+        f"a layer at {s.layer.t:.3g} makes {s.layer.weight:.0%} of the pixel, but the {s.looked} photos that see it "
         f"would be matched better without it: error {s.error:.3f}, without it {s.without:.3f}"
     )
 
 
 def _fog_reasons(ray: RayProbe, heavy: list[Standing], thin: float) -> tuple[str, ...]:
     share = thin / max(ray.opacity, 1e-12)
-    lines = [f"only {share:.0%} of what is seen lies in thin layers"]
+    lines = [f"only {share:.0%} of what is seen lies in thin layers, or in ones that the photos agree with"]
     if heavy:
         thickest = max(heavy, key=lambda s: s.layer.thickness)
+        error = "" if thickest.error is None else f", with an error of {thickest.error:.3f}"
         lines.append(
-            f"its thickest layer, at {thickest.layer.t:.3g}, is {thickest.layer.thickness:.2g} deep: "
+            f"its thickest layer, at {thickest.layer.t:.3g}, is {thickest.layer.thickness:.2g} deep{error}: "
             f"a surface would be under {THICK * thickest.layer.grain:.2g}"
         )
     return tuple(lines)
@@ -199,12 +213,15 @@ def _fog_reasons(ray: RayProbe, heavy: list[Standing], thin: float) -> tuple[str
 
 def _unobserved_reason(s: Standing) -> str:
     seen = {0: "no training photo sees", 1: "one training photo alone sees"}[s.witnesses]
-    return f"{seen} the point at {s.layer.t:.3g} ({s.sightings.framed} of {s.sightings.asked} have it in their frame)"
+    return (
+        f"{seen} the point at {s.layer.t:.3g} from this side ({s.sightings.framed} of {s.sightings.asked} have it in "
+        f"their frame, {s.looked} see it from anywhere)"
+    )
 
 
 def _leak_reason(s: Standing, left: float) -> str:
     return (
-        f"{left:.0%} of what is behind shows through the layer at {s.layer.t:.3g}; were it opaque, the {s.witnesses} "
+        f"{left:.0%} of what is behind shows through the layer at {s.layer.t:.3g}; were it opaque, the {s.looked} "
         f"photos that see it would be matched better: error {s.error:.3f}, opaque {s.opaque:.3f}"
     )
 
@@ -213,5 +230,5 @@ def _surface_reason(s: Standing) -> str:
     error = "" if s.error is None else f", with an error of {s.error:.3f}"
     return (
         f"one layer at {s.layer.t:.3g}, {s.layer.thickness:.2g} thick, makes {s.layer.weight:.0%} of the pixel; "
-        f"{s.witnesses} training photos see it{error}"
+        f"{s.witnesses} training photos see it from this side{error}"
     )

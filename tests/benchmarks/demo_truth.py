@@ -5,7 +5,9 @@
 Depth: at pixels of the test views that truly see a surface, the rendered expected depth against the analytic
 distance. Radiance: at true surface points that the test views see, the colour that the model emits towards the camera
 and towards other training cameras that see the point, against the analytic radiance. Spread with direction: for the
-glossy ball and for the matt vase, how much the emitted colour changes between those cameras, model and truth.
+glossy ball and for the matt vase, how much the emitted colour changes between those cameras, model and truth. And what
+the microscope's radiance plot shows of the glossy ball, direction by direction: where photos have looked from, and
+where it extrapolates.
 """
 
 from __future__ import annotations
@@ -19,6 +21,8 @@ import torch
 
 from nerf_core.cameras import camera_rays
 from nerf_core.datasets import LoadOptions, load_scene
+from nerf_core.probe import Witnesses
+from nerf_core.probe.opened import pieces
 from nerf_core.settings import RunSettings
 from nerf_core.trainer import Trainer
 from nerf_core.types import Rendering
@@ -28,6 +32,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "assets"))
 import demo_scene
 
 POINTS = 400  # surface points whose radiance is compared
+OBSERVED = np.radians(20)  # from a photo's look at a point: what the radiance plot does not hatch
 CAMERAS = 8  # training cameras that each point is looked at from
 
 
@@ -76,6 +81,49 @@ def _radiance(
     return figures
 
 
+def microscope(trainer: Trainer, pixels: int = 24, seed: int = 0) -> dict[str, float]:
+    """What the radiance plot of opened pixels shows, against the truth; lengths and colours as in `compare`.
+
+    Pixels of the first test view that truly see the glossy ball. off: how far the plot's point lies from the true one.
+    observed: the error over all directions of the outer side that are within OBSERVED of a photo that sees the point;
+    extrapolated: over the others, which the plot hatches. spread: how much the colour changes over the observed ones.
+    Medians over the pixels.
+    """
+    scene, rng = trainer.scene, np.random.default_rng(seed)
+    camera = scene.views[scene.split("test")[0]].camera
+    rays = camera_rays(camera, scene.near, scene.far)
+    t, normal, objects = demo_scene.hit(rays.origins.double().numpy(), rays.directions.double().numpy())
+    shiny = np.flatnonzero(np.isfinite(t) & (objects == demo_scene.BALL))
+    witnesses, found = Witnesses(scene), []
+    for flat in rng.choice(shiny, min(pixels, len(shiny)), replace=False).tolist():
+        at = flat % camera.width, flat // camera.width
+        *_, opened = pieces(trainer.method, witnesses, camera, at, trainer.step_count, None, "viewer")
+        probe, evidence = opened.radiance, opened.evidence
+        assert probe is not None
+        assert evidence is not None
+        outer = probe.directions @ normal[flat] > 0.2
+        looks = evidence.directions[evidence.seen]
+        near = (probe.directions @ looks.T).max(-1, initial=-1) > np.cos(OBSERVED)
+        where = rays.origins[flat].numpy() + t[flat] * rays.directions[flat].numpy()
+        count = len(probe.directions)
+        truth = demo_scene.radiance(
+            np.tile(where, (count, 1)), np.tile(normal[flat], (count, 1)), np.full(count, demo_scene.BALL),
+            probe.directions,
+        )  # fmt: skip
+        error = np.abs(probe.rgb - truth).mean(-1)
+        found.append((
+            abs(probe.t - t[flat]), error[outer & near].mean(), error[outer & ~near].mean(),
+            _spread(probe.rgb[outer & near]), _spread(truth[outer & near]),
+        ))  # fmt: skip
+    names = ("off", "observed", "extrapolated", "spread", "spread_truth")
+    return dict(zip(names, np.nanmedian(np.array(found), 0).tolist(), strict=True))
+
+
+def _spread(rgb: np.ndarray) -> float:
+    """The root of the mean square by which a channel of colours (K, 3) differs from its mean."""
+    return float(np.sqrt(np.square(rgb - rgb.mean(0)).mean())) if len(rgb) else np.nan
+
+
 def _seen_from(point: np.ndarray, normal: np.ndarray, centres: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Unit directions (K, 3) from the point to at most CAMERAS training cameras that truly see it."""
     towards = centres - point
@@ -99,8 +147,9 @@ def main() -> None:
     for goal in (0.0, args.seconds / 4, args.seconds):
         while trainer.seconds < goal:
             trainer.step()
-        figures = ", ".join(f"{name} {value:.4f}" for name, value in compare(trainer).items())
-        print(f"{trainer.seconds:.0f} s, step {trainer.step_count}: {figures}", flush=True)
+        for what, found in (("picture", compare(trainer)), ("microscope", microscope(trainer))):
+            figures = ", ".join(f"{name} {value:.4f}" for name, value in found.items())
+            print(f"{trainer.seconds:.0f} s, step {trainer.step_count}, {what}: {figures}", flush=True)
 
 
 if __name__ == "__main__":

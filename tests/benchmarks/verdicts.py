@@ -1,12 +1,12 @@
 """How often the verdict on a pixel is right: faults planted into scenes whose truth is known, a table of classes.
 
-    PYTHONPATH=. python tests/benchmarks/verdicts.py [--seeds 1 2 3] [--rays 60] [--out FILE.json]
+    PYTHONPATH=. python tests/benchmarks/verdicts.py [--seeds 1 2 3] [--rays 40] [--out FILE.json]
 
 Each seed is a scene of its own: balls at random, photos in closed form. Voxel models are trained on photos with a fault
-and judged against the photos as they should be: with a ball that is not there (floater), with a skin that is too thin
-(background leak), with cameras of one side alone (unobserved), with one camera's pose wrong (what it leaves in front of
-the surface floats), for a few steps only (fog); and, without a fault, surfaces, true veils before surfaces (several
-surfaces) and background. The thresholds were set on seeds 100 and up; seeds below measure.
+and judged against the photos as they should be: with a ball that is not there (floater), with less density than was
+learnt (background leak), with cameras of one side alone (unobserved), with the poses of four cameras wrong (what they
+leave in front of the surface floats), for a few steps only (fog); and, without a fault, surfaces, true veils before
+surfaces (several surfaces) and background. The thresholds were set on seeds 100 and up; seeds below measure.
 """
 
 from __future__ import annotations
@@ -15,25 +15,31 @@ import argparse
 import json
 from collections import Counter
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import nerf_core  # noqa: F401  before torch: it sets how OpenMP's threads wait
 
 # isort: split
 import numpy as np
-from balls import Ball, looking, ring_scene
+import torch
+from balls import Ball, looking, model_of, ring_scene
 
 from nerf_core.cameras import Camera
+from nerf_core.fields.voxel_grid import DENSITY
 from nerf_core.methods import Method
-from nerf_core.probe import RayProbe, Witnesses, judge, open_ray
+from nerf_core.methods.voxels import Voxels
+from nerf_core.probe import Witnesses, judge, open_ray
 from nerf_core.scene import Scene
 from nerf_core.settings import RunSettings
 from nerf_core.trainer import Trainer
 
 CLASSES = ("surface", "several surfaces", "floater", "fog", "background leak", "unobserved", "background")
-SIZE, CAMERAS, STEPS, FOG_STEPS = 64, 40, 300, 25
+SIZE, CAMERAS, STEPS, FOG_STEPS, PATTERN = 64, 40, 800, 12, 0.35
+THINNED = 0.12  # of the density is left where the background is to leak through
 FRONT = 0.1  # world units in front of the true surface from which on a layer is one of its own
-RIM = 0.85  # of a ball's radius: rays that pass farther out graze it
+RIM = 0.85  # of a ball's radius: rays that pass farther out graze it,
+ROOM = 0.1  # and so do those that pass it by so little, in world units: two pixels
 
 
 @dataclass(frozen=True)
@@ -60,11 +66,13 @@ class World:
         rng = np.random.default_rng(seed)
         colors = rng.uniform(0.1, 0.9, (5, 3)).tolist()
         turn = rng.uniform(0, 2 * np.pi)
-        main = Ball((0.0, 0.0, 0.0), float(rng.uniform(0.5, 0.65)), tuple(colors[0]), gloss=0.1)
-        beside = Ball(_around(turn + 2.2, 0.95, -0.2), float(rng.uniform(0.25, 0.35)), tuple(colors[1]))
+        ball = partial(Ball, pattern=PATTERN)
+        main = ball((0.0, 0.0, 0.0), float(rng.uniform(0.5, 0.65)), tuple(colors[0]), gloss=0.1)
+        beside = ball(_around(turn + 2.2, 0.95, -0.2), float(rng.uniform(0.25, 0.35)), tuple(colors[1]))
         balls = (main, beside)
-        veil = Ball(_around(turn, 0.95, 0.25), 0.28, tuple(colors[2]), density=8.0, skin=0.03)
-        intruder = Ball(_around(turn + 4.3, 1.25, 0.3), float(rng.uniform(0.15, 0.25)), tuple(colors[3]), density=30.0)
+        veil = ball(_around(turn, 0.95, 0.25), 0.28, tuple(colors[2]), density=8.0, skin=0.03)
+        place, size = _around(turn + 4.3, 1.25, 0.3), float(rng.uniform(0.15, 0.25))
+        intruder = ball(place, size, tuple(colors[3]), density=30.0)
         return World(balls, veil, intruder, ring_scene(*balls, count=CAMERAS, size=SIZE))
 
 
@@ -84,6 +92,15 @@ def with_photos(scene: Scene, other: Scene) -> Scene:
     return replace(scene, images=other.images)
 
 
+def thinned(method: Method) -> Method:
+    """The same model with so much less density that light passes: σ = softplus(s + bias), and its inverse."""
+    assert isinstance(method, Voxels)
+    for rows in (method.grid.rows, method.average):
+        sigma = THINNED * torch.nn.functional.softplus(rows[:, DENSITY] + method.config.bias).clamp(min=1e-20)
+        rows[:, DENSITY] = sigma + torch.log(-torch.expm1(-sigma)) - method.config.bias
+    return method
+
+
 # ---- truth --------------------------------------------------------------------------------------------------------
 
 
@@ -94,20 +111,21 @@ def first_hit(origin: np.ndarray, direction: np.ndarray, balls: tuple[Ball, ...]
     for ball in balls:
         offset = origin - np.array(ball.center)
         along = float(offset @ direction)
-        apart = float(offset @ offset) - along**2
-        if along < 0 and apart < ball.radius**2:
-            if apart > (RIM * ball.radius) ** 2:
-                return None
-            found.append((-along - np.sqrt(ball.radius**2 - apart), ball))
+        apart = float(np.sqrt(max(float(offset @ offset) - along**2, 0.0)))
+        if along > 0 or apart > ball.radius + ROOM:
+            continue
+        if apart > RIM * ball.radius:
+            return None
+        found.append((-along - np.sqrt(ball.radius**2 - apart**2), ball))
     return min(found, key=lambda hit: hit[0], default=None)
 
 
-def clear(origin: np.ndarray, direction: np.ndarray, balls: tuple[Ball, ...], room: float = 0.1) -> bool:
+def clear(origin: np.ndarray, direction: np.ndarray, balls: tuple[Ball, ...]) -> bool:
     """Whether a ray passes all balls at some distance."""
     for ball in balls:
         offset = origin - np.array(ball.center)
         along = float(offset @ direction)
-        if along < 0 and float(offset @ offset) - along**2 < (ball.radius + room) ** 2:
+        if along < 0 and float(offset @ offset) - along**2 < (ball.radius + ROOM) ** 2:
             return False
     return True
 
@@ -181,14 +199,16 @@ def cases(seed: int, count: int) -> list[Case]:
         intruder, hit = first_hit(o, d, (world.intruder,)), first_hit(o, d, balls)
         return intruder is not None and (hit is None or intruder[0] < hit[0] - FRONT)
 
+    def with_something_behind(o: np.ndarray, d: np.ndarray) -> bool:
+        return intruder_first(o, d) and hits(o, d)
+
     found.append(Case("floater", intruded, scene, pick.rays(intruder_first)))
-    thin = tuple(replace(ball, density=5.0, skin=0.06) for ball in balls)
-    leaking = trained(with_photos(scene, ring_scene(*thin, count=CAMERAS, size=SIZE)))
+    found.append(Case("floater", intruded, scene, pick.rays(with_something_behind)))
 
     def alone(o: np.ndarray, d: np.ndarray) -> bool:
         return sum(first_hit(o, d, (ball,)) is not None for ball in balls) == 1 and hits(o, d)
 
-    found.append(Case("background leak", leaking, scene, pick.rays(alone)))
+    found.append(Case("background leak", thinned(trained(scene)), scene, pick.rays(alone)))
     side = np.random.default_rng(seed).uniform(0, 2 * np.pi)
     facing = np.array([np.cos(side), np.sin(side), 0.0])
     seeing = tuple(k for k, view in enumerate(scene.views) if view.camera.c2w[:, 3] @ facing > 1.2)
@@ -201,8 +221,8 @@ def cases(seed: int, count: int) -> list[Case]:
     found.append(Case("unobserved", trained(blind), blind, pick.rays(hidden)))
     found.append(Case("fog", trained(scene, FOG_STEPS), scene, pick.rays(hits)))
     wrong = list(scene.views)
-    turned = wrong[5].camera
-    wrong[5] = replace(wrong[5], camera=turned.moved(_turned(turned.c2w)))
+    for k in range(5, 9):
+        wrong[k] = replace(wrong[k], camera=wrong[k].camera.moved(_turned(wrong[k].camera.c2w)))
     posed = trained(replace(scene, views=tuple(wrong)))
     found.append(_left_behind(posed, scene, world, pick))
     return found
@@ -231,28 +251,24 @@ def _left_behind(method: Method, scene: Scene, world: World, pick: Picker) -> Ca
 # ---- measuring ----------------------------------------------------------------------------------------------------
 
 
-def surface_behind(ray: RayProbe, world: World) -> float | None:
-    hit = first_hit(ray.origin, ray.direction, world.balls)
-    return hit[0] if hit is not None else None
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, nargs="*", default=[1, 2, 3])
-    parser.add_argument("--rays", type=int, default=60, help="of each case")
+    parser.add_argument("--rays", type=int, default=40, help="of each case")
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
     said: Counter[tuple[str, str]] = Counter()
     landed: list[float] = []
     for seed in args.seeds:
         world = World.of(seed)
+        closed_form = model_of(world.scene, *world.balls)
         for case in cases(seed, args.rays):
             witnesses = Witnesses(case.scene)
             for camera, pixel in case.rays:
                 ray = open_ray(case.method, case.scene, camera, pixel, 0)
                 verdict = judge(case.method, witnesses, ray)
                 said[case.label, verdict.kind] += 1
-                truth = surface_behind(ray, world)
+                truth = open_ray(closed_form, world.scene, camera, pixel, 0).depth_median
                 if case.label == verdict.kind == "floater" and truth is not None:
                     t = np.inf if verdict.surface_t is None else verdict.surface_t
                     landed.append(abs(t - truth) / (2 * case.scene.radius))

@@ -3,9 +3,11 @@
     xvfb-run -s '-screen 0 1600x1000x24' python tests/benchmarks/window.py
 
 A real window on the demo scene: training alone, then with the window at rest, then with a hand that orbits all the
-time, in turns. Prints the distribution of frame times (what drawing one took, up to its being on the screen), the delay
-from a moved camera to the first newly computed pixels for it on the screen (not the warp of the old picture), and what
-training keeps of its speed alone in the same round.
+time, then under the microscope, in turns: eight rays pinned, every second another pixel clicked, every half a second
+other panels brought to the front. Prints the distribution of frame times (what drawing one took, up to its being on
+the screen), the delay from a moved camera to the first newly computed pixels for it on the screen (not the warp of the
+old picture), and what training keeps of its speed alone in the same round; under the microscope also the delay from a
+click until every panel has the new ray on the screen, and the time between two looks at a pinned ray.
 """
 
 from __future__ import annotations
@@ -18,13 +20,18 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
+from imgui_bundle import imgui
 
-from nerf_core.messages import OpenScene, Snapshot, Train, ViewRequest
+from nerf_core.messages import Command, Inspect, OpenScene, Snapshot, Train, ViewRequest
 from nerf_core.settings import RunSettings
 from nerf_core.worker import Worker
 from viewer.app import App
+from viewer.state import PinRay, UnpinRay
 from viewer.window import Window
 
+TABS = (  # of the two places where the microscope's panels lie
+    ("Ray", "Radiance"), ("Samples", "Evidence"), ("Ray history", "Slice"), ("Follow this pixel", "Radiance"),
+)  # fmt: skip
 MOUSE = 1 / 125  # seconds between what a mouse reports
 WARM = 600  # steps before the measuring begins: by then a voxel grid is as fine as it becomes
 
@@ -41,9 +48,14 @@ def main() -> None:
     link = _Stopwatch(worker)
     app = App(window, link)
     print(f"{window.context.info['GL_RENDERER']}, {window.size()[0]}×{window.size()[1]}")
-    phases = [_Phase("at rest", 0), _Phase("orbiting all the time", 3)]
+    resting, orbiting, microscope = phases = [
+        _Phase("at rest"), _Phase("orbiting all the time", 3), _Phase("under the microscope", clicks=True),
+    ]  # fmt: skip
+    hand = _Hand(app)
 
     def turn(phase: _Phase) -> None:
+        if phase.clicks:
+            hand.click()
         if phase.pixels:
             window.poll(MOUSE)
             app.state.camera.orbit(phase.pixels, 0, 500)
@@ -53,25 +65,32 @@ def main() -> None:
             app.run(lambda: time.perf_counter() > end)  # which waits as long as there is nothing to show
 
     while not link.frames:
-        turn(phases[0])
+        turn(resting)
     print(f"first frame (layout, fonts, shaders): {link.frames[0]:.0f} ms")
     for _ in range(args.rounds):
         worker.request_view(None)
         alone = _speed(worker, args.seconds, lambda: time.sleep(0.05))
         app.state.camera.orbit(1, 0, 500)  # the window asks for pictures again
         for phase in phases:
+            hand.pin(8 if phase.clicks else 0)
             work = partial(turn, phase)
             _speed(worker, 2.0, work)  # its panels are filled and its first previews there before the measuring begins
             link.frames.clear()
             link.delays.clear()
+            link.opened.clear()
+            link.looked.clear()
             phase.kept.append(_speed(worker, args.seconds, work) / alone)
             phase.frames += link.frames
             phase.delays += link.delays
+            phase.opened += link.opened
+            phase.looked += link.looked
     for phase in phases:
         low, middle, high = min(phase.kept), statistics.median(phase.kept), max(phase.kept)
         print(f"{phase.name}: training keeps {middle:.0%} ({low:.0%} – {high:.0%}) of its speed alone, asked for 60%")
         _tell("frame", phase.frames)
-    _tell("moved camera to new pixels", phases[-1].delays)
+    _tell("moved camera to new pixels", orbiting.delays)
+    _tell("click to the new ray in every panel", microscope.opened)
+    _tell("between two looks at a pinned ray", microscope.looked)
     worker.stop()
     app.close()
     window.close()
@@ -100,13 +119,46 @@ def _training(settings: RunSettings, window: Window) -> Worker:
 
 @dataclass
 class _Phase:
-    """pixels: how far a hand drags the camera around in each turn."""
+    """pixels: how far a hand drags the camera around in each turn; clicks: whether it opens ray after ray."""
 
     name: str
-    pixels: int
+    pixels: int = 0
+    clicks: bool = False
     kept: list[float] = field(default_factory=list)
     frames: list[float] = field(default_factory=list)
     delays: list[float] = field(default_factory=list)
+    opened: list[float] = field(default_factory=list)
+    looked: list[float] = field(default_factory=list)
+
+
+class _Hand:
+    """Opens a random pixel every second, and turns over the panels' tabs twice a second."""
+
+    def __init__(self, app: App) -> None:
+        self._app, self._rng = app, np.random.default_rng(0)
+        self._clicked = self._turned = 0.0
+        self._stack = 0
+
+    def _ray(self) -> Inspect:
+        column, row = self._rng.integers((200, 150), (600, 450)).tolist()
+        return Inspect(self._app.state.camera.camera(800, 600), (column, row))
+
+    def pin(self, count: int) -> None:
+        for pin in tuple(self._app.state.pins):
+            self._app.perform(UnpinRay(pin.id))
+        for _ in range(count):
+            self._app.perform(PinRay(self._ray()))
+
+    def click(self) -> None:
+        now = time.perf_counter()
+        if now - self._clicked > 1:
+            self._clicked = now
+            self._app.perform(self._ray())
+        if now - self._turned > 0.5:
+            self._turned = now
+            for title in TABS[self._stack % len(TABS)]:
+                imgui.set_window_focus(title)
+            self._stack += 1
 
 
 def _speed(worker: Worker, seconds: float, work: Callable[[], None]) -> float:
@@ -129,9 +181,18 @@ class _Stopwatch:
         self._worker = worker
         self.frames: list[float] = []  # milliseconds
         self.delays: list[float] = []
+        self.opened: list[float] = []
+        self.looked: list[float] = []
+        self._clicked: tuple[Inspect, float] | None = None
+        self._pins: dict[int, tuple[int, float]] = {}  # of which step, and when it came
         self._asked: dict[int, float] = {}
         self._read = worker.snapshot()
-        self.send, self.notices = worker.send, worker.notices
+        self.notices = worker.notices
+
+    def send(self, command: Command) -> None:
+        if isinstance(command, Inspect):
+            self._clicked = command, time.perf_counter()
+        self._worker.send(command)
 
     def request_view(self, request: ViewRequest | None) -> None:
         if request is not None:
@@ -151,6 +212,20 @@ class _Stopwatch:
             answered = snapshot.preview.stamp
             self.delays.append((time.perf_counter() - self._asked[answered]) * 1e3)
             self._asked = {stamp: t for stamp, t in self._asked.items() if stamp > answered}
+        now, opened = time.perf_counter(), snapshot.opened
+        if self._clicked is not None and opened is not None and snapshot.opened_step >= 0:
+            command, asked = self._clicked
+            if opened.camera is command.camera and opened.ray.pixel == command.pixel:
+                self.opened.append((now - asked) * 1e3)
+                self._clicked = None
+        for pin in snapshot.pinned:
+            if pin.ray is None:
+                continue
+            step, before = self._pins.get(pin.id, (-1, now))
+            if pin.ray.step != step:
+                if step >= 0:
+                    self.looked.append((now - before) * 1e3)
+                self._pins[pin.id] = pin.ray.step, now
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from nerf_core.render import render_camera
 from nerf_core.scene import Scene, View
 
 SOFT = 60.0  # how steeply density falls at a ball's rim, per world unit
+WAVES = 11.0  # radians a world unit, along each axis: a wave is some ten pixels of the photos
 CPU = torch.device("cpu")
 
 
@@ -26,6 +27,7 @@ class Ball:
     density: float = 80.0
     gloss: float = 0.0  # how much of the direction is added to the colour
     skin: float = 0.0  # of a hollow ball, how far its skin reaches on either side of the radius
+    pattern: float = 0.0  # how far waves through space carry the colour up and down: what depth can be learnt from
 
 
 class Balls(nn.Module):
@@ -58,7 +60,9 @@ class Balls(nn.Module):
         share = share / share.sum(-1, keepdim=True).clamp(min=1e-9)
         colors = torch.tensor([ball.color for ball in self.balls]).to(share)
         gloss = torch.tensor([ball.gloss for ball in self.balls]).to(share)
-        return (share @ colors + (share @ gloss)[:, None] * encoded).clamp(0, 1)
+        pattern = torch.tensor([ball.pattern for ball in self.balls]).to(share)
+        waves = torch.sin(WAVES * trunk).prod(-1)
+        return (share @ colors + (share @ gloss)[:, None] * encoded + (share @ pattern * waves)[:, None]).clamp(0, 1)
 
     def colors(self, trunk: Tensor, encoded: Tensor) -> Tensor:
         count = len(encoded)

@@ -308,3 +308,36 @@ def test_a_checkpoint_is_looked_at_before_anything_else_is_done(tmp_path: Path) 
     junk.write_bytes(b"no header at all")
     with pytest.raises(UserError, match=r"junk\.safetensors: not a readable checkpoint"):
         Wishes(load=junk).check()
+
+
+def test_both_commands_write_the_same_of_a_pixel(tmp_path: Path) -> None:
+    """The microscope through the window's worker, and straight from a run: one checkpoint, one schema, equal arrays."""
+    options = ["--method", "voxels", "--device", "cpu", "--threads", "1", "--downscale", "8"]
+    core = [sys.executable, "-m", "nerf_core.cli"]
+    subprocess.run([*core, "train", "--out", str(tmp_path), *options, "--steps", "40"], capture_output=True, check=True)
+    (model,) = tmp_path.rglob("*.safetensors")
+    files = tmp_path / "viewer.json", tmp_path / "core.json"
+    done = viewer(
+        *options, "--headless", "--size", "640x400", "--load", str(model), "--steps", "40", "--click", "0.5", "0.5",
+        "--inspect", str(files[0]),
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    pixel = [str(v) for v in json.loads(files[0].read_text())["pixel"]]
+    words = ["probe", str(tmp_path), "--camera", str(files[0]), "--pixel", *pixel, "--write", str(files[1])]
+    subprocess.run([*core, *words], capture_output=True, check=True)
+    one, other = (json.loads(file.read_text()) for file in files)
+    assert {"passes", "verdict", "radiance", "evidence"} <= one.keys()
+    assert _numbers(one).keys() == _numbers(other).keys()
+    for name, value in _numbers(one).items():
+        np.testing.assert_allclose(value, _numbers(other)[name], atol=1e-6, err_msg=name)
+    assert one["verdict"]["reasons"] == other["verdict"]["reasons"]
+
+
+def _numbers(value: object, name: str = "") -> dict[str, np.ndarray]:
+    """Every array of numbers in what JSON holds, by its path."""
+    if isinstance(value, dict):
+        return {k: v for key, inner in value.items() for k, v in _numbers(inner, f"{name}/{key}").items()}
+    if isinstance(value, list) and any(isinstance(inner, dict) for inner in value):
+        return {k: v for i, inner in enumerate(value) for k, v in _numbers(inner, f"{name}/{i}").items()}
+    array = np.array(value)
+    return {name: array} if array.dtype.kind in "if" else {}
