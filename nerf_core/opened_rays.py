@@ -13,7 +13,7 @@ from nerf_core.probe.opened import pieces
 from nerf_core.trainer import Trainer
 
 REFRESH_SECONDS = {"cpu": 0.4, "cuda": 0.09}  # between two looks at a ray while training goes on: 2 and 10 a second
-PART = 0.1  # of the time at most: where a look takes longer, it comes more rarely
+PART = 0.15  # of the time at most: where a look takes longer, it comes more rarely
 
 
 @dataclass
@@ -65,11 +65,17 @@ class OpenedRays:
         self._asked = command
         self._pieces: Iterator[None] | None = None
         self._clock.reset()
+        self._waiting = command is not None
         if not same:
             self.opened: Opened | None = None
         self.opened_step = -1
 
     _asked: Inspect | None = None
+
+    @property
+    def urgent(self) -> bool:
+        """Whether somebody waits for a ray that was asked for and is not whole yet."""
+        return self._asked is not None and self._waiting
 
     def pin(self, command: Pin, trainer: Trainer) -> None:
         self._pins[command.id] = _Pin(command, HistoryRecorder(trainer.step_count, trainer.total_steps))
@@ -159,7 +165,7 @@ class OpenedRays:
         except Exception:
             self._asked = self._pieces = None  # a ray that cannot be opened is reported once, not twice a second
             raise
-        self.opened_step = step
+        self.opened_step, self._waiting = step, False
 
 
 def _with_older(new: Opened, old: Opened) -> Opened:

@@ -357,8 +357,8 @@ class Worker:
 
         A step can take long. Commands that need it to end, to close the window or to pause, say, abandon it: it has
         then not happened.
-        A new view gets its first pixels at once, but only one new view each time, and a hand that keeps moving only as
-        many as the budget allows: it must not stop the training.
+        A ray that was asked for is opened at once, and a new view gets its first pixels, but only one of each a time,
+        and a hand that keeps moving only as many as the budget allows: it must not stop the training.
         """
         while self._commands and isinstance(self._commands[0], QUICK):
             self._obey(self._commands.popleft())
@@ -368,6 +368,12 @@ class Worker:
         self._account_for_training(0)
         view = self._wanted_view()
         served = False
+        if self._artist.rays.urgent and self._budget.may_follow():
+            begin = time.perf_counter()
+            while self._artist.rays.urgent and not self._commands and self._draw(view):
+                self._publish()
+                served = True
+            self._budget.followed(time.perf_counter() - begin)
         if view is not None and (not view.moving or self._budget.may_follow()):
             begin = time.perf_counter()
             while self._artist.urgent(view) and (view is self._view or view.moving) and self._draw(view):
@@ -392,7 +398,7 @@ class Worker:
             return False
         begin = time.perf_counter()
         turns = [self._draw_export, lambda: self._artist.draw(trainer, view, self._training_until is not None)]
-        if self._artist.urgent(view) or self._budget.artist_is_next():
+        if self._artist.urgent(view) or self._artist.rays.urgent or self._budget.artist_is_next():
             turns.reverse()
         did = any(turn() for turn in turns)
         if did:

@@ -148,6 +148,11 @@ class CameraControl:
             self._changed_at = time
         return moved
 
+    @property
+    def flying(self) -> bool:
+        """Whether a jump is under way."""
+        return self._ease is not None
+
     def moving(self, time: float) -> bool:
         """Whether the last change is so young that the next one may follow."""
         return time - self._changed_at < MOVING_SECONDS

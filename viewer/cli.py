@@ -42,6 +42,9 @@ class ViewerOptions:
     """Click into the viewport at X Y after training: in pixels, or with a decimal point in fractions. Repeatable."""
     pin: list[tuple[str, str]] = field(default_factory=list)
     """Pin the ray at X Y of the viewport before training: its history is kept from the first step on. Repeatable."""
+    camera: str = ""
+    """Look from where this photo was taken (its name or its end: r_3), or from the camera in a .json file, as an opened
+    ray's has."""
     mode: str = "colour"
     """What the picture shows of each pixel: colour, or view-dependence."""
     screenshot: Path | None = None
@@ -91,8 +94,8 @@ def run(options: ViewerOptions, signals: Signals) -> int:
         raise UserError(f"--scale {scale:g}: give a number from 0.5 to 4")
     wishes = sessions.Wishes(
         load=options.load, steps=options.train.steps, seconds=options.train.seconds, save=options.save,
-        mode=options.mode, pins=tuple(options.pin), clicks=tuple(options.click), inspect=options.inspect,
-        render=options.render, orbit=options.orbit, screenshot=options.screenshot,
+        camera=options.camera, mode=options.mode, pins=tuple(options.pin), clicks=tuple(options.click),
+        inspect=options.inspect, render=options.render, orbit=options.orbit, screenshot=options.screenshot,
     )  # fmt: skip
     wishes.check()
     if options.load is not None:

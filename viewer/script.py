@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from nerf_core.camera_files import picked_camera
 from nerf_core.checkpoint import describe
 from nerf_core.console import Display, duration
 from nerf_core.errors import UserError, shorten
@@ -53,6 +54,7 @@ class Wishes:
     steps: int | None = None
     seconds: float | None = None
     save: Path | None = None
+    camera: str = ""
     mode: str = COLOR
     pins: tuple[tuple[str, str], ...] = ()
     clicks: tuple[tuple[str, str], ...] = ()
@@ -191,12 +193,17 @@ class Script:
         self.app.settle()
 
     def prepare(self) -> None:
-        """What comes before training: what the picture shows, and pins, whose histories begin now."""
-        self.app.state.mode = self.wishes.mode
+        """What comes before training: where one looks from, what the picture shows, and pins, whose histories begin."""
+        state, scene = self.app.state, self._snapshot().scene
+        state.mode = self.wishes.mode
+        if self.wishes.camera:
+            assert scene is not None
+            state.camera.go_to(picked_camera(scene, self.wishes.camera))
+            self._wait(lambda _: not state.camera.flying)
         self._uncover()
         for x, y in self.wishes.pins:
             _, _, column, row = self._place("pin", x, y)
-            camera = self.app.state.camera.camera(*self.app.state.viewport)
+            camera = state.camera.camera(*state.viewport)
             self.app.perform(PinRay(Inspect(camera, (column, row))))
 
     def _place(self, option: str, x: str, y: str) -> tuple[float, float, int, int]:

@@ -136,6 +136,7 @@ def test_a_loaded_model_keeps_its_method_and_constants(written: Path, arguments:
         (["--size", "640"], "--size 640"),
         (["--click", "2.0", "0.5", "--inspect", "x.json"], "--click 2.0"),
         (["--inspect", "x.json"], "--click X Y"),
+        (["--camera", "nowhere", "--steps", "1", "--screenshot", "x.png"], "--camera 'nowhere': is none of the"),
         (["--click", "a", "0.5", "--steps", "1000000"], "--click a"),
         (["--render", "a.png", "--render", "b.npy"], "--render: given 2 times"),
         (["--render", "x.jpg"], ".png or .npy"),
@@ -318,11 +319,14 @@ def test_both_commands_write_the_same_of_a_pixel(tmp_path: Path) -> None:
     (model,) = tmp_path.rglob("*.safetensors")
     files = tmp_path / "viewer.json", tmp_path / "core.json"
     done = viewer(
-        *options, "--headless", "--size", "640x400", "--load", str(model), "--steps", "40", "--click", "0.5", "0.5",
-        "--inspect", str(files[0]),
+        *options, "--headless", "--size", "640x400", "--load", str(model), "--steps", "40", "--camera", "test/r_3",
+        "--click", "0.5", "0.5", "--inspect", str(files[0]),
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    pixel = [str(v) for v in json.loads(files[0].read_text())["pixel"]]
+    looking = json.loads(files[0].read_text())
+    (photo,) = (v for v in load_scene(None, LoadOptions(downscale=8)).views if v.name == "test/r_3.png")
+    np.testing.assert_allclose(looking["camera"]["c2w"], photo.camera.c2w, atol=1e-6)
+    pixel = [str(v) for v in looking["pixel"]]
     words = ["probe", str(tmp_path), "--camera", str(files[0]), "--pixel", *pixel, "--write", str(files[1])]
     subprocess.run([*core, *words], capture_output=True, check=True)
     one, other = (json.loads(file.read_text()) for file in files)
