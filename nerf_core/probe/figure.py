@@ -127,10 +127,8 @@ def _draw_disc(axes: Any, one: Opened) -> None:
     axes.plot(np.cos(angle), np.sin(angle), color="black", lw=0.6)
     if one.evidence is not None:
         seen = one.evidence.directions[one.evidence.seen]
-        places = np.array([at for d in seen if (at := radiance.disc_position(d)) is not None]).reshape(-1, 2)
+        places = radiance.disc_position(seen)  # NaN is not drawn
         axes.plot(places[:, 0], places[:, 1], "o", ms=2.5, mfc="white", mec="black", mew=0.5)
-    at = radiance.disc_position(-one.ray.direction)
-    if at is not None:
-        axes.plot(*at, "+", color="black", ms=7, mew=1)
+    axes.plot(*radiance.disc_position(-one.ray.direction), "+", color="black", ms=7, mew=1)
     axes.set_title(f"radiance at t = {radiance.t:.3g}", fontsize=8)
     axes.set_xlabel(f"view-dependence {radiance.dependence:.3f}", fontsize=7)

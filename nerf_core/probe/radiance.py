@@ -62,17 +62,17 @@ class RadianceProbe:
         image[inside, 3] = 1
         return image
 
-    def sphere_position(self, direction: np.ndarray) -> tuple[float, float]:
-        """Where a unit direction lies on the map: (column, row) in [0, 1), left to right and top to bottom."""
+    def sphere_position(self, direction: np.ndarray) -> np.ndarray:
+        """Where unit directions (..., 3) lie on the map: (..., 2) column and row in [0, 1), from the top left."""
         side = np.cross(self.up, self.azimuth0)
         azimuth = np.arctan2(direction @ side, direction @ self.azimuth0) % (2 * np.pi)
         polar = np.arccos(np.clip(direction @ self.up, -1, 1))
-        return float(azimuth / (2 * np.pi)), float(polar / np.pi)
+        return np.stack([azimuth / (2 * np.pi), polar / np.pi], -1)
 
-    def disc_position(self, direction: np.ndarray) -> tuple[float, float] | None:
-        """Where a unit direction lies on the disc, (x, y) in [−1, 1], y up; None on the far hemisphere."""
-        x, y, z = self.axes @ direction
-        return (float(x), float(y)) if z >= 0 else None
+    def disc_position(self, direction: np.ndarray) -> np.ndarray:
+        """Where unit directions (..., 3) lie on the disc: (..., 2) in [−1, 1], y up; NaN on the far hemisphere."""
+        xyz = direction @ self.axes.T
+        return np.where(xyz[..., 2:] >= 0, xyz[..., :2], np.nan)
 
     def slice(self, azimuth: float, frozen: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """The disc along its diameter at `azimuth` (radians from the disc's right): angles (A,) −π/2 … π/2 from the

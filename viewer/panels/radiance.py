@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache, partial
@@ -182,11 +183,8 @@ def _disc(ui: Ui, pictures: Pictures, viewer: np.ndarray, side: float) -> tuple[
     ui.mark("radiance.disc")
     hovered = imgui.is_item_hovered()
 
-    def place(direction: np.ndarray) -> ImVec2 | None:
-        at = probe.disc_position(direction)
-        return None if at is None else ImVec2(centre.x + at[0] * radius, centre.y - at[1] * radius)
-
-    _marks(ui, place, pictures.evidence, viewer)
+    origin, scale = np.array([centre.x, centre.y]), np.array([radius, -radius])
+    _marks(ui, lambda d: origin + scale * probe.disc_position(d), pictures.evidence, viewer)
     mouse = imgui.get_mouse_pos()
     x, y = (mouse.x - centre.x) / radius, (centre.y - mouse.y) / radius
     if not hovered or x * x + y * y >= 1:
@@ -203,11 +201,8 @@ def _sphere(ui: Ui, pictures: Pictures, viewer: np.ndarray, width: float) -> tup
     hovered, draw = imgui.is_item_hovered(), imgui.get_window_draw_list()
     draw.add_rect(low, ImVec2(low.x + width, low.y + height), packed(ui.theme.hairline))
 
-    def place(direction: np.ndarray) -> ImVec2:
-        column, row = probe.sphere_position(direction)
-        return ImVec2(low.x + column * width, low.y + row * height)
-
-    _marks(ui, place, pictures.evidence, viewer)
+    origin, scale = np.array([low.x, low.y]), np.array([width, height])
+    _marks(ui, lambda d: origin + scale * probe.sphere_position(d), pictures.evidence, viewer)
     if not hovered:
         return None
     mouse = imgui.get_mouse_pos()
@@ -219,23 +214,27 @@ def _sphere(ui: Ui, pictures: Pictures, viewer: np.ndarray, width: float) -> tup
     return np.cos(polar) * probe.up + np.sin(polar) * around, rgb
 
 
-def _marks(
-    ui: Ui, place: Callable[[np.ndarray], ImVec2 | None], evidence: Sightings | None, viewer: np.ndarray
-) -> None:
-    """Photos that see the point as dots, hollow where something hides it from them; the current view as crosshairs."""
+def _marks(ui: Ui, place: Callable[[np.ndarray], np.ndarray], evidence: Sightings | None, viewer: np.ndarray) -> None:
+    """Photos that see the point as dots, hollow where something hides it from them; the current view as crosshairs.
+
+    place: unit directions (..., 3) → places on the screen (..., 2), NaN where a picture does not have them.
+    """
     draw, r = imgui.get_window_draw_list(), 0.14 * ui.em
     light, dark = packed(ImVec4(1, 1, 1, 0.9)), packed(ImVec4(0, 0, 0, 0.9))  # one of them shows on any colour
-    photos = zip(evidence.directions, evidence.seen, strict=True) if evidence is not None else ()
-    for direction, seen in photos:
-        at = place(direction)
-        if at is not None and seen:
-            draw.add_circle_filled(at, 1.6 * r, dark, 8)
-            draw.add_circle_filled(at, r, light, 8)
-        elif at is not None:
-            draw.add_circle(at, r, light, 8)
-    at = place(viewer)
-    if at is None:
+    if evidence is not None:
+        for (x, y), seen in zip(place(evidence.directions).tolist(), evidence.seen.tolist(), strict=True):
+            if math.isnan(x):
+                continue
+            at = ImVec2(x, y)
+            if seen:
+                draw.add_circle_filled(at, 1.6 * r, dark, 8)
+                draw.add_circle_filled(at, r, light, 8)
+            else:
+                draw.add_circle(at, r, light, 8)
+    x, y = place(viewer).tolist()
+    if math.isnan(x):
         return
+    at = ImVec2(x, y)
     reach = 0.55 * ui.em
     for color, weight in ((dark, 0.25 * ui.em), (packed(ui.theme.accent), 0.13 * ui.em)):
         draw.add_circle(at, 0.7 * reach, color, thickness=weight)
