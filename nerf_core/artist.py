@@ -69,7 +69,8 @@ class Artist:
 
     def draw(self, trainer: Trainer, view: ViewRequest | None, training: bool) -> bool:
         """One piece; whether there was any to do. training: whether more steps are on their way."""
-        if self.rays.draw(trainer, training):
+        first_pixels = self.urgent(view) and not self.rays.urgent
+        if not first_pixels and self.rays.draw(trainer, training):
             return True
         if view is None:
             return False

@@ -61,7 +61,9 @@ def picked_camera(scene: Scene, text: str) -> Camera:
                 "cx, cy and a 3 × 4 c2w are needed"
             ) from None
     exact = [view for view in scene.views if view.name == text]
-    found = exact or [view for view in scene.views if Path(view.name).stem == Path(text).stem and text in view.name]
+    found = exact or [
+        view for view in scene.views if Path(view.name).stem in (Path(text).stem, Path(text).name) and text in view.name
+    ]
     if len(found) == 1:
         return found[0].camera
     some = ", ".join(shorten(view.name) for view in (found or scene.views)[:3])

@@ -21,20 +21,24 @@ class _Clock:
     """When something is to be looked at anew."""
 
     step: int = -1
-    began: float = -1e9
+    ended: float = -1e9
     took: float = 0.0
 
     def due(self, trainer: Trainer, training: bool) -> bool:
         if self.step == trainer.step_count or not training:
             return self.step != trainer.step_count
         every = max(REFRESH_SECONDS.get(trainer.device.type, 0.4), self.took / PART)
-        return time.monotonic() - self.began > every
+        return time.monotonic() - self.ended > every
 
     def begin(self, trainer: Trainer) -> None:
-        self.step, self.began, self.took = trainer.step_count, time.monotonic(), 0.0
+        self.step, self.took = trainer.step_count, 0.0
+
+    def worked(self, seconds: float) -> None:
+        self.took += seconds
+        self.ended = time.monotonic()
 
     def reset(self) -> None:
-        self.step, self.began = -1, -1e9
+        self.step, self.ended = -1, -1e9
 
 
 @dataclass
@@ -131,9 +135,9 @@ class OpenedRays:
             begin = time.monotonic()
             if next(self._pieces, True):
                 self._pieces = None
-            self._clock.took += time.monotonic() - begin
+            self._clock.worked(time.monotonic() - begin)
             return True
-        for pin in sorted(self._pins.values(), key=lambda pin: pin.clock.began):
+        for pin in sorted(self._pins.values(), key=lambda pin: pin.clock.ended):
             if pin.clock.due(trainer, training):
                 self._open(pin, trainer)
                 return True
@@ -147,7 +151,7 @@ class OpenedRays:
         except Exception:
             del self._pins[pin.command.id]  # reported once, not twice a second
             raise
-        pin.clock.took = time.monotonic() - begin
+        pin.clock.worked(time.monotonic() - begin)
         if pin.recorder.due(trainer.step_count):
             pin.recorder.add(pin.ray)
 

@@ -375,10 +375,10 @@ class Worker:
                 served = True
             self._budget.followed(time.perf_counter() - begin)
         if view is not None and (not view.moving or self._budget.may_follow()):
-            begin = time.perf_counter()
+            begin, drawn = time.perf_counter(), False
             while self._artist.urgent(view) and (view is self._view or view.moving) and self._draw(view):
-                served = True
-            if served:
+                served = drawn = True
+            if drawn:
                 self._budget.followed(time.perf_counter() - begin)
         while self._budget.may_draw() and not self._artist.urgent(self._view) and self._draw(self._wanted_view()):
             self._publish()

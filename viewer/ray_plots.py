@@ -220,7 +220,7 @@ class RayPlots:
         implot.pop_plot_clip_rect()
         _be_item(x - 0.3 * ui.em, top, x + 0.3 * ui.em, top + implot.get_plot_size().y)
         ui.mark("ray.point")
-        return t if changed else None
+        return max(t, 0.0) if changed else None  # behind the camera there is no ray
 
     def _depth_marks(self, ui: Ui, ray: RayProbe, *, glyphs: bool) -> None:
         draw, top = implot.get_plot_draw_list(), implot.get_plot_pos().y

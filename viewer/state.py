@@ -43,7 +43,7 @@ class FrameScene:
 
 @dataclass(frozen=True)
 class SetPointDepth:
-    """Show the radiance at this world distance along the inspected ray; None: back to the median depth."""
+    """Show the radiance at this world distance along the inspected ray; None: back to the surface."""
 
     t: float | None
 

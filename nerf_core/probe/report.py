@@ -56,6 +56,7 @@ def arrays(opened: Opened) -> dict[str, Any]:
                     **_plain(s.layer),
                     "witnesses": s.witnesses,
                     "looked": s.looked,
+                    "asked": s.asked,
                     "error": s.error,
                     "without": s.without,
                     "opaque": s.opaque,

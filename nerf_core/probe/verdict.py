@@ -25,7 +25,7 @@ NOTHING = 0.05  # opacity under which a ray has met nothing that one could see
 LEAK = 0.1  # transmittance behind the last layer from which on what is behind shows
 THICK, DEEP = 6.0, 20.0  # grains: a thicker layer is a surface only where photos agree with it, and none at all
 HAZY = 0.03  # mean error of a channel in the photos that see a thick layer, from which on they do not agree with it
-SOLID = 0.5  # of the opacity must lie in layers that are not hazy, or the ray is in fog
+SOLID = 0.5  # of the layers' weight must lie in layers that are not hazy, or the ray is in fog
 FEW = 2  # photos: what fewer see, nobody can have learnt
 ASIDE = np.radians(75)  # between looks at a point: a photo that sees it from farther round does not see this side of it
 WRONG = 0.05  # mean error of a channel in the photos that see a layer, from which on something is wrong
@@ -40,8 +40,9 @@ MOST_LAYERS, MOST_HIDDEN = 4, 8
 @dataclass(frozen=True)
 class Standing:
     """A layer before the photos. witnesses: how many see it from the ray's side, under ASIDE from its look; looked: how
-    many do from anywhere. error: median over those of the mean difference between their pixel and the model's;
-    without, opaque: the same if the layer were away, or opaque; None where no photo tells.
+    many do from anywhere; asked: how many of those in whose pixel it counts, ASKED at most. error: median over these
+    of the mean difference between their pixel and the model's; without, opaque: the same if the layer were away, or
+    opaque; None where no photo tells.
 
     reach: the world distance behind its middle from which on it is away in `without`.
     """
@@ -50,6 +51,7 @@ class Standing:
     sightings: Sightings
     witnesses: int
     looked: int
+    asked: int
     error: float | None
     without: float | None
     opaque: float | None
@@ -66,7 +68,7 @@ class Standing:
         return self._better(self.opaque)
 
     def _better(self, other: float | None) -> bool:
-        if self.error is None or other is None or self.looked < FEW:
+        if self.error is None or other is None or self.asked < FEW:
             return False
         return self.error >= WRONG and other <= BETTER * self.error
 
@@ -104,9 +106,11 @@ def judging(method: Method, witnesses: Witnesses, ray: RayProbe) -> Iterator[Ver
         yield None
     verdict = conclude(ray, tuple(standings))
     if verdict.kind == "floater":
-        known = [s for s in standings if s.layer.weight >= COUNTS and not s.floats and s.witnesses >= FEW]
-        if not known:  # what photos know nothing of may well be the floater's inside
-            verdict = replace(verdict, surface_t=_hidden_surface(method, witnesses, ray, verdict.standings))
+        last = max(s.layer.t for s in standings if s.floats and s.layer.weight >= COUNTS)
+        behind = [s.layer for s in standings if s.layer.t > last and s.layer.weight >= COUNTS and s.witnesses >= FEW]
+        # what photos know nothing of may well be the floater's inside
+        t = behind[0].surface if behind else _hidden_surface(method, witnesses, ray, verdict.standings)
+        verdict = replace(verdict, surface_t=t)
     yield verdict
 
 
@@ -118,13 +122,13 @@ def stand(method: Method, witnesses: Witnesses, ray: RayProbe, layer: Layer) -> 
     counts = int((sightings.seen & (sightings.angle < ASIDE)).sum()), int(sightings.seen.sum())
     asked = sightings.at(np.flatnonzero(sightings.seen & (sightings.share >= COUNTS))[:ASKED])
     if not len(asked.views):
-        return Standing(layer, sightings, *counts, None, None, None, 0.0)
+        return Standing(layer, sightings, *counts, 0, None, None, None, 0.0)
     reaches = margin + REACHES * layer.grain
     without, opaque = witnesses.otherwise(method, asked, reaches)
     errors = [_error(colors, asked.observed) for colors in without]
     best = int(np.flatnonzero(np.array(errors) <= min(errors) + ALIKE)[0])
     return Standing(
-        layer, sightings, *counts, _error(asked.predicted, asked.observed), errors[best],
+        layer, sightings, *counts, len(asked.views), _error(asked.predicted, asked.observed), errors[best],
         _error(opaque, asked.observed), float(reaches[best]),
     )  # fmt: skip
 
@@ -157,15 +161,18 @@ def conclude(ray: RayProbe, standings: tuple[Standing, ...]) -> Verdict:
     heavy = [s for s in standings if s.layer.weight >= COUNTS]
     real = [s for s in heavy if not s.floats]
     surface = max(real, key=lambda s: s.layer.weight, default=None)
-    kind, reasons = _concluded(ray, heavy, surface)
+    kind, reasons = _concluded(ray, standings, heavy, surface)
     rest = surface is not None and kind != "background"
     return Verdict(kind, reasons, surface.layer.surface if rest and surface is not None else None, standings)
 
 
-def _concluded(ray: RayProbe, heavy: list[Standing], surface: Standing | None) -> tuple[Kind, tuple[str, ...]]:
+def _concluded(
+    ray: RayProbe, standings: tuple[Standing, ...], heavy: list[Standing], surface: Standing | None
+) -> tuple[Kind, tuple[str, ...]]:
     """What is worst comes first."""
     floaters = [s for s in heavy if s.floats]
-    thin = sum(s.layer.weight for s in heavy if not s.hazy)
+    whole = sum(s.layer.weight for s in standings)
+    thin = sum(s.layer.weight for s in standings if not s.hazy)
     real = [s for s in heavy if not s.floats]
     leaking, left = next((s for s in real if s.leaks), None), 1 - ray.opacity
     kind: Kind = "surface"
@@ -177,8 +184,8 @@ def _concluded(ray: RayProbe, heavy: list[Standing], surface: Standing | None) -
         kind, reasons = "unobserved", (_unobserved_reason(surface),)
     elif left >= LEAK and leaking is not None:
         kind, reasons = "background leak", (_leak_reason(leaking, left),)
-    elif surface is None or thin < SOLID * ray.opacity:
-        kind, reasons = "fog", _fog_reasons(ray, heavy, thin)
+    elif surface is None or thin < SOLID * whole:
+        kind, reasons = "fog", _fog_reasons(heavy, thin / max(whole, 1e-12))
     elif len(real) > 1:
         parts = ", ".join(f"{s.layer.weight:.0%} at {s.layer.t:.3g}" for s in real)
         kind, reasons = "several surfaces", (f"{len(real)} layers make the pixel: {parts}",)
@@ -193,13 +200,12 @@ def _error(colors: np.ndarray, photos: np.ndarray) -> float:
 
 def _floater_reason(s: Standing) -> str:
     return (
-        f"a layer at {s.layer.t:.3g} makes {s.layer.weight:.0%} of the pixel, but the {s.looked} photos that see it "
+        f"a layer at {s.layer.t:.3g} makes {s.layer.weight:.0%} of the pixel, but {s.asked} photos that see it "
         f"would be matched better without it: error {s.error:.3f}, without it {s.without:.3f}"
     )
 
 
-def _fog_reasons(ray: RayProbe, heavy: list[Standing], thin: float) -> tuple[str, ...]:
-    share = thin / max(ray.opacity, 1e-12)
+def _fog_reasons(heavy: list[Standing], share: float) -> tuple[str, ...]:
     lines = [f"only {share:.0%} of what is seen lies in thin layers, or in ones that the photos agree with"]
     if heavy:
         thickest = max(heavy, key=lambda s: s.layer.thickness)
@@ -221,7 +227,7 @@ def _unobserved_reason(s: Standing) -> str:
 
 def _leak_reason(s: Standing, left: float) -> str:
     return (
-        f"{left:.0%} of what is behind shows through the layer at {s.layer.t:.3g}; were it opaque, the {s.looked} "
+        f"{left:.0%} of what is behind shows through the layer at {s.layer.t:.3g}; were it opaque, {s.asked} "
         f"photos that see it would be matched better: error {s.error:.3f}, opaque {s.opaque:.3f}"
     )
 

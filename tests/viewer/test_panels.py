@@ -358,9 +358,9 @@ def test_axes_stay_while_the_same_ray_is_trained_on(screen: Screen) -> None:
 def test_the_median_depth_can_be_asked_for_again(screen: Screen) -> None:
     panel, state = PANELS.get("radiance")(), make_state(make_snapshot())
     assert state.inspect is not None
-    assert screen.click(panel, state, "radiance.median") == []  # it is shown already
+    assert screen.click(panel, state, "radiance.surface") == []  # it is shown already
     state.inspect = replace(state.inspect, point_t=3.0)
-    assert screen.click(panel, state, "radiance.median") == [SetPointDepth(None)]
+    assert screen.click(panel, state, "radiance.surface") == [SetPointDepth(None)]
 
 
 @pytest.mark.parametrize("widget", ["radiance.disc", "radiance.sphere"])

@@ -157,7 +157,7 @@ def _numbers(ui: Ui, state: AppState, pictures: Pictures, viewer: np.ndarray) ->
 
 
 def _point(ui: Ui, state: AppState, probe: RadianceProbe) -> Iterator[Action]:
-    """Where the point lies, and the way back to the median depth once it was moved."""
+    """Where the point lies, and the way back to the surface once it was moved."""
     imgui.align_text_to_frame_padding()
     imgui.text_colored(ui.theme.muted, "t")
     imgui.same_line()
@@ -165,8 +165,8 @@ def _point(ui: Ui, state: AppState, probe: RadianceProbe) -> Iterator[Action]:
         imgui.text_unformatted(number(probe.t, 5))
     moved = state.inspect is not None and state.inspect.point_t is not None
     imgui.same_line()
-    tip = "Back to the median depth. Drag the line in the ray panel to choose another depth."
-    if button(ui, "median depth", "radiance.median", enabled=moved, tip=tip):
+    tip = "Back to the surface. Drag the line in the ray panel to choose another depth."
+    if button(ui, "surface", "radiance.surface", enabled=moved, tip=tip):
         yield SetPointDepth(None)
     figures(ui, "point", [("x", vector(probe.point))])
 
