@@ -10,6 +10,7 @@ import torch
 from balls import Ball, Balls, model_of, ring_scene
 from panel_states import make_scene
 
+from nerf_core.cameras import Camera
 from nerf_core.probe import Witnesses, diffuse_of
 from nerf_core.scene import Scene
 
@@ -37,6 +38,21 @@ def test_photos_that_have_the_point_in_their_frame_are_told_from_the_others() ->
             if framed[k]:
                 np.testing.assert_allclose(pixels[k], pixel, atol=1e-9)
         assert np.isfinite(pixels).all()
+
+
+def test_what_a_lens_folds_into_the_frame_is_not_in_it() -> None:
+    """A barrel lens's polynomial turns back far outside of the picture: a ray through that pixel looks elsewhere."""
+    camera = Camera(800, 600, 600.0, 600.0, 400.0, 300.0, np.eye(4)[:3], k1=-0.28)
+    scene = make_scene()
+    views = (replace(scene.views[0], camera=camera),)
+    witnesses = Witnesses(replace(scene, views=views, images=scene.images[:1], splits={"train": (0,)}))
+    for degrees, seen in ((10, True), (25, True), (62, False), (65, False), (80, False)):
+        angle = np.radians(degrees)
+        look = np.array([np.sin(angle), 0.0, -np.cos(angle)])
+        pixels, framed = witnesses.project(3 * look)
+        assert bool(framed[0]) == seen
+        ray = witnesses.rays(np.array([0]), np.clip(pixels, 0, (799, 599))).directions[0].numpy()
+        assert not seen or ray @ look > np.cos(np.radians(0.1))
 
 
 def test_the_near_side_is_seen_from_the_near_side(scene: Scene) -> None:
