@@ -18,6 +18,8 @@ from nerf_core.types import Rays
 
 Lens = float | np.ndarray
 FAR_OFF = 1e9  # of the image plane: where Newton is thrown to by a lens that no one has built; it then found nothing
+BESIDE = 1e6  # of the image plane: what lies farther out is beside the camera; a lens takes that to its seventh power
+SAME_PLACE = 1e-3  # on the image plane: a place that undistorting finds again; what is folded is off by far more
 UNDISTORT_STEPS = 10  # Newton converges quadratically: lenses that fold nowhere in the image need 3 to 5
 
 
@@ -59,12 +61,19 @@ class Camera:
         return replace(self, c2w=np.asarray(c2w, dtype=np.float64)[:3, :4])
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """World points (P, 3) → pixel coordinates (P, 2) and z-depths (P,); points with depth ≤ 0 lie behind."""
+        """World points (P, 3) → pixel coordinates (P, 2) and z-depths (P,); points with depth ≤ 0 lie behind.
+
+        NaN where the lens shows no such point: see `shown`.
+        """
         local = (points - self.c2w[:, 3]) @ self.c2w[:, :3]
         z = -local[:, 2]
         safe = np.where(np.abs(z) < 1e-12, 1e-12, z)  # a point in the camera's plane has no pixel; depth tells
-        x, y = distort(np.stack([local[:, 0], -local[:, 1]], -1) / safe[:, None], *self.intrinsics()[6:]).T
-        return np.stack([x * self.fx + self.cx, y * self.fy + self.cy], -1), z
+        plane, lens = np.stack([local[:, 0], -local[:, 1]], -1) / safe[:, None], self.intrinsics()[6:]
+        if any(lens):
+            plane = np.clip(plane, -BESIDE, BESIDE)
+            bent = distort(plane, *lens)
+            plane = np.where(shown(plane, bent, np.broadcast_to(lens, (len(z), 5)))[:, None], bent, np.nan)
+        return plane * (self.fx, self.fy) + (self.cx, self.cy), z
 
 
 def distort(xy: np.ndarray, k1: Lens, k2: Lens, k3: Lens, p1: Lens, p2: Lens) -> np.ndarray:
@@ -75,6 +84,15 @@ def distort(xy: np.ndarray, k1: Lens, k2: Lens, k3: Lens, p1: Lens, p2: Lens) ->
     return np.stack(
         [x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], -1
     )
+
+
+def shown(plane: np.ndarray, bent: np.ndarray, lens: np.ndarray) -> np.ndarray:
+    """Which ideal points (P, 2) a lens (P, 5) shows where `distort` puts them, at `bent` (P, 2): bool (P,).
+
+    Far outside of the picture its polynomial may turn back and fold them into it; what is seen there lies elsewhere.
+    """
+    back = undistort(torch.from_numpy(bent), torch.tensor(lens)).numpy()
+    return np.abs(back - plane).max(-1) < SAME_PLACE
 
 
 def undistort(xy: Tensor, lens: Tensor) -> Tensor:

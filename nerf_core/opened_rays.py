@@ -108,13 +108,18 @@ class OpenedRays:
     def pinned(self) -> tuple[Pinned, ...]:
         return tuple(Pinned(number, pin.ray, pin.recorder.view()) for number, pin in self._pins.items())
 
-    def pinned_pixels(self, trainer: Trainer) -> list[Opened]:
-        """The pinned rays but the one that is open anyway, opened whole now."""
-        commands = [pin.command for pin in self._pins.values()]
+    def whole(self, trainer: Trainer) -> list[Opened]:
+        """The ray under the lens, then the pinned ones but that one. What is not whole is opened whole now."""
+        rays = [] if self._asked is None else [self._asked]
+        rays += [Inspect(pin.command.camera, pin.command.pixel) for pin in self._pins.values()]
+        rays = [ray for k, ray in enumerate(rays) if not any(_same_ray(ray, other) for other in rays[:k])]
         return [
-            open_pixel(trainer.method, trainer.scene, one.camera, one.pixel, trainer.step_count)
-            for one in commands
-            if self._asked is None or one.camera is not self._asked.camera or one.pixel != self._asked.pixel
+            self.opened
+            if ray is self._asked and self.opened is not None and self.opened_step >= 0
+            else open_pixel(
+                trainer.method, trainer.scene, ray.camera, ray.pixel, trainer.step_count, ray.point_t, ray.around
+            )
+            for ray in rays
         ]
 
     # ---- what is done ------------------------------------------------------------------------------------------------

@@ -282,9 +282,7 @@ class Worker:
         self._notices.put(Notice("info", f"saved step {trainer.step_count:,} to {path}", path))
 
     def _export_rays(self, path: Path) -> None:
-        rays = self._artist.rays
-        found = [rays.opened] if rays.opened is not None else []
-        write_inspection([*found, *rays.pinned_pixels(self._need_trainer())], path)
+        write_inspection(self._artist.rays.whole(self._need_trainer()), path)
         self._notices.put(Notice("info", f"wrote {path}", path))
 
     def _need_scene(self) -> Scene:

@@ -18,9 +18,9 @@ from viewer.draw.viewport import ViewportPicture
 from viewer.interaction import ViewportInput
 from viewer.layout import VIEWPORT
 from viewer.panel_host import PanelUi
-from viewer.state import AppState
+from viewer.state import AppState, SampleRef
 from viewer.theme import GREEN, SKY, VERMILION
-from viewer.widgets import color_of, faded
+from viewer.widgets import color_of, faded, sample_tooltip
 
 FRUSTUM_DEPTH = 0.12  # of the scene's radius: visible beside the scene, not in its way
 SCALE_STEPS = 48
@@ -73,12 +73,14 @@ class ViewportPanel:
         every = buttons.mouse_button_left | buttons.mouse_button_right | buttons.mouse_button_middle
         imgui.invisible_button("canvas", ImVec2(width, height), every)
         ui.mark("viewport")
-        self.input.pointer(state, (origin.x, origin.y), imgui.is_item_active(), imgui.is_item_hovered(), ui.em)
-        scene = state.snapshot.scene
+        active, hovered = imgui.is_item_active(), imgui.is_item_hovered()
+        self.input.pointer(state, (origin.x, origin.y), active, hovered, ui.em)
+        scene, ray = state.snapshot.scene, state.snapshot.ray
         if scene is not None:
-            self._draw_space(
-                ui, state, scene, Overlay(draw, camera, (origin.x, origin.y), NEAR * state.camera.distance)
-            )
+            overlay = Overlay(draw, camera, (origin.x, origin.y), NEAR * state.camera.distance)
+            self._draw_space(ui, state, scene, overlay)
+            if ray is not None and ray.passes and state.show_samples and hovered and not active:
+                _point_at(ui, state, overlay, ray)
         self._draw_words(ui, state, draw, origin, ImVec2(width, height))
 
     def _draw_picture(self, draw: imgui.ImDrawList, state: AppState, camera: Camera, origin: ImVec2) -> None:
@@ -155,6 +157,15 @@ class ViewportPanel:
 
 def _camera_of(state: AppState) -> Camera | None:
     return state.inspect.camera if state.inspect is not None else None
+
+
+def _point_at(ui: PanelUi, state: AppState, overlay: Overlay, ray: RayProbe) -> None:
+    """Say the numbers of the sample under the mouse, and have it marked everywhere."""
+    mouse = imgui.get_mouse_pos()
+    k = overlay.sample_at(ray, ui.em, mouse.x, mouse.y)
+    if k is not None:
+        state.pointed_at = SampleRef(len(ray.passes) - 1, k)
+        sample_tooltip(ui, ray.passes[-1], k)
 
 
 def _draw_ray(ui: PanelUi, overlay: Overlay, ray: RayProbe, color: ImVec4) -> None:

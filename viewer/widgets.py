@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -15,6 +16,7 @@ from imgui_bundle import icons_fontawesome_6 as icons
 
 if TYPE_CHECKING:
     from nerf_core.messages import Snapshot
+    from nerf_core.probe import PassProbe
     from viewer.panels import Ui
 
 NOTHING = "–"  # shown where there is no number
@@ -171,6 +173,22 @@ def figures(ui: Ui, name: str, rows: Sequence[Row], width: float | None = None) 
             imgui.text_unformatted(row[1])
         imgui.pop_text_wrap_pos()
     imgui.end_table()
+
+
+def sample_tooltip(ui: Ui, p: PassProbe, index: int) -> None:
+    """A sample's numbers, beside the mouse."""
+    rows: list[Row] = [
+        ("t", f"{p.t[index]:.5f}"),
+        ("σ", number(float(p.sigma[index]), 5)),
+        ("α", f"{p.alpha[index]:.5f}"),
+        ("T", f"{p.transmittance[index]:.5f}"),
+        ("w", f"{p.weights[index]:.5f}"),
+        ("rgb", triple(p.rgb[index]), partial(swatch, ui, p.rgb[index])),
+    ]
+    if imgui.begin_tooltip():
+        imgui.text_colored(ui.theme.muted, f"{p.name} sample {index + 1:,} of {len(p.t):,}")
+        figures(ui, "sample", rows, 15 * ui.em)
+        imgui.end_tooltip()
 
 
 def field_width(ui: Ui, label: str) -> None:

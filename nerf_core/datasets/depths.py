@@ -48,9 +48,8 @@ def seen_depths(cameras: Sequence[Camera], points: np.ndarray) -> np.ndarray:
     chosen = points[:: 1 + len(points) * len(cameras) // MAX_PAIRS]
     found = []
     for camera in cameras:
-        with np.errstate(over="ignore", invalid="ignore"):  # beside the lens its polynomial may overflow: not seen
-            (column, row), z = (v.T for v in camera.project(chosen))
-            inside = (z > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+        (column, row), z = (v.T for v in camera.project(chosen))
+        inside = (z > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
         found.append(z[inside])
     return np.concatenate(found)
 

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nerf_core.cameras import Cameras, distort, undistort
+from nerf_core.cameras import BESIDE, Cameras, distort, shown
 from nerf_core.methods import Method
 from nerf_core.probe.ray import MOST_RAYS, sample_ends
 from nerf_core.scene import Scene
@@ -87,12 +87,11 @@ class Witnesses:
         depth = -local[:, 2]
         plane = np.stack([local[:, 0], -local[:, 1]], -1) / np.maximum(depth, 1e-12)[:, None]  # behind: not framed
         width, height, fx, fy, cx, cy, *lens = self._intrinsics.T
-        plane = np.clip(plane, -1e6, 1e6)  # beside the camera; a lens would take that to a power that overflows
+        plane = np.clip(plane, -BESIDE, BESIDE)
         bent = distort(plane, *lens)
         pixels = bent * np.stack([fx, fy], -1) + np.stack([cx, cy], -1)
-        if np.any(lens):  # what lies far outside the picture may be folded into it, where the lens shows something else
-            back = undistort(torch.from_numpy(bent), torch.from_numpy(np.stack(lens, -1))).numpy()
-            depth = np.where(np.abs(back - plane).max(-1) < 1e-3, depth, -1.0)
+        if np.any(lens):
+            depth = np.where(shown(plane, bent, np.stack(lens, -1)), depth, -1.0)
         inside = (pixels >= 0).all(-1) & (pixels[:, 0] < width) & (pixels[:, 1] < height)
         return pixels, (depth > 0) & inside
 

@@ -62,20 +62,30 @@ def pieces(
     point_t: float | None,
     around: Around,
 ) -> Iterator[Opened]:
-    """`open_pixel` in pieces, each with more of it, for whoever has something else to do in between."""
+    """`open_pixel` in pieces, each with more of it, for whoever has something else to do in between.
+
+    A point that is asked for comes in the first of them: a hand that drags it asks anew before the verdict is there.
+    """
     if point_t is not None and not 0 <= point_t < np.inf:
         raise UserError(f"t {point_t}: the point's distance along the ray must be a number of at least 0")
     scene = witnesses.scene
     opened = Opened(camera, open_ray(method, scene, camera, pixel, step))
+    if point_t is not None:
+        opened = _with_point(method, witnesses, opened, point_t, around)
     yield opened
     for verdict in judging(method, witnesses, opened.ray):
         opened = replace(opened, verdict=verdict)
         yield opened
-    assert opened.verdict is not None
-    t = point_t if point_t is not None else opened.verdict.surface_t
-    radiance = open_radiance(method, scene, opened.ray, camera.c2w[:, 1], t, around)
-    look = opened.ray.direction.astype(np.float64)
-    evidence = witnesses.look(method, radiance.point, look, grain_at(radiance.t, scene.radius))
-    opened = replace(opened, radiance=radiance, evidence=evidence)
-    yield opened
+    if point_t is None:
+        assert opened.verdict is not None
+        opened = _with_point(method, witnesses, opened, opened.verdict.surface_t, around)
+        yield opened
     yield replace(opened, walk=walk(method, scene, camera, opened.ray))
+
+
+def _with_point(method: Method, witnesses: Witnesses, opened: Opened, t: float | None, around: Around) -> Opened:
+    """With the radiance of the point at t, and what the photos know of it."""
+    radius, look = witnesses.scene.radius, opened.ray.direction.astype(np.float64)
+    radiance = open_radiance(method, witnesses.scene, opened.ray, opened.camera.c2w[:, 1], t, around)
+    evidence = witnesses.look(method, radiance.point, look, grain_at(radiance.t, radius))
+    return replace(opened, radiance=radiance, evidence=evidence)

@@ -33,8 +33,9 @@ def truth_of(scene: Scene, camera: Camera, ray: RayProbe) -> Truth | None:
             continue
         point = ray.origin.astype(np.float64) + ray.direction.astype(np.float64)
         (place,), (z,) = view.camera.project(point[None])
-        x, y = np.floor(place).astype(int).tolist() if np.isfinite(place).all() else (-1, -1)
-        if z > 0 and 0 <= x < view.camera.width and 0 <= y < view.camera.height:
+        width, height = view.camera.width, view.camera.height
+        if z > 0 and 0 <= place[0] < width and 0 <= place[1] < height:  # NaN is neither
+            x, y = int(place[0]), int(place[1])
             return Truth(k, (x, y), scene.images[k][y, x] / np.float32(65535))
     return None
 
@@ -56,14 +57,19 @@ def walk(method: Method, scene: Scene, camera: Camera, ray: RayProbe) -> tuple[S
 def _camera_station(camera: Camera, ray: RayProbe) -> Station:
     column, row = ray.pixel
     x, y = (column + 0.5 - camera.cx) / camera.fx, (row + 0.5 - camera.cy) / camera.fy
+    lens = camera.intrinsics()[6:]
+    straight = ray.direction @ camera.c2w[:, :3]
+    undone = (("with the lens undone", triple(straight / -straight[2])),) if any(lens) else ()
     return Station(
         "Camera and pixel",
-        "The pixel's centre, less the principal point and over the focal length, is a direction before the camera.",
+        "The pixel's centre, less the principal point and over the focal length, is a direction before the camera"
+        + (", once it is undone how the lens bends." if undone else "."),
         rows=(
             ("picture", f"{camera.width:,} × {camera.height:,}"),
             ("pixel", f"{column:,}, {row:,}"),
             ("focal length", f"{number(camera.fx)}, {number(camera.fy)} pixels"),
             ("(i − cx)/fx, −(j − cy)/fy, −1", triple(np.array([x, -y, -1.0]))),
+            *undone,
         ),
     )
 

@@ -23,6 +23,7 @@ from nerf_core.messages import (
     UseMethod,
     ViewRequest,
 )
+from nerf_core.opened_rays import OpenedRays
 from nerf_core.probe import open_pixel
 from nerf_core.probe.history import BINS
 from nerf_core.scene import Scene
@@ -66,9 +67,9 @@ def test_another_course_of_training_begins_another_history(open_desk: OpenDesk) 
     desk.send(Pin(1, scene_of(desk).views[0].camera, (8, 8)), Train(3))
     desk.until(lambda s: records(s) == [0, 1, 2, 3])
     desk.send(Reset())
-    desk.until(lambda s: s.step == 0 and records(s) == [0])
-    desk.send(UseMethod("voxels"))
-    desk.until(lambda s: s.method == "voxels" and records(s) == [0])
+    assert records(desk.until(lambda s: s.step == 0)) == [0]
+    desk.send(Train(2), UseMethod("voxels"))
+    assert records(desk.until(lambda s: s.method == "voxels")) == [0]
 
 
 def test_a_pin_that_cannot_be_opened_is_told_once_and_the_others_stay(open_desk: OpenDesk) -> None:
@@ -122,6 +123,61 @@ def test_what_the_window_shows_is_what_a_notebook_opens(open_desk: OpenDesk, tmp
     assert [one["pixel"] for one in both] == [[8, 8], [3, 3]]
     desk.send(ExportRays(tmp_path / "rays.txt"))
     desk.until_told("an opened ray is written as")
+
+
+def test_a_point_that_is_dragged_is_there_at_once(open_desk: OpenDesk) -> None:
+    """The first piece of work has it; what else is known of the ray stays as it was until it is known anew."""
+    desk = open_desk()
+    scene, camera = scene_of(desk), scene_of(desk).views[2].camera
+    desk.trained(2)
+    assert desk.worker.stop()
+    trainer, rays = desk.worker._trainer, OpenedRays()
+    assert trainer is not None
+    rays.inspect(Inspect(camera, (7, 9)))
+    while rays.draw(trainer, True):
+        pass
+    whole = rays.opened
+    assert whole is not None
+    for t in (2.5, 3.25):
+        rays.inspect(Inspect(camera, (7, 9), t))
+        assert rays.draw(trainer, True)
+        assert rays.opened is not None
+        assert rays.opened.radiance is not None
+        assert rays.opened.radiance.t == t
+        assert rays.opened.verdict is whole.verdict
+        assert rays.opened.walk is whole.walk
+        assert rays.opened_step == -1
+    while rays.draw(trainer, True):
+        pass
+    again = open_pixel(trainer.method, scene, camera, (7, 9), 2, 3.25)
+    assert rays.opened is not None
+    assert rays.opened.verdict is not None
+    assert again.verdict is not None
+    assert rays.opened_step == 2
+    assert rays.opened.verdict.reasons == again.verdict.reasons
+
+
+def test_what_is_written_is_whole_and_once(open_desk: OpenDesk) -> None:
+    """A ray that is still being looked at is written whole; one that is pinned as well, once."""
+    desk = open_desk()
+    camera = scene_of(desk).views[2].camera
+    desk.trained(2)
+    assert desk.worker.stop()
+    trainer, rays = desk.worker._trainer, OpenedRays()
+    assert trainer is not None
+    for number, pixel in enumerate([(3, 3), (7, 9), (3, 3)]):
+        rays.pin(Pin(number, camera, pixel), trainer)
+    rays.inspect(Inspect(camera, (7, 9), 2.5))
+    for _ in range(3):  # not begun, then half done
+        written = rays.whole(trainer)
+        assert [one.ray.pixel for one in written] == [(7, 9), (3, 3)]
+        assert all(one.verdict is not None and one.evidence is not None and one.walk for one in written)
+        assert written[0].radiance is not None
+        assert written[0].radiance.t == 2.5
+        assert rays.draw(trainer, True)
+    while rays.draw(trainer, True):
+        pass
+    assert rays.whole(trainer)[0] is rays.opened
 
 
 def test_a_checkpoint_brings_back_what_the_window_gave_it(open_desk: OpenDesk, tmp_path: Path) -> None:

@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scripted
-from imgui_bundle import ImVec2, imgui
+from imgui_bundle import ImVec2, ImVec4, imgui
+from panel_states import make_camera, make_ray
 
 from nerf_core.cameras import Camera
 from nerf_core.messages import Preview, ViewRequest
 from viewer.draw.imgui_renderer import ImguiRenderer
-from viewer.draw.overlays import axis_directions, clip_segments, frusta
+from viewer.draw.overlays import Overlay, axis_directions, clip_segments, frusta
 from viewer.draw.textures import TextureCache
 from viewer.draw.viewport import ViewportPicture, warp_mesh
 from viewer.window import Window
@@ -315,3 +316,30 @@ def test_the_axes_turn_with_the_camera() -> None:
     np.testing.assert_allclose(y, [0, -1])  # up on a screen whose rows grow downwards
     assert y_up
     assert towards == 1
+
+
+def test_the_sample_under_the_mouse_is_the_one_that_is_drawn_there(canvas: tuple[Window, ImguiRenderer]) -> None:
+    """Seen from aside, each that weighs something is found at its place; looked at along the ray, none is."""
+    ray, camera, corner, em = make_ray(), make_camera(np.array([0.5, 3.2, 1.0])), np.array([30.0, 20.0]), 3.0
+    last = ray.passes[-1]
+    places = camera.project(ray.origin + last.t[:, None] * ray.direction)[0] + corner
+    heavy = np.flatnonzero(last.weights > 0.02)
+    first, final = places[heavy[0]], places[heavy[-1]]
+    assert np.linalg.norm(first - final) > em
+
+    def draw(lists: imgui.ImDrawList) -> None:
+        overlay = Overlay(lists, camera, (30.0, 20.0), 1e-3)
+        overlay.samples(ray, em, ImVec4(0, 0, 0, 0))
+        for place in places[heavy]:
+            found = overlay.sample_at(ray, em, *place)
+            assert found is not None
+            assert np.linalg.norm(places[found] - place) < 1e-6
+        assert overlay.sample_at(ray, em, *first) != overlay.sample_at(ray, em, *final)
+        assert overlay.sample_at(ray, em, first[0], first[1] + 40) is None
+        eye = make_camera(ray.origin)
+        x, y = eye.project(ray.origin[None] + 3.8 * ray.direction[None])[0][0]
+        assert Overlay(lists, eye, (0.0, 0.0), 1e-3).sample_at(ray, em, x, y) is None
+
+    shown = paint(canvas, draw)
+    x, y = np.floor(places[heavy[-1]]).astype(int)
+    np.testing.assert_allclose(shown[y, x] / 255, last.rgb[heavy[-1]], atol=0.15)  # neighbours differ little in colour

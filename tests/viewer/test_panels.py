@@ -39,6 +39,7 @@ from viewer.state import (
     OrbitForm,
     PinRay,
     ResetView,
+    SampleRef,
     SetDisc,
     SetPointDepth,
     StartOrbitExport,
@@ -423,6 +424,25 @@ def test_a_line_of_the_table_points_at_its_sample(screen: Screen) -> None:
     screen.frame(panel, state)
     screen.frame(panel, state)
     assert state.pointed_at.one == 0
+
+
+def test_the_table_goes_to_the_sample_that_is_pointed_at_elsewhere(screen: Screen) -> None:
+    panel, state = PANELS.get("samples")(), make_state(make_snapshot())
+    screen.size = (760, 300)
+
+    def shown() -> set[str]:
+        screen.frame(panel, state)
+        screen.frame(panel, state)
+        return {name for name in screen.widgets if name.startswith("samples.row")}
+
+    assert "samples.row 2" in shown()
+    state.sample = SampleRef(1, 120)
+    assert "samples.row 120" in shown()
+    assert "samples.row 2" not in shown()
+    state.sample = None
+    assert "samples.row 120" in shown()
+    state.sample = SampleRef(0, 5)  # of the other pass
+    assert "samples.row 120" in shown()
 
 
 def test_a_photo_of_the_evidence_is_flown_to(screen: Screen) -> None:

@@ -10,6 +10,7 @@ from nerf_core.probe import RayProbe
 
 NEAR = 1e-3  # of the distance to the orbit's centre: what lies nearer to the eye is cut off
 FAINT = 1e-3  # a sample of less weight cannot change an 8-bit pixel: it is not drawn
+REACH_EM = 0.3  # from a sample's rim at which the mouse still means it
 
 
 class Overlay:
@@ -34,19 +35,36 @@ class Overlay:
     def samples(self, ray: RayProbe, em: float, outline: ImVec4) -> None:
         """The last pass's samples: area grows with weight, colour is what each sample emits."""
         last = ray.passes[-1]
-        drawn = np.flatnonzero(last.weights > FAINT)
-        points = ray.origin + last.t[drawn, None] * ray.direction
-        pixels, depth = self._camera.project(points)
         ring = imgui.color_convert_float4_to_u32(outline)
-        for k in np.argsort(-depth):  # nearer ones over farther ones
-            if depth[k] < self._near:
-                continue
-            centre = ImVec2(*(pixels[k] + self._origin))
-            radius = em * (0.12 + 0.38 * float(np.sqrt(last.weights[drawn[k]])))
-            red, green, blue = (float(v) for v in last.rgb[drawn[k]])
+        for k, place, radius in zip(*self._discs(ray, em), strict=True):
+            red, green, blue = (float(v) for v in last.rgb[k])
             fill = imgui.color_convert_float4_to_u32(ImVec4(red, green, blue, 1.0))
-            self._draw.add_circle_filled(centre, radius, fill)
-            self._draw.add_circle(centre, radius, ring, thickness=max(1.0, 0.08 * em))
+            self._draw.add_circle_filled(ImVec2(*place), radius, fill)
+            self._draw.add_circle(ImVec2(*place), radius, ring, thickness=max(1.0, 0.08 * em))
+
+    def sample_at(self, ray: RayProbe, em: float, x: float, y: float) -> int | None:
+        """The last pass's sample whose disc lies under a place of the screen, or nearly; None where there is none.
+
+        Nor is there any while the eye is on the ray: its samples then lie in one pixel, behind each other.
+        """
+        aside = np.linalg.norm(np.cross(self._camera.c2w[:, 3] - ray.origin, ray.direction))
+        if aside < self._near:
+            return None
+        found, places, radii = self._discs(ray, em)
+        apart = np.hypot(*(places - (x, y)).T)
+        apart = np.where(apart < radii + REACH_EM * em, apart, np.inf)  # where they overlap, the nearest middle
+        return int(found[apart.argmin()]) if np.isfinite(apart).any() else None
+
+    def _discs(self, ray: RayProbe, em: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Samples (K,) of the last pass that are worth drawing, their places (K, 2) on the screen and radii (K,);
+        nearer ones after farther ones."""
+        last = ray.passes[-1]
+        drawn = np.flatnonzero(last.weights > FAINT)
+        pixels, depth = self._camera.project(ray.origin + last.t[drawn, None] * ray.direction)
+        order = np.argsort(-depth)
+        order = order[depth[order] >= self._near]
+        radii = em * (0.12 + 0.38 * np.sqrt(last.weights[drawn[order]]))
+        return drawn[order], pixels[order] + self._origin, radii
 
     def ring(self, position: np.ndarray, radius: float, color: ImVec4, thickness: float) -> None:
         """A circle of `radius` pixels around a world point."""

@@ -118,7 +118,7 @@ class EvidencePanel:
 
 
 def epipolar(camera: Camera, ray: RayProbe) -> np.ndarray:
-    """Where a ray lies in a camera's picture: (P, 2) pixels, NaN where it is behind the camera."""
+    """Where a ray lies in a camera's picture: (P, 2) pixels, NaN where it is not in sight."""
     t = np.geomspace(max(ray.near, 1e-3 * ray.far), max(ray.far, 1e-6), 96)
     pixels, depth = camera.project(ray.origin.astype(np.float64) + t[:, None] * ray.direction.astype(np.float64))
     return np.where(depth[:, None] > 0, pixels, np.nan)

@@ -14,7 +14,7 @@ from viewer.panels import PANELS, Ui
 from viewer.ray_plots import DEPTHS, Glyph, Opened, RayPlots
 from viewer.ray_steps import Steps, steps_of
 from viewer.state import Action, AppState, SampleRef, SetPointDepth
-from viewer.widgets import Row, faded, figures, hint, number, packed, same_line_if_fits, swatch, triple
+from viewer.widgets import Row, faded, figures, hint, number, packed, same_line_if_fits, sample_tooltip, swatch, triple
 
 AXIS = "over t (world units)"
 BEYOND = 0.01  # weight past the end of the axis that is worth a word
@@ -55,7 +55,7 @@ class RayPanel:
         if self.plots.hovered is not None:
             steps, index = self.plots.hovered
             state.pointed_at = SampleRef(next(k for k, p in enumerate(ray.passes) if p is steps.probe), index)
-            _tooltip(ui, steps, index)
+            sample_tooltip(ui, steps.probe, index)
         if t is not None:
             yield SetPointDepth(t)
 
@@ -192,19 +192,3 @@ def _glyph(ui: Ui, glyph: Glyph) -> None:
     centre = ImVec2(at.x + 0.5 * high, at.y + 0.5 * high)
     glyph(imgui.get_window_draw_list(), centre, 0.3 * ui.em, packed(ui.theme.text))
     imgui.dummy(ImVec2(high, high))
-
-
-def _tooltip(ui: Ui, steps: Steps, index: int) -> None:
-    p = steps.probe
-    rows: list[Row] = [
-        ("t", f"{p.t[index]:.5f}"),
-        ("σ", number(float(p.sigma[index]), 5)),
-        ("α", f"{p.alpha[index]:.5f}"),
-        ("T", f"{p.transmittance[index]:.5f}"),
-        ("w", f"{p.weights[index]:.5f}"),
-        ("rgb", triple(p.rgb[index]), partial(swatch, ui, p.rgb[index])),
-    ]
-    if imgui.begin_tooltip():
-        imgui.text_colored(ui.theme.muted, f"{p.name} sample {index + 1:,} of {len(p.t):,}")
-        figures(ui, "sample", rows, 15 * ui.em)
-        imgui.end_tooltip()

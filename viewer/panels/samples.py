@@ -25,6 +25,7 @@ class SamplesPanel:
 
     def __init__(self) -> None:
         self.one = -1  # which pass; −1: the last
+        self._pointed: SampleRef | None = None
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
         yield from ()
@@ -56,7 +57,15 @@ class SamplesPanel:
         while clipper.step():
             for i in range(clipper.display_start, clipper.display_end):
                 self._row(ui, state, one, i)
+        self._show_pointed_at(state, clipper.items_height)
         imgui.end_table()
+
+    def _show_pointed_at(self, state: AppState, row: float) -> None:
+        """Bring the line of the sample to sight that is pointed at elsewhere."""
+        before, self._pointed = self._pointed, state.sample
+        if state.sample in (None, before) or state.sample.one != self.one or imgui.is_window_hovered():
+            return
+        imgui.set_scroll_y(max(row * (state.sample.at + 1.5) - 0.5 * imgui.get_window_height(), 0.0))
 
     def _row(self, ui: Ui, state: AppState, one: PassProbe, i: int) -> None:
         imgui.table_next_row()
@@ -67,6 +76,7 @@ class SamplesPanel:
         spans = imgui.SelectableFlags_.span_all_columns
         with mono(ui):
             imgui.selectable(f"{i + 1}", False, spans, ImVec2(0, 0))
+            ui.mark(f"samples.row {i}")
             if imgui.is_item_hovered():
                 state.pointed_at = ref
             for values, digits in ((one.t, 5), (one.delta, 3), (one.sigma, 4)):

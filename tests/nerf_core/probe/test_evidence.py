@@ -51,6 +51,9 @@ def test_what_a_lens_folds_into_the_frame_is_not_in_it() -> None:
         look = np.array([np.sin(angle), 0.0, -np.cos(angle)])
         pixels, framed = witnesses.project(3 * look)
         assert bool(framed[0]) == seen
+        (alone,), (depth,) = camera.project(3 * look[None])
+        assert np.isfinite(alone).all() == seen
+        assert depth > 0
         ray = witnesses.rays(np.array([0]), np.clip(pixels, 0, (799, 599))).directions[0].numpy()
         assert not seen or ray @ look > np.cos(np.radians(0.1))
 

@@ -1,0 +1,54 @@
+"""The stations that every method shares: where the ray comes from, and which photo says what it should have been."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from balls import Ball, model_of, ring_scene
+
+from nerf_core.cameras import Camera
+from nerf_core.probe import open_ray
+from nerf_core.probe.walk import truth_of, walk
+from nerf_core.scene import Scene
+
+BALL = Ball((0.0, 0.0, 0.0), 0.7, (0.8, 0.3, 0.2))
+BARREL = -0.28  # k1
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return ring_scene(BALL, count=3)
+
+
+def numbers(text: str) -> np.ndarray:
+    return np.array([float(part) for part in text.replace("−", "-").split()])
+
+
+@pytest.mark.parametrize("k1", [0.0, BARREL])
+def test_the_camera_says_which_way_the_pixel_looks(scene: Scene, k1: float) -> None:
+    """Its last row, turned into the world, is the ray's direction: with a lens, only once that is undone."""
+    camera = replace(scene.views[0].camera, k1=k1)
+    method = model_of(scene, BALL)
+    ray = open_ray(method, scene, camera, (3, 35), 0)
+    rows = dict(walk(method, scene, camera, ray)[0].rows)
+    assert ("with the lens undone" in rows) == (k1 != 0)
+    local = numbers(list(rows.values())[-1])
+    direction = camera.c2w[:, :3] @ local / np.linalg.norm(local)
+    np.testing.assert_allclose(direction, ray.direction, atol=2e-3)  # it is written with three decimals
+
+
+def test_a_photo_tells_only_of_what_its_lens_shows(scene: Scene) -> None:
+    """From where a photo was taken, another camera sees more: there the photo's lens folds and says nothing."""
+    lens = Camera(40, 30, 30.0, 30.0, 20.0, 15.0, scene.views[0].camera.c2w, k1=BARREL)
+    photo = np.zeros((30, 40, 3), np.uint16)
+    views = (replace(scene.views[0], camera=lens), *scene.views[1:])
+    scene = replace(scene, views=views, images=(photo, *scene.images[1:]))
+    method = model_of(scene, BALL)
+    found = []
+    for degrees in (0, 20, 62, 65, 80):
+        wide = Camera(1000, 100, 60.0, 60.0, 500.0, 50.0, lens.c2w)
+        column = int(500 + 60 * np.tan(np.radians(degrees)))
+        found.append(truth_of(scene, wide, open_ray(method, scene, wide, (column, 50), 0)) is not None)
+    assert found == [True, True, False, False, False]
