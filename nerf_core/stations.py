@@ -101,7 +101,7 @@ def skipped_station(samples: Samples, cells: Cells, step: float) -> Station:
     """Where the first ray looks at all: in cells that may hold something. step: cells between two samples."""
     count = 0 if samples.count is None else int(samples.count[0])
     t = samples.t[0, :count].cpu().numpy()
-    share = int(cells.occupied.count_nonzero()) / cells.occupied.numel()
+    share = np.count_nonzero(cells.occupied.cpu().numpy()) / cells.occupied.numel()
     return Station(
         "Skipped space",
         f"Of {cells.occupied.numel():,} cells {share:.1%} may hold something. The ray leaps over the others and takes "

@@ -89,13 +89,11 @@ class VoxelGrid(Cells):
 
     def interpolate(self, cell: Tensor, within: Tensor) -> Tensor:
         """Trilinear rows (P, 16) in cells (P, 3) at `within` (P, 3); vertices that are not stored count as zero."""
-        total = self.rows.new_zeros(len(cell), WIDTH)
-        for corner in torch.cartesian_prod(*[torch.arange(2, device=cell.device)] * 3):
-            weight = torch.where(corner == 1, within, 1 - within).prod(-1)
-            row = self.row_of(cell + corner)
-            weight = torch.where(row >= 0, weight, 0)
-            total.addcmul_(weight[:, None].to(self.rows.dtype), self.rows[row.clamp(min=0)])
-        return total
+        corners = torch.cartesian_prod(*[torch.arange(2, device=cell.device)] * 3)
+        weight = torch.where(corners == 1, within[:, None], 1 - within[:, None]).prod(-1)
+        row = self.row_of((cell[:, None] + corners).view(-1, 3)).view(-1, len(corners))
+        weight = torch.where(row >= 0, weight, 0).to(self.rows.dtype)
+        return torch.einsum("pc,pcw->pw", weight, self.rows[row.clamp(min=0)])
 
     def vertices(self, first: int = 0, last: int | None = None) -> Tensor:
         """(64 · bricks, 3) int64: the vertex of each row of bricks first ≤ b < last."""

@@ -17,7 +17,7 @@ from nerf_core.kernels import numba_packed as loops
 from nerf_core.kernels.cpu_rays import ray_arrays
 from nerf_core.kernels.numba_march import NOTES
 from nerf_core.kernels.packed_kernels import BETA1, BETA2, EPSILON, HashLevels, Samples, adam_numbers
-from nerf_core.kernels.shards import each_shard, split
+from nerf_core.kernels.shards import each_shard, shards_of, split
 from nerf_core.packing import Packed
 from nerf_core.spaces import BoxRays
 
@@ -35,10 +35,11 @@ class CpuPacked:
         arrays, given = cells.cell_arrays(), ray_arrays(rays, offsets)
         longest = int(1.5 * sum(cells.size) / step) + 8  # as in `cpu_voxels`
         counts = torch.zeros(len(rays), dtype=torch.long)
-        parts: list[tuple[Tensor, ...]] = [()] * self.shards
+        shards = shards_of(len(rays), self.shards)
+        parts: list[tuple[Tensor, ...]] = [()] * shards
 
         def work(s: int) -> None:
-            first, last = split(len(rays), self.shards, s)
+            first, last = split(len(rays), shards, s)
             notes = torch.empty(longest * NOTES).numpy()
             room = int(2 * self._average * (last - first)) + longest
             while True:
@@ -52,7 +53,7 @@ class CpuPacked:
                 room *= 2
             parts[s] = x[:found], t[:found], width[:found]
 
-        each_shard(self.shards, work)
+        each_shard(shards, work)
         x, t, width = (torch.cat(v) for v in zip(*parts, strict=True))
         self._average = max(1.0, len(t) / max(1, len(rays)))
         samples = Samples(torch.cat([counts.new_zeros(1), counts.cumsum(0)]), t, width, x)
@@ -61,8 +62,8 @@ class CpuPacked:
     def encode(self, table: Tensor, levels: HashLevels, x: Tensor) -> Tensor:
         features = torch.empty(len(x), table.shape[0] * table.shape[2])
         given = table.numpy(), np.array(levels.resolutions), x.contiguous().numpy()
-        out = features.numpy()
-        each_shard(self.shards, lambda s: loops.encode(*given, *split(len(x), self.shards, s), out))
+        out, shards = features.numpy(), shards_of(len(x), self.shards)
+        each_shard(shards, lambda s: loops.encode(*given, *split(len(x), shards, s), out))
         return features
 
     def encode_gradient(self, gradient: Tensor, levels: HashLevels, x: Tensor, into: Tensor) -> None:
@@ -74,8 +75,8 @@ class CpuPacked:
         count = len(samples.ends) - 1
         pixel = torch.empty(count, 5)
         given = [v.contiguous().numpy() for v in (tau, rgb, samples.t, samples.ends, background)]
-        out = pixel.numpy()
-        each_shard(self.shards, lambda s: loops.composite(*given, *split(count, self.shards, s), out))
+        out, shards = pixel.numpy(), shards_of(count, self.shards)
+        each_shard(shards, lambda s: loops.composite(*given, *split(count, shards, s), out))
         return pixel
 
     def composite_gradient(

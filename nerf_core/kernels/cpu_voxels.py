@@ -18,7 +18,7 @@ from nerf_core.kernels import numba_march as note
 from nerf_core.kernels import numba_voxels as loops
 from nerf_core.kernels.cpu_rays import ray_arrays
 from nerf_core.kernels.rays import fast_rays, photo_colors
-from nerf_core.kernels.shards import each_shard, split
+from nerf_core.kernels.shards import each_shard, shards_of, split
 from nerf_core.kernels.voxel_kernels import Adam, March, Traced
 from nerf_core.spaces import BoxRays
 
@@ -54,24 +54,27 @@ class CpuVoxels:
         pixel = torch.empty(len(rays), 5)
         out, rows, background = pixel.numpy(), grid.rows.numpy().ravel(), how.background.numpy()
 
+        shards = shards_of(len(rays), self.shards)
+
         def work(s: int) -> None:
-            first, last = split(len(rays), self.shards, s)
+            first, last = split(len(rays), shards, s)
             loops.render(
                 arrays, given, first, last, np.float32(how.step), np.float32(how.bias), rows, background,
                 scratch[s], out,
             )  # fmt: skip
 
-        each_shard(self.shards, work)
+        each_shard(shards, work)
         return pixel
 
     def trace(self, grid: VoxelGrid, rays: BoxRays, how: March) -> Traced:
         arrays, given, scratch = grid.arrays(), ray_arrays(rays, how.offsets), self._buffers(grid, how)
         pixel, counts = torch.empty(len(rays), 5), torch.zeros(len(rays), dtype=torch.long)
         rows, background = grid.rows.numpy().ravel(), how.background.numpy()
-        longest, parts = len(scratch[0].notes) // note.NOTES, [torch.empty(0)] * self.shards
+        shards = shards_of(len(rays), self.shards)
+        longest, parts = len(scratch[0].notes) // note.NOTES, [torch.empty(0)] * shards
 
         def work(s: int) -> None:
-            first, last = split(len(rays), self.shards, s)
+            first, last = split(len(rays), shards, s)
             room = ROOM * (last - first) + longest
             while True:
                 kept = torch.empty(room, note.NOTES)
@@ -84,7 +87,7 @@ class CpuVoxels:
                 room = found
             parts[s] = kept[:found]
 
-        each_shard(self.shards, work)
+        each_shard(shards, work)
         notes = torch.cat(parts)
         return Traced(
             ends=torch.cat([counts.new_zeros(1), counts.cumsum(0)]), t=notes[:, note.DISTANCE],

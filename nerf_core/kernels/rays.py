@@ -7,9 +7,7 @@ import torch
 from torch import Tensor
 
 from nerf_core.kernels.numba_here import numba_obstacle
-from nerf_core.kernels.shards import each_shard, split
-
-FEW = 512  # rays: below, handing over to other threads takes longer than computing
+from nerf_core.kernels.shards import each_shard, shards_of, split
 
 
 def fast_rays(
@@ -24,7 +22,7 @@ def fast_rays(
     found = torch.empty(count, 3), torch.empty(count, 3), torch.empty(count), torch.empty(count)
     given = [v.contiguous().numpy() for v in (index, pixels.double(), focal, principal, lens, c2w)]
     out = [v.numpy() for v in found]
-    shards = torch.get_num_threads() if count >= FEW else 1
+    shards = shards_of(count, torch.get_num_threads())
     each_shard(shards, lambda s: rays(*given, near, far, *split(count, shards, s), *out))
     return found
 
@@ -42,6 +40,6 @@ def photo_colors(index: Tensor, pixel: Tensor, widths: Tensor, starts: Tensor, f
     count = len(index)
     found = torch.empty(count, 3)
     given, out = [v.contiguous().numpy() for v in (index, pixel, widths, starts)], found.numpy()
-    shards = torch.get_num_threads() if count >= FEW else 1
+    shards = shards_of(count, torch.get_num_threads())
     each_shard(shards, lambda s: colors(*given, flat, *split(count, shards, s), out))
     return found

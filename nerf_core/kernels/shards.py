@@ -14,6 +14,11 @@ def _pool(count: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(count, thread_name_prefix="kernel")
 
 
+def shards_of(count: int, most: int) -> int:
+    """How many threads `count` items are worth, where the result is the same for any number of them."""
+    return max(1, min(count // FEWEST, most))
+
+
 def each_shard(shards: int, work: Callable[[int], None]) -> None:
     """work(0) … work(shards − 1), at once, the last here; what any raises is raised."""
     if shards == 1:

@@ -43,6 +43,7 @@ class GuidedNerf(MlpModel):
 
     summary: ClassVar[str] = "The paper's network, its samples placed by a voxel grid trained first: minutes on a CPU."
     coarse: ClassVar[str] = "the guide's picture"
+    alone: ClassVar[bool] = False
 
     configure = staticmethod(GuidedConfig.configure)
     restore = staticmethod(GuidedConfig.restore)

@@ -55,6 +55,7 @@ class Nerf(MlpModel):
     )
 
     coarse: ClassVar[str] = "coarse network"
+    alone: ClassVar[bool] = False
 
     configure = staticmethod(NerfConfig.configure)
     restore = staticmethod(NerfConfig.restore)

@@ -15,6 +15,7 @@ class Voxels(VoxelModel):
 
     summary: ClassVar[str] = "A voxel grid with view-dependent colour, trained directly: seconds on a CPU."
     coarse: ClassVar[str] = ""
+    alone: ClassVar[bool] = True
 
     configure = staticmethod(VoxelConfig.configure)
     restore = staticmethod(VoxelConfig.restore)

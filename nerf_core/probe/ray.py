@@ -100,14 +100,15 @@ def _matters_until(p: PassProbe) -> float:
 def open_ray(method: Method, scene: Scene, camera: Camera, pixel: tuple[int, int], step: int) -> RayProbe:
     """Everything that made integer `pixel` (column, row) of `camera`. Raises UserError outside the picture.
 
-    The pixel runs through the same code as in the full-resolution picture, a tile's share of its neighbours with it, so
-    the composited colour is the rendered one. A median is the first sample at which the accumulated weight reaches 0.5.
+    The pixel runs through the same code as in the full-resolution picture, where that matters with a tile's share of
+    its neighbours, so the composited colour is the rendered one. A median is the first sample at which the accumulated
+    weight reaches 0.5.
     """
     column, row = pixel
     if not (0 <= column < camera.width and 0 <= row < camera.height):
         raise UserError(f"pixel {column}, {row} lies outside the {camera.width}×{camera.height} picture")
     flat = row * camera.width + column
-    count = min(method.tile, MOST_RAYS)
+    count = 1 if method.alone else min(method.tile, MOST_RAYS)
     rays, i = tile_rays(camera, scene, flat - flat % count, count), flat % count
     trace, rendered = method.trace(rays), method.render(rays)
     passes = passes_of(scene, rays, trace, i)
