@@ -365,23 +365,26 @@ class Worker:
             raise _Abandoned
         self._account_for_training(0)
         view = self._wanted_view()
-        served = False
         if self._artist.rays.urgent and self._budget.may_follow():
-            begin = time.perf_counter()
-            while self._artist.rays.urgent and not self._commands and self._draw(view):
-                self._publish()
-                served = True
-            self._budget.followed(time.perf_counter() - begin)
+            self._serve(lambda: self._artist.rays.urgent and not self._commands and self._draw(view))
         if view is not None and (not view.moving or self._budget.may_follow()):
-            begin, drawn = time.perf_counter(), False
-            while self._artist.urgent(view) and (view is self._view or view.moving) and self._draw(view):
-                served = drawn = True
-            if drawn:
-                self._budget.followed(time.perf_counter() - begin)
+            self._serve(
+                lambda: self._artist.urgent(view) and (view is self._view or view.moving) and self._draw(view)
+            )
         while self._budget.may_draw() and not self._artist.urgent(self._view) and self._draw(self._wanted_view()):
             self._publish()
-        self._publish(force=served)
+        self._publish()
         self._accounted = time.perf_counter()
+
+    def _serve(self, piece: Callable[[], bool]) -> None:
+        """Do what somebody waits for, a piece at a time, and show it before anything else is done."""
+        begin = time.perf_counter()
+        if not piece():
+            return
+        while piece():
+            self._publish()
+        self._publish(force=True)
+        self._budget.followed(time.perf_counter() - begin)
 
     # ---- pictures ---------------------------------------------------------------------------------------------------
 

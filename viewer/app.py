@@ -13,7 +13,7 @@ from imgui_bundle import ImVec2, imgui, implot
 
 from nerf_core.cameras import Camera
 from nerf_core.errors import UserError
-from nerf_core.messages import Notice, Snapshot, ViewRequest
+from nerf_core.messages import Inspect, Notice, Snapshot, ViewRequest
 from nerf_core.video import write_png
 from viewer import pins
 from viewer.actions import Actions
@@ -77,6 +77,7 @@ class App:
         self._actions = Actions(self.state, link)
         self._requested: tuple[Camera, bool, int, str] | None = None  # camera, moving, scene, mode
         self._stamp = 0
+        self._answered: Inspect | None = None  # the newest ray that was asked for and came
         self._drawn_at = self.state.time
         self._frame_times: deque[float] = deque(maxlen=120)
         self._closed = self._hidden = False
@@ -119,7 +120,7 @@ class App:
         if new is not old:
             self.state.snapshot = new
             picture = new.preview is not old.preview or _opened(new) != _opened(old)
-            self._pacer.note(self.state.time, picture=picture, figures=True)
+            self._pacer.note(self.state.time, answer=self._is_answer(new), picture=picture, figures=True)
             if new.loaded != old.loaded and new.scene is not None:
                 self.state.camera.set_scene(new.scene)
                 self.state.inspect = self.state.current_view = None
@@ -134,6 +135,16 @@ class App:
             self._actions.tell(notice)
         if notices:
             self._pacer.note(self.state.time, hand=True)
+
+    def _is_answer(self, snapshot: Snapshot) -> bool:
+        """Whether the ray that was asked for is whole, for the first time."""
+        asked, opened = self.state.inspect, snapshot.opened
+        if asked is None or asked is self._answered or opened is None or snapshot.opened_step < 0:
+            return False
+        if opened.camera is not asked.camera or opened.ray.pixel != asked.pixel:
+            return False
+        self._answered = asked
+        return True
 
     def _focus_behind(self) -> None:
         """A double click on a floater lands on the surface behind it, as soon as the verdict says that it is one."""

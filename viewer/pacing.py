@@ -22,14 +22,18 @@ class Pacer:
         self._drawn_at = -float("inf")
         self._input_at = -float("inf")
         self._settling = 0
-        self._hand = self._picture = self._figures = False
+        self._hand = self._answer = self._picture = self._figures = False
 
-    def note(self, now: float, *, hand: bool = False, picture: bool = False, figures: bool = False) -> None:
-        """hand: input, or a movement under way; picture: a new preview; figures: anything else that is new."""
+    def note(
+        self, now: float, *, hand: bool = False, answer: bool = False, picture: bool = False, figures: bool = False
+    ) -> None:
+        """hand: input, or a movement under way; answer: what a click asked for is there; picture: a new preview;
+        figures: anything else that is new."""
         if hand:
             self._input_at = now
             self._settling = SETTLE_FRAMES
         self._hand |= hand
+        self._answer |= answer
         self._picture |= picture
         self._figures |= figures
 
@@ -48,9 +52,11 @@ class Pacer:
         self._hand_gap = min(max(FASTEST, self._cost / part), SLOWEST)
         self._drawn_at = now
         self._settling = max(0, self._settling - 1)
-        self._hand = self._picture = self._figures = False
+        self._hand = self._answer = self._picture = self._figures = False
 
     def _gap(self, now: float) -> float | None:
+        if self._answer:
+            return FASTEST
         if self._hand or self._settling:
             return FASTEST if self._picture else self._hand_gap
         if self._picture:

@@ -43,6 +43,18 @@ def test_input_is_drawn_at_once_and_settles() -> None:
     assert 4 <= drawn < 4 + SETTLE_SECONDS / 0.1 + 2  # then it is quiet
 
 
+def test_an_answer_is_drawn_at_once_and_alone() -> None:
+    pacer = Pacer()
+    pacer.note(50.0, picture=True)
+    pacer.drew(50.0)
+    pacer.note(50.02, picture=True)
+    assert not pacer.due(50.02)
+    pacer.note(50.02, answer=True)
+    assert pacer.due(50.02)
+    assert pacer.wait(50.02) == 0
+    assert frames(pacer, 1, start=50.02) == 1
+
+
 def test_the_wait_ends_when_a_frame_is_due() -> None:
     pacer = Pacer()
     assert 0 < pacer.wait(10.0) <= PICTURE  # idle: look again soon, without drawing
