@@ -368,9 +368,7 @@ class Worker:
         if self._artist.rays.urgent and self._budget.may_follow():
             self._serve(lambda: self._artist.rays.urgent and not self._commands and self._draw(view))
         if view is not None and (not view.moving or self._budget.may_follow()):
-            self._serve(
-                lambda: self._artist.urgent(view) and (view is self._view or view.moving) and self._draw(view)
-            )
+            self._serve(lambda: self._artist.urgent(view) and (view is self._view or view.moving) and self._draw(view))
         while self._budget.may_draw() and not self._artist.urgent(self._view) and self._draw(self._wanted_view()):
             self._publish()
         self._publish()

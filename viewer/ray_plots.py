@@ -13,7 +13,7 @@ from imgui_bundle import ImVec2, ImVec4, imgui, implot
 
 from nerf_core.probe import RayProbe
 from viewer.ray_steps import Steps, wants_log
-from viewer.widgets import axis_name, faded, packed
+from viewer.widgets import axis_name, faded, packed, tints
 
 if TYPE_CHECKING:
     from viewer.panels import Ui
@@ -290,8 +290,6 @@ def _ticks(ui: Ui, t: np.ndarray, row: tuple[float, float], color: ImVec4) -> No
 def _colors(steps: Steps, row: tuple[float, float], opacity: np.ndarray) -> None:
     draw, (top, bottom) = implot.get_plot_draw_list(), row
     left, right = _pixels(steps.t).tolist(), _pixels(steps.until).tolist()
-    rgba = np.column_stack([steps.probe.rgb, opacity])
-    levels = np.round(255 * np.clip(np.nan_to_num(rgba), 0, 1)).astype(np.uint32)
-    tints = (levels << np.array([0, 8, 16, 24], np.uint32)).sum(-1).tolist()  # as imgui packs them
-    for i in np.flatnonzero(levels[:, 3]).tolist():
-        draw.add_rect_filled(ImVec2(left[i], top), ImVec2(right[i], bottom), tints[i])
+    colors = tints(steps.probe.rgb, opacity)
+    for i in np.flatnonzero(opacity > 0).tolist():
+        draw.add_rect_filled(ImVec2(left[i], top), ImVec2(right[i], bottom), colors[i])

@@ -20,7 +20,7 @@ from viewer.layout import VIEWPORT
 from viewer.panel_host import PanelUi
 from viewer.state import AppState, SampleRef
 from viewer.theme import GREEN, SKY, VERMILION
-from viewer.widgets import color_of, faded, sample_tooltip
+from viewer.widgets import color_of, faded, packed, sample_tooltip
 
 FRUSTUM_DEPTH = 0.12  # of the scene's radius: visible beside the scene, not in its way
 SCALE_STEPS = 48
@@ -105,8 +105,8 @@ class ViewportPanel:
             for indices, color in ((train, theme.text), (set(range(len(scene.views))) - train, theme.muted)):
                 cameras = [scene.views[k].camera for k in sorted(indices)]
                 if cameras:
-                    overlay.lines(*frusta(cameras, depth), faded(SHADE, 0.5), 2.5 * thin)  # for a white ground
-                    overlay.lines(*frusta(cameras, depth), ImVec4(color.x, color.y, color.z, 0.55), thin)
+                    shade = faded(SHADE, 0.5), 2.5 * thin  # for a white ground
+                    overlay.lines(*frusta(cameras, depth), shade, (faded(color, 0.55), thin))
         if not state.show_samples:
             return
         shown = {pin.id: pin for pin in state.pins if not pin.hidden}
@@ -171,8 +171,7 @@ def _point_at(ui: PanelUi, state: AppState, overlay: Overlay, ray: RayProbe) -> 
 def _draw_ray(ui: PanelUi, overlay: Overlay, ray: RayProbe, color: ImVec4) -> None:
     thin = max(1.0, ui.em / 14)
     start, end = ray.origin + ray.near * ray.direction, ray.origin + ray.far * ray.direction
-    overlay.lines(start[None], end[None], SHADE, 3 * thin)
-    overlay.lines(start[None], end[None], color, 1.2 * thin)
+    overlay.lines(start[None], end[None], (SHADE, 3 * thin), (color, 1.2 * thin))
     if ray.passes:
         overlay.samples(ray, ui.em, ui.theme.ground)
 
@@ -196,7 +195,7 @@ def _centred(ui: PanelUi, draw: imgui.ImDrawList, origin: ImVec2, size: ImVec2, 
     for line, color in zip(lines, (ui.theme.text, ui.theme.muted), strict=True):
         width = imgui.calc_text_size(line).x
         x = origin.x + max(0.5 * (size.x - width), 0.5 * ui.em)
-        draw.add_text(ImVec2(int(x), int(y)), imgui.color_convert_float4_to_u32(color), line)
+        draw.add_text(ImVec2(int(x), int(y)), packed(color), line)
         y += 1.5 * ui.em
 
 
@@ -205,9 +204,9 @@ def _chip(ui: PanelUi, draw: imgui.ImDrawList, place: ImVec2, words: str) -> Non
     size = imgui.calc_text_size(words)
     pad = 0.45 * ui.em
     far = ImVec2(place.x + size.x + 2 * pad, place.y + size.y + pad)
-    draw.add_rect_filled(place, far, imgui.color_convert_float4_to_u32(SHADE), 0.2 * ui.em)
+    draw.add_rect_filled(place, far, packed(SHADE), 0.2 * ui.em)
     at = ImVec2(int(place.x + pad), int(place.y + 0.5 * pad))
-    draw.add_text(at, imgui.color_convert_float4_to_u32(ui.theme.text), words)
+    draw.add_text(at, packed(ui.theme.text), words)
 
 
 def _scale(ui: PanelUi, draw: imgui.ImDrawList, place: ImVec2, mode: Mode) -> None:
@@ -216,15 +215,15 @@ def _scale(ui: PanelUi, draw: imgui.ImDrawList, place: ImVec2, mode: Mode) -> No
     widths = [imgui.calc_text_size(text).x for text in words]
     pad, bar, high = 0.45 * ui.em, 8 * ui.em, imgui.get_text_line_height()
     far = ImVec2(place.x + sum(widths) + bar + 4 * pad, place.y + high + pad)
-    draw.add_rect_filled(place, far, imgui.color_convert_float4_to_u32(SHADE), 0.2 * ui.em)
+    draw.add_rect_filled(place, far, packed(SHADE), 0.2 * ui.em)
     y, x = place.y + 0.5 * pad, place.x + pad
-    text = imgui.color_convert_float4_to_u32(ui.theme.text)
+    text = packed(ui.theme.text)
     draw.add_text(ImVec2(x, y), text, words[0])
     x += widths[0] + pad
     for k, rgb in enumerate(colored(np.linspace(0, 1, SCALE_STEPS), 0, 1, mode.colors).tolist()):
         low = ImVec2(x + k * bar / SCALE_STEPS, y + 0.15 * high)
         high_corner = ImVec2(x + (k + 1) * bar / SCALE_STEPS, y + 0.85 * high)
-        draw.add_rect_filled(low, high_corner, imgui.color_convert_float4_to_u32(color_of(rgb)))
+        draw.add_rect_filled(low, high_corner, packed(color_of(rgb)))
     draw.add_text(ImVec2(x + bar + pad, y), text, words[1])
 
 
@@ -232,7 +231,7 @@ def _axes(ui: PanelUi, draw: imgui.ImDrawList, centre: ImVec2, camera: Camera, u
     """World x, y, z; the ones that point away first, under the others."""
     named = zip(axis_directions(camera, up), "xyz", (VERMILION, GREEN, SKY), strict=True)
     for (direction, towards, is_up), name, color in sorted(named, key=lambda item: item[0][1]):
-        strong = imgui.color_convert_float4_to_u32(ImVec4(color.x, color.y, color.z, 1.0 if towards > -0.2 else 0.5))
+        strong = packed(ImVec4(color.x, color.y, color.z, 1.0 if towards > -0.2 else 0.5))
         tip = ImVec2(centre.x + 1.6 * ui.em * direction[0], centre.y + 1.6 * ui.em * direction[1])
         draw.add_line(centre, tip, strong, max(1.0, ui.em / (6 if is_up else 10)))
         size = imgui.calc_text_size(name)

@@ -80,6 +80,13 @@ def packed(color: ImVec4) -> int:
     return imgui.color_convert_float4_to_u32(color)
 
 
+def tints(rgb: np.ndarray, alpha: np.ndarray | float = 1.0) -> list[int]:
+    """Colours (N, 3) in [0, 1] as imgui packs them; what is no number is black."""
+    rgba = np.column_stack([rgb, np.broadcast_to(alpha, len(rgb))])
+    levels = np.round(255 * np.clip(np.nan_to_num(rgba), 0, 1)).astype(np.uint32)
+    return (levels << np.array([0, 8, 16, 24], np.uint32)).sum(-1).tolist()
+
+
 def exists(path: Path) -> bool:
     """Whether there is something at a path as a user types it."""
     return os.path.exists(os.path.expanduser(path))

@@ -7,6 +7,7 @@ from imgui_bundle import ImVec2, ImVec4, imgui
 
 from nerf_core.cameras import Camera
 from nerf_core.probe import RayProbe
+from viewer.widgets import packed, tints
 
 NEAR = 1e-3  # of the distance to the orbit's centre: what lies nearer to the eye is cut off
 FAINT = 1e-3  # a sample of less weight cannot change an 8-bit pixel: it is not drawn
@@ -25,20 +26,22 @@ class Overlay:
         self._origin = np.asarray(origin, dtype=np.float64)
         self._near = near
 
-    def lines(self, starts: np.ndarray, ends: np.ndarray, color: ImVec4, thickness: float) -> None:
-        """Segments between world points (N, 3) and (N, 3)."""
+    def lines(self, starts: np.ndarray, ends: np.ndarray, *strokes: tuple[ImVec4, float]) -> None:
+        """Segments between world points (N, 3) and (N, 3), drawn over in every colour and thickness of `strokes`."""
         a, b, visible = clip_segments(self._camera, starts, ends, self._near)
-        packed = imgui.color_convert_float4_to_u32(color)
-        for p, q in zip(a[visible] + self._origin, b[visible] + self._origin, strict=True):
-            self._draw.add_line(ImVec2(*p), ImVec2(*q), packed, thickness)
+        shown = [
+            (ImVec2(*p), ImVec2(*q)) for p, q in zip(a[visible] + self._origin, b[visible] + self._origin, strict=True)
+        ]
+        for color, thickness in strokes:
+            tint = packed(color)
+            for p, q in shown:
+                self._draw.add_line(p, q, tint, thickness)
 
     def samples(self, ray: RayProbe, em: float, outline: ImVec4) -> None:
         """The last pass's samples: area grows with weight, colour is what each sample emits."""
-        last = ray.passes[-1]
-        ring = imgui.color_convert_float4_to_u32(outline)
-        for k, place, radius in zip(*self._discs(ray, em), strict=True):
-            red, green, blue = (float(v) for v in last.rgb[k])
-            fill = imgui.color_convert_float4_to_u32(ImVec4(red, green, blue, 1.0))
+        ring, (drawn, places, radii) = packed(outline), self._discs(ray, em)
+        fills = tints(ray.passes[-1].rgb[drawn])
+        for fill, place, radius in zip(fills, places.tolist(), radii.tolist(), strict=True):
             self._draw.add_circle_filled(ImVec2(*place), radius, fill)
             self._draw.add_circle(ImVec2(*place), radius, ring, thickness=max(1.0, 0.08 * em))
 
@@ -70,8 +73,7 @@ class Overlay:
         """A circle of `radius` pixels around a world point."""
         pixels, depth = self._camera.project(np.asarray(position, dtype=np.float64)[None])
         if depth[0] >= self._near:
-            packed = imgui.color_convert_float4_to_u32(color)
-            self._draw.add_circle(ImVec2(*(pixels[0] + self._origin)), radius, packed, thickness=thickness)
+            self._draw.add_circle(ImVec2(*(pixels[0] + self._origin)), radius, packed(color), thickness=thickness)
 
     def point(self, position: np.ndarray, em: float, color: ImVec4) -> None:
         """A crosshair with a gap, so that what it marks stays visible."""
@@ -79,10 +81,10 @@ class Overlay:
         if depth[0] < self._near:
             return
         x, y = pixels[0] + self._origin
-        packed = imgui.color_convert_float4_to_u32(color)
+        tint = packed(color)
         for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
             start, end = ImVec2(x + 0.25 * em * dx, y + 0.25 * em * dy), ImVec2(x + 0.7 * em * dx, y + 0.7 * em * dy)
-            self._draw.add_line(start, end, packed, max(1.0, 0.1 * em))
+            self._draw.add_line(start, end, tint, max(1.0, 0.1 * em))
 
 
 def clip_segments(
