@@ -142,15 +142,20 @@ class Witnesses:
             color[part] = one.trace.rendering.color.cpu().numpy()
         return light, share, color
 
-    def otherwise(self, method: Method, seen: Sightings, reaches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The pixels of `seen` as they would be without what begins at the point, and with it opaque.
+    def otherwise(
+        self, method: Method, seen: Sightings, reaches: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The pixels of `seen` as they would be without what begins at the point, with it opaque, and with nothing from
+        there on.
 
         Without, (B, V, 3), one for each of B reaches: the stretch from `margin` before the point to `reach` behind it
         is taken out of the pixel's ray. What is left is the part in front of it, and, as far as light comes to the
-        point, a ray that begins behind it. Opaque, (V, 3): the part in front, then the point's colour.
+        point, a ray that begins behind it. Opaque, (V, 3): the part in front, then the point's colour. Bare, (V, 3):
+        the part in front, then the background.
         """
         if not len(seen.views):
-            return np.zeros((len(reaches), 0, 3), np.float32), np.zeros((0, 3), np.float32)
+            nothing = np.zeros((0, 3), np.float32)
+            return np.zeros((len(reaches), 0, 3), np.float32), nothing, nothing
         rays = self.rays(np.searchsorted(self.views, seen.views), seen.pixels)
         distance, front = torch.from_numpy(seen.distance), torch.zeros(len(rays), 3)
         for part, one in self._opened(method, rays):
@@ -160,7 +165,8 @@ class Witnesses:
         for reach in reaches.tolist():
             rest = method.render(self.beginning(rays, distance + reach))
             without.append(front + light * rest.color.cpu())
-        return torch.stack(without).numpy(), (front + light * torch.from_numpy(seen.emitted)).numpy()
+        opaque, bare = (front + light * torch.as_tensor(c).float() for c in (seen.emitted, self.scene.background))
+        return torch.stack(without).numpy(), opaque.numpy(), bare.numpy()
 
     def beginning(self, rays: Rays, begin: Tensor) -> Rays:
         """The same rays (V) from world distances `begin` (V,) on."""

@@ -60,6 +60,7 @@ def arrays(opened: Opened) -> dict[str, Any]:
                     "error": s.error,
                     "without": s.without,
                     "opaque": s.opaque,
+                    "needing": s.needing,
                 }
                 for s in verdict.standings
             ],

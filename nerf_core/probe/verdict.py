@@ -1,7 +1,8 @@
 """What is wrong with a pixel, in words: its layers, what the photos say of each, and the conclusion.
 
-Two questions to the photos decide more than any threshold on shapes. Would they be matched better if a layer were not
-there? Then it is a floater. Would they be matched better if it were opaque? Then the background leaks through it.
+Questions to the photos decide more than any threshold on shapes. Would they be matched better if a layer were not
+there, or most as well if there were nothing but background? Then it is a floater. Would they be matched better if it
+were opaque? Then the background leaks through it.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ FEW = 2  # photos: what fewer see, nobody can have learnt
 ASIDE = np.radians(75)  # between looks at a point: a photo that sees it from farther round does not see this side of it
 WRONG = 0.05  # mean error of a channel in the photos that see a layer, from which on something is wrong
 BETTER = 0.6  # times the error: what a layer's absence, or its opacity, must bring it down to
-ALIKE = 0.01  # mean error of a channel: reaches whose errors differ by less are as good, and the shortest is taken
+ALIKE = 0.01  # mean error of a channel: what differs by less is as good; of such reaches the shortest is taken
+NEEDING = 0.5  # of the photos asked: what no more of them need, the bare background in its place, is not there
 COUNTS = 0.1  # weight of a layer that is worth a verdict, in this pixel and in a photo's
 ASKED = 16  # photos that are asked how they would look otherwise
 REACHES = np.array([1.0, 3.0, 8.0, 20.0])  # grains behind a layer's end at which it may be over, where it hides that
@@ -44,7 +46,8 @@ class Standing:
     of the mean difference between their pixel and the model's; without, opaque: the same if the layer were away, or
     opaque; None where no photo tells.
 
-    reach: the world distance behind its middle from which on it is away in `without`.
+    reach: the world distance behind its middle from which on it is away in `without`. needing: how many of those asked
+    would be matched worse by the bare background in its place; None where rays end in no background that is known.
     """
 
     layer: Layer
@@ -56,11 +59,20 @@ class Standing:
     without: float | None
     opaque: float | None
     reach: float
+    needing: int | None
 
     @property
     def floats(self) -> bool:
-        """The photos would be matched better without it."""
+        """The photos would be matched better without it, or most of them as well by nothing at all."""
+        return self.disturbs or self.needless
+
+    @property
+    def disturbs(self) -> bool:
         return self._better(self.without)
+
+    @property
+    def needless(self) -> bool:
+        return self.needing is not None and self.asked >= FEW and self.needing <= NEEDING * self.asked
 
     @property
     def leaks(self) -> bool:
@@ -122,14 +134,16 @@ def stand(method: Method, witnesses: Witnesses, ray: RayProbe, layer: Layer) -> 
     counts = int((sightings.seen & (sightings.angle < ASIDE)).sum()), int(sightings.seen.sum())
     asked = sightings.at(np.flatnonzero(sightings.seen & (sightings.share >= COUNTS))[:ASKED])
     if not len(asked.views):
-        return Standing(layer, sightings, *counts, 0, None, None, None, 0.0)
+        return Standing(layer, sightings, *counts, 0, None, None, None, 0.0, None)
     reaches = margin + REACHES * layer.grain
-    without, opaque = witnesses.otherwise(method, asked, reaches)
+    without, opaque, bare = witnesses.otherwise(method, asked, reaches)
+    needing = _off(bare, asked.observed) > _off(asked.predicted, asked.observed) + ALIKE
     errors = [_error(colors, asked.observed) for colors in without]
     best = int(np.flatnonzero(np.array(errors) <= min(errors) + ALIKE)[0])
     return Standing(
         layer, sightings, *counts, len(asked.views), _error(asked.predicted, asked.observed), errors[best],
         _error(opaque, asked.observed), float(reaches[best]),
+        int(needing.sum()) if witnesses.scene.synthetic else None,
     )  # fmt: skip
 
 
@@ -194,15 +208,24 @@ def _concluded(
     return kind, reasons
 
 
+def _off(colors: np.ndarray, photos: np.ndarray) -> np.ndarray:
+    """The mean difference of a channel in each photo, (V,)."""
+    return np.abs(colors - photos).mean(-1)
+
+
 def _error(colors: np.ndarray, photos: np.ndarray) -> float:
-    return float(np.median(np.abs(colors - photos).mean(-1)))
+    return float(np.median(_off(colors, photos)))
 
 
 def _floater_reason(s: Standing) -> str:
-    return (
-        f"a layer at {s.layer.t:.3g} makes {s.layer.weight:.0%} of the pixel, but {s.asked} photos that see it "
-        f"would be matched better without it: error {s.error:.3f}, without it {s.without:.3f}"
-    )
+    layer = f"a layer at {s.layer.t:.3g} makes {s.layer.weight:.0%} of the pixel, but"
+    if s.disturbs:
+        return (
+            f"{layer} {s.asked} photos that see it would be matched better without it: error {s.error:.3f}, without "
+            f"it {s.without:.3f}"
+        )
+    alike = s.asked - (s.needing or 0)
+    return f"{layer} {alike} of {s.asked} photos that see it would be matched as well by the bare background"
 
 
 def _fog_reasons(heavy: list[Standing], share: float) -> tuple[str, ...]:

@@ -115,18 +115,19 @@ def test_without_the_near_ball_the_far_one_is_seen(scene: Scene) -> None:
     found = witnesses.look(method, point, np.array([-1.0, 0.0, 0.0]), 0.15)  # a rim is soft
     asked = found.at(found.seen & (found.share > 0.5))
     assert len(asked.views) >= 3
-    without, opaque = witnesses.otherwise(method, asked, np.array([-0.15, 0.6]))
+    without, opaque, bare = witnesses.otherwise(method, asked, np.array([-0.15, 0.6]))
     np.testing.assert_allclose(without[1], asked.observed, atol=0.03)  # the photos know of no near ball
     assert np.abs(without[0] - asked.observed).mean() > 0.2  # where nothing is taken out it is still there
     np.testing.assert_allclose(without[0], asked.predicted, atol=0.05)
     np.testing.assert_allclose(opaque, asked.emitted, atol=0.05)
+    np.testing.assert_allclose(bare, 1.0, atol=0.05)  # white, with nothing in front of it
 
 
 def test_a_point_behind_all_cameras_has_no_witness(scene: Scene) -> None:
     witnesses = Witnesses(scene)
     found = witnesses.look(model_of(scene, BALL), np.array([0.0, 0.0, 50.0]), np.array([0.0, 0.0, 1.0]), 0.05)
     assert (found.framed, len(found.views), found.asked) == (0, 0, 24)
-    without, opaque = witnesses.otherwise(model_of(scene, BALL), found, np.array([1.0]))
-    assert (without.shape, opaque.shape) == ((1, 0, 3), (0, 3))
+    without, opaque, bare = witnesses.otherwise(model_of(scene, BALL), found, np.array([1.0]))
+    assert (without.shape, opaque.shape, bare.shape) == ((1, 0, 3), (0, 3), (0, 3))
     nobody = Witnesses(replace(scene, splits={}))
     assert nobody.look(model_of(scene, BALL), SIDE, -SIDE / 0.7, 0.05).asked == 0

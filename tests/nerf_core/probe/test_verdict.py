@@ -59,6 +59,26 @@ def test_what_no_photo_shows_floats(scene: Scene, density: float) -> None:
     assert verdict.surface_t == pytest.approx(front_of(RED), abs=0.05)
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_what_the_bare_background_shows_as_well_floats(scene: Scene, known: bool) -> None:
+    """White before white: no photo is matched worse with it, but hardly one needs it. On photographs, whose rays end
+    nowhere that is known, nothing can be said."""
+    white = replace(FLOATER, color=(1.0, 1.0, 1.0))
+    verdict = said(model_of(scene, RED, white), replace(scene, synthetic=known))
+    (standing,) = verdict.standings
+    assert not standing.disturbs
+    assert standing.asked >= 4
+    if known:
+        assert standing.needing is not None
+        assert standing.needing <= standing.asked / 2
+        assert verdict.kind == "floater"
+        assert "as well by the bare background" in verdict.reasons[0]
+        assert verdict.surface_t == pytest.approx(front_of(RED), abs=0.05)
+    else:
+        assert standing.needing is None
+        assert verdict.kind == "surface"
+
+
 def test_a_radiance_point_lands_behind_the_floater(scene: Scene) -> None:
     opened = open_pixel(model_of(scene, RED, FLOATER), scene, CAMERA, MIDDLE, 0)
     assert opened.radiance is not None
