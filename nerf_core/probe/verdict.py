@@ -29,6 +29,8 @@ HAZY = 0.03  # mean error of a channel in the photos that see a thick layer, fro
 SOLID = 0.5  # of the layers' weight must lie in layers that are not hazy, or the ray is in fog
 FEW = 2  # photos: what fewer see, nobody can have learnt
 ASIDE = np.radians(75)  # between looks at a point: a photo that sees it from farther round does not see this side of it
+INSIDE = 0.3  # of the photos that see a layer: what fewer see behind it is its own inside
+FRONT = 1 / 3  # of the weight of a front and of what shows through it: a lighter one is no front
 WRONG = 0.05  # mean error of a channel in the photos that see a layer, from which on something is wrong
 BETTER = 0.6  # times the error: what a layer's absence, or its opacity, must bring it down to
 ALIKE = 0.01  # mean error of a channel: what differs by less is as good; of such reaches the shortest is taken
@@ -83,6 +85,13 @@ class Standing:
         if self.error is None or other is None or self.asked < FEW:
             return False
         return self.error >= WRONG and other <= BETTER * self.error
+
+    def inside(self, front: Standing) -> bool:
+        """Whether this is what shows through a layer in front that is not quite opaque: the inside of it, as hardly a
+        photo of those that see the front sees it from this side. Behind a true veil, a good part of them does."""
+        if front.witnesses < FEW or self.witnesses >= INSIDE * front.witnesses:
+            return False
+        return front.layer.weight >= FRONT * (front.layer.weight + self.layer.weight)
 
     @property
     def hazy(self) -> bool:
@@ -173,11 +182,16 @@ def _hidden_surface(
 def conclude(ray: RayProbe, standings: tuple[Standing, ...]) -> Verdict:
     """The verdict on what is known; no more is asked."""
     heavy = [s for s in standings if s.layer.weight >= COUNTS]
-    real = [s for s in heavy if not s.floats]
-    surface = max(real, key=lambda s: s.layer.weight, default=None)
+    surface = max(_outer(heavy), key=lambda s: s.layer.weight, default=None)
     kind, reasons = _concluded(ray, standings, heavy, surface)
     rest = surface is not None and kind != "background"
     return Verdict(kind, reasons, surface.layer.surface if rest and surface is not None else None, standings)
+
+
+def _outer(heavy: list[Standing]) -> list[Standing]:
+    """Those that neither float nor are another's inside, front to back."""
+    real = [s for s in heavy if not s.floats]
+    return [s for k, s in enumerate(real) if not any(s.inside(front) for front in real[:k])]
 
 
 def _concluded(
@@ -187,7 +201,7 @@ def _concluded(
     floaters = [s for s in heavy if s.floats]
     whole = sum(s.layer.weight for s in standings)
     thin = sum(s.layer.weight for s in standings if not s.hazy)
-    real = [s for s in heavy if not s.floats]
+    real = _outer(heavy)
     leaking, left = next((s for s in real if s.leaks), None), 1 - ray.opacity
     kind: Kind = "surface"
     if ray.opacity < NOTHING:
@@ -204,7 +218,8 @@ def _concluded(
         parts = ", ".join(f"{s.layer.weight:.0%} at {s.layer.t:.3g}" for s in real)
         kind, reasons = "several surfaces", (f"{len(real)} layers make the pixel: {parts}",)
     else:
-        reasons = (_surface_reason(surface),)
+        inner = [s for s in heavy if not s.floats and s is not surface]
+        reasons = (_surface_reason(surface), *map(_inner_reason, inner))
     return kind, reasons
 
 
@@ -253,6 +268,11 @@ def _leak_reason(s: Standing, left: float) -> str:
         f"{left:.0%} of what is behind shows through the layer at {s.layer.t:.3g}; were it opaque, {s.asked} "
         f"photos that see it would be matched better: error {s.error:.3f}, opaque {s.opaque:.3f}"
     )
+
+
+def _inner_reason(s: Standing) -> str:
+    seen = {0: "no photo sees", 1: "one photo sees"}.get(s.witnesses, f"{s.witnesses} photos see")
+    return f"another {s.layer.weight:.0%} shines through it, from {s.layer.t:.3g}, where {seen} from this side"
 
 
 def _surface_reason(s: Standing) -> str:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -265,7 +265,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
     said: Counter[tuple[str, str, str]] = Counter()
-    landed: list[float] = []
+    landed: dict[str, list[float]] = defaultdict(list)
     for seed in args.seeds:
         world = World.of(seed)
         closed_form = model_of(world.scene, *world.balls)
@@ -278,7 +278,7 @@ def main() -> None:
                 truth = open_ray(closed_form, world.scene, camera, pixel, 0).depth_median
                 if case.label == verdict.kind == "floater" and truth is not None:
                     t = np.inf if verdict.surface_t is None else verdict.surface_t
-                    landed.append(abs(t - truth) / (2 * case.scene.radius))
+                    landed[case.plant].append(abs(t - truth) / (2 * case.scene.radius))
             row = {k: said[case.label, case.plant, k] for k in CLASSES if said[case.label, case.plant, k]}
             print(f"seed {seed}: {case.label} ({case.plant}), {len(case.rays)} rays; by now {row}", flush=True)
     table(said, landed)
@@ -287,7 +287,7 @@ def main() -> None:
         args.out.write_text(json.dumps(result, indent=1))
 
 
-def table(said: Counter[tuple[str, str, str]], landed: list[float]) -> None:
+def table(said: Counter[tuple[str, str, str]], landed: dict[str, list[float]]) -> None:
     print(f"\n{sum(said.values())} rays\n| class | rays | precision | recall |\n|---|---|---|---|")
     for label in CLASSES:
         mine = {key: n for key, n in said.items() if key[0] == label}
@@ -299,9 +299,11 @@ def table(said: Counter[tuple[str, str, str]], landed: list[float]) -> None:
         for plant in sorted({plant for _, plant, _ in mine}):
             rays = sum(n for (_, p, _), n in mine.items() if p == plant)
             print(f"| &nbsp; {plant} | {rays} | | {said[label, plant, label] / rays:.2f} |")
-    if landed:
-        share = np.mean(np.array(landed) < 0.01)
-        print(f"behind {len(landed)} floaters the surface was found within 1 % of the scene's size on {share:.0%}")
+    for plant, off in landed.items():
+        share = np.mean(np.array(off) < 0.01)
+        print(
+            f"{plant}: behind {len(off)} floaters the surface was found within 1 % of the scene's size on {share:.0%}"
+        )
 
 
 if __name__ == "__main__":

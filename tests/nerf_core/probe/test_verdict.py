@@ -105,6 +105,15 @@ def test_a_true_veil_before_a_ball_is_several_surfaces() -> None:
     assert len(verdict.standings) >= 2
 
 
+def test_the_inside_that_shines_through_a_surface_is_none_of_its_own(scene: Scene) -> None:
+    """A hollow ball whose front keeps four fifths of the light, as photos cannot tell from an opaque one."""
+    verdict = said(model_of(scene, replace(RED, density=16.0, skin=0.05)), scene)
+    assert [s.layer.weight > 0.1 for s in verdict.standings] == [True, True]
+    assert verdict.kind == "surface"
+    assert verdict.surface_t == pytest.approx(front_of(RED), abs=0.06)
+    assert "shines through it" in verdict.reasons[1]
+
+
 def test_what_no_photo_has_in_view_is_unobserved(scene: Scene) -> None:
     """All cameras but those on the ray's side."""
     behind = tuple(k for k, view in enumerate(scene.views) if view.camera.c2w[0, 3] < -2)
