@@ -126,9 +126,11 @@ class Unpin:
 
 @dataclass(frozen=True)
 class ExportRays:
-    """Write the opened ray and the pinned ones; the format is that of the suffix (`nerf_core.probe.report`)."""
+    """Write the opened ray and pinned ones: those of these numbers, under these names, with their histories. The format
+    is that of the suffix (`nerf_core.probe.report`)."""
 
     file: Path
+    pins: Mapping[int, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
 
 from nerf_core.messages import Inspect, Pin, Pinned
 from nerf_core.probe import Opened, RayProbe, Witnesses, open_pixel, open_ray
@@ -108,19 +108,27 @@ class OpenedRays:
     def pinned(self) -> tuple[Pinned, ...]:
         return tuple(Pinned(number, pin.ray, pin.recorder.view()) for number, pin in self._pins.items())
 
-    def whole(self, trainer: Trainer) -> list[Opened]:
-        """The ray under the lens, then the pinned ones but that one. What is not whole is opened whole now."""
+    def whole(self, trainer: Trainer, names: Mapping[int, str]) -> list[Opened]:
+        """The ray under the lens, then the pinned ones that have names; one that is both comes once. What is not whole
+        yet is opened whole now."""
+        pins = [(self._pins[number], name) for number, name in names.items() if number in self._pins]
+        found = [] if self._asked is None else [self._whole(self._asked, trainer)]
         rays = [] if self._asked is None else [self._asked]
-        rays += [Inspect(pin.command.camera, pin.command.pixel) for pin in self._pins.values()]
-        rays = [ray for k, ray in enumerate(rays) if not any(_same_ray(ray, other) for other in rays[:k])]
-        return [
-            self.opened
-            if ray is self._asked and self.opened is not None and self.opened_step >= 0
-            else open_pixel(
-                trainer.method, trainer.scene, ray.camera, ray.pixel, trainer.step_count, ray.point_t, ray.around
-            )
-            for ray in rays
-        ]
+        for pin, name in pins:
+            ray, history = Inspect(pin.command.camera, pin.command.pixel), pin.recorder.view()
+            k = next((k for k, other in enumerate(rays) if _same_ray(ray, other)), len(rays))
+            if k == len(rays):
+                rays.append(ray)
+                found.append(self._whole(ray, trainer))
+            found[k] = replace(found[k], name=name, history=history)
+        return found
+
+    def _whole(self, ray: Inspect, trainer: Trainer) -> Opened:
+        if ray is self._asked and self.opened is not None and self.opened_step >= 0:
+            return self.opened
+        return open_pixel(
+            trainer.method, trainer.scene, ray.camera, ray.pixel, trainer.step_count, ray.point_t, ray.around
+        )
 
     # ---- what is done ------------------------------------------------------------------------------------------------
 

@@ -48,6 +48,11 @@ class Registry(Generic[T]):
             raise UserError(f"unknown {self.kind} {shorten(name)}: choose one of {', '.join(self._items)}")
         return self._items[name]
 
+    def name_of(self, item: T) -> str:
+        """What a plugin is called; nothing if it is none of these."""
+        self._load()
+        return next((name for name, one in self._items.items() if one is item), "")
+
     def _load(self) -> None:
         if not self._complete:
             self._complete = True  # first, so that a plugin may ask for names while it is imported

@@ -27,7 +27,7 @@ from nerf_core.export import FilmJob, Job, StillJob
 from nerf_core.history import HistoryLog
 from nerf_core.kernels import choice as kernels
 from nerf_core.messages import Command, Notice, Snapshot, ViewRequest
-from nerf_core.probe import write_inspection
+from nerf_core.probe import check_format, write_inspection
 from nerf_core.recovery import LastGood
 from nerf_core.scene import Scene
 from nerf_core.settings import RunSettings
@@ -199,8 +199,8 @@ class Worker:
                 self._artist.rays.record(self._need_trainer())
             case messages.Unpin(number):
                 self._artist.rays.unpin(number)
-            case messages.ExportRays(path):
-                self._export_rays(path)
+            case messages.ExportRays(path, names):
+                self._export_rays(path, names)
             case messages.ExportPath() | messages.ExportStill():
                 self._start_export(command)
             case messages.CancelExport():
@@ -281,8 +281,9 @@ class Worker:
         self._saved_step = trainer.step_count
         self._notices.put(Notice("info", f"saved step {trainer.step_count:,} to {path}", path))
 
-    def _export_rays(self, path: Path) -> None:
-        write_inspection(self._artist.rays.whole(self._need_trainer()), path)
+    def _export_rays(self, path: Path, names: Mapping[int, str]) -> None:
+        check_format(path)
+        write_inspection(self._artist.rays.whole(self._need_trainer(), names), path)
         self._notices.put(Notice("info", f"wrote {path}", path))
 
     def _need_scene(self) -> Scene:

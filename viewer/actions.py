@@ -89,8 +89,8 @@ class Actions:
                 self._link.send(action if path is None else replace(action, path=own_path(path)))
             case SaveCheckpoint(path):
                 self._link.send(SaveCheckpoint(own_path(path), pins.to_json(state.pins)))
-            case ExportRays(path):
-                self._link.send(ExportRays(own_path(path)))
+            case ExportRays(path, names):
+                self._link.send(ExportRays(own_path(path), names))
             case LoadCheckpoint(path):
                 self._link.send(replace(action, path=own_path(path)))
             case StopInspecting():

@@ -16,6 +16,7 @@ from nerf_core.errors import UserError, shorten
 from nerf_core.messages import (
     CancelExport,
     Command,
+    ExportRays,
     ExportStill,
     Inspect,
     LoadCheckpoint,
@@ -28,7 +29,6 @@ from nerf_core.messages import (
     Train,
 )
 from nerf_core.paths import training_size
-from nerf_core.probe import write_inspection
 from nerf_core.probe.report import FORMATS
 from nerf_core.render_modes import COLOR, MODES
 from nerf_core.settings import RunSettings
@@ -222,9 +222,8 @@ class Script:
         self._wait(lambda s: s.ray is not None and s.ray.pixel == asked.pixel and s.opened_step == s.step)
 
     def _inspect(self, file: Path) -> None:
-        opened = self._snapshot().opened
-        assert opened is not None  # --inspect comes with a click
-        write_inspection([opened], file)
+        pins = {pin.id: pin.name for pin in self.app.state.pins if not pin.hidden}
+        self._do(ExportRays(file, pins), lambda _: self._told(f"wrote {file}"))
 
     def _film(self, file: Path, seconds: float | None) -> None:
         snapshot, form = self._snapshot(), self.app.state.orbit

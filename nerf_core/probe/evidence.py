@@ -16,6 +16,7 @@ from nerf_core.scene import Scene
 from nerf_core.types import Rays, Trace
 
 MOST_VIEWS = 256  # that are asked about one point: those that look at it most as the ray does
+FAR_DEGREES = 20.0  # from the nearest photo: what the model says there was never compared with anything
 SEEN = 0.5  # transmittance up to a point from which on a photo is said to see it
 
 
@@ -67,6 +68,14 @@ def diffuse_of(sightings: Sightings) -> np.ndarray | None:
     """
     emitted = sightings.emitted[sightings.seen]
     return emitted.min(0) if len(emitted) >= FEWEST_LOOKS else None
+
+
+def unseen(directions: np.ndarray, evidence: Sightings | None) -> np.ndarray:
+    """Which directions (K, 3), from a point outwards, lie farther than FAR_DEGREES from any photo's."""
+    seen = evidence.directions[evidence.seen] if evidence is not None else np.zeros((0, 3))
+    if not len(seen):
+        return np.ones(len(directions), bool)
+    return (directions @ seen.T).max(1) < np.cos(np.radians(FAR_DEGREES))
 
 
 class Witnesses:

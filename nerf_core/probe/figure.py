@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import io
+import textwrap
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 
+from nerf_core.probe.evidence import unseen
 from nerf_core.probe.opened import Opened
+from nerf_core.probe.radiance import disc_grid
 from nerf_core.probe.ray import PassProbe
 
-FINE, COARSE, LIGHT, DENSITY = "#0072b2", "#e69f00", "#cc79a7", "#009e73"  # Okabe and Ito's
-WIDTH, HEIGHT = 7.0, 3.4  # inches: a column of text, and a ray
+FINE, COARSE, LIGHT, ALPHA, DENSITY = "#0072b2", "#e69f00", "#cc79a7", "#56b4e9", "#009e73"  # Okabe and Ito's
+WIDTH, HEIGHT = 7.0, 3.7  # inches: a column of text, and a ray
 DOTS = 200  # an inch
 
 
@@ -30,6 +33,8 @@ def figure(opened: Sequence[Opened], kind: str) -> bytes:
             "axes.spines.top": False,
             "axes.spines.right": False,
             "svg.hashsalt": "ray",
+            "hatch.linewidth": 0.5,
+            "hatch.color": "#777777",
         }
     ):
         page = Figure(figsize=(WIDTH, HEIGHT * len(opened)), dpi=DOTS)
@@ -51,14 +56,15 @@ class _Row:
         at = (left, self._bottom + bottom * self._height, width, height * self._height)
         return self._page.add_axes(at, **given)
 
-    def title(self, text: str) -> None:
+    def title(self, text: str, under: str) -> None:
         self._page.text(0.02, self._bottom + 0.985 * self._height, text, fontsize=9, ha="left", va="top")
+        self._page.text(0.02, self._bottom + 0.93 * self._height, under, fontsize=6.5, ha="left", va="top", color="0.3")
 
 
 def _draw(row: _Row, one: Opened) -> None:
     ray = one.ray
-    top = row.axes(0.1, 0.56, 0.58, 0.33)
-    middle, strip = row.axes(0.1, 0.24, 0.58, 0.27, sharex=top), row.axes(0.1, 0.155, 0.58, 0.045, sharex=top)
+    top = row.axes(0.1, 0.48, 0.58, 0.27)
+    middle, strip = row.axes(0.1, 0.22, 0.58, 0.22, sharex=top), row.axes(0.1, 0.145, 0.58, 0.04, sharex=top)
     for axes in (top, middle):
         axes.tick_params(labelbottom=False)
     passes = [_finite(p) for p in ray.passes]
@@ -76,6 +82,8 @@ def _draw(row: _Row, one: Opened) -> None:
             label = f"{p.name} w / {peak:.2g}" if axes is top else None
             axes.plot(x, y, color=tint, lw=1.0, label=label)
     t, until = _stretches(last, ray.far)
+    if len(t):
+        top.plot(*_steps(t, until, last.alpha), color=ALPHA, lw=0.7, label="α")
     left_over = last.transmittance[-1:] * (1 - last.alpha[-1:])
     light = np.concatenate([[1.0], last.transmittance, left_over if len(t) else [1.0]])
     top.plot(np.concatenate([[ray.near], t, [max([ray.far, *t[-1:]])]]), light, color=LIGHT, lw=1.2, label="T")
@@ -84,16 +92,26 @@ def _draw(row: _Row, one: Opened) -> None:
         depth = getattr(ray, f"depth_{name}")
         if depth is not None:
             top.plot([depth], [1.06], mark, color="black", ms=3.5, fillstyle="none", clip_on=False, label=name)
-    top.set(ylim=(0, 1.1), ylabel="w, T", xlim=(ray.near, max(ray.far, ray.near + 1e-6)))
-    top.legend(frameon=False, fontsize=6, loc="upper right", ncols=2)
-    middle.set(ylabel="σ (1/unit)")
+    top.set(ylim=(0, 1.1), ylabel="w / largest, T, α", xlim=(ray.near, max(ray.far, ray.near + 1e-6)))
+    top.legend(frameon=False, fontsize=6, loc="lower left", ncols=8, bbox_to_anchor=(-0.02, 1.03), borderaxespad=0,
+               columnspacing=1.2, handlelength=1.5)  # fmt: skip
+    middle.set(ylabel="σ (1/unit)" if one.scene.ndc is None else "σ (1/NDC unit)")
     middle.set_ylim(bottom=0)
     strip.set(yticks=[], xlabel="t (world units)", ylabel="colour")
     strip.yaxis.label.set(rotation=0, ha="right", va="center")
-    kind = one.verdict.kind if one.verdict is not None else ""
-    x, y = ray.pixel
-    row.title(f"Pixel {x}, {y} at step {ray.step:,}" + (f": {kind}" if kind else ""))
-    _draw_disc(row.axes(0.735, 0.24, 0.25, 0.58), one)
+    row.title(*_words(one))
+    _draw_disc(row.axes(0.735, 0.2, 0.25, 0.55), one)
+
+
+def _words(one: Opened) -> tuple[str, str]:
+    """What it is, and why."""
+    (x, y), camera = one.ray.pixel, one.camera
+    what = f"pixel {x}, {y} of {camera.width} × {camera.height}"
+    about = ", ".join(filter(None, (one.scene.name, one.method, f"step {one.ray.step:,}")))
+    verdict = one.verdict
+    title = ": ".join(filter(None, (one.name, verdict.kind if verdict is not None else "")))
+    reasons = "; ".join(verdict.reasons) if verdict is not None else ""
+    return f"{title or 'a ray'}  —  {what}, {about}", textwrap.fill(reasons, 150, max_lines=2, placeholder=" …")
 
 
 def _finite(p: PassProbe) -> PassProbe:
@@ -105,6 +123,8 @@ def _finite(p: PassProbe) -> PassProbe:
 def _stretches(p: PassProbe, far: float) -> tuple[np.ndarray, np.ndarray]:
     """Where the samples' stretches begin and end; a last one without end goes on to the far bound."""
     t = p.t.astype(np.float64)
+    if not len(t):
+        return t, t
     return t, np.clip(p.until.astype(np.float64), t, np.append(t[1:], max(far, t[-1])))
 
 
@@ -125,10 +145,16 @@ def _draw_disc(axes: Any, one: Opened) -> None:
     axes.imshow(radiance.disc_image(), extent=(-1, 1, -1, 1), interpolation="bilinear")
     angle = np.linspace(0, 2 * np.pi, 200)
     axes.plot(np.cos(angle), np.sin(angle), color="black", lw=0.6)
+    x, y, inside = disc_grid()
+    far = np.zeros(inside.shape)
+    far[inside] = unseen(radiance.directions[-int(inside.sum()) :], one.evidence)
+    if far.any():
+        axes.contourf(x, y, far, levels=[0.5, 1.5], colors="none", hatches=["/////"])
     if one.evidence is not None:
         seen = one.evidence.directions[one.evidence.seen]
         places = radiance.disc_position(seen)  # NaN is not drawn
         axes.plot(places[:, 0], places[:, 1], "o", ms=2.5, mfc="white", mec="black", mew=0.5)
     axes.plot(*radiance.disc_position(-one.ray.direction), "+", color="black", ms=7, mew=1)
     axes.set_title(f"radiance at t = {radiance.t:.3g}", fontsize=8)
-    axes.set_xlabel(f"view-dependence {radiance.dependence:.3f}", fontsize=7)
+    note = "\nhatched: no photo looked from there" if far.any() else ""
+    axes.set_xlabel(f"view-dependence {radiance.dependence:.3f}{note}", fontsize=7)

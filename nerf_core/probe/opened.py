@@ -9,11 +9,12 @@ import numpy as np
 
 from nerf_core.cameras import Camera
 from nerf_core.errors import UserError
-from nerf_core.methods import Method
+from nerf_core.methods import METHODS, Method
 from nerf_core.probe.evidence import Sightings, Witnesses
+from nerf_core.probe.history import RayHistory
 from nerf_core.probe.layers import grain_at
 from nerf_core.probe.radiance import Around, RadianceProbe, open_radiance
-from nerf_core.probe.ray import RayProbe, open_ray
+from nerf_core.probe.ray import FARTHEST, RayProbe, open_ray
 from nerf_core.probe.verdict import Verdict, judging
 from nerf_core.probe.walk import walk
 from nerf_core.scene import Scene
@@ -22,14 +23,21 @@ from nerf_core.stations import Station
 
 @dataclass(frozen=True)
 class Opened:
-    """Everything known of a pixel of `camera`; None, or empty: not yet. evidence is on the point of `radiance`."""
+    """Everything known of a pixel of `camera`; None, or empty: not yet. evidence is on the point of `radiance`.
+
+    method: its name. name, history: of a pinned ray.
+    """
 
     camera: Camera
+    scene: Scene
+    method: str
     ray: RayProbe
     verdict: Verdict | None = None
     radiance: RadianceProbe | None = None
     evidence: Sightings | None = None
     walk: tuple[Station, ...] = ()
+    name: str = ""
+    history: RayHistory | None = None
 
 
 def open_pixel(
@@ -69,8 +77,11 @@ def pieces(
     if point_t is not None and not 0 <= point_t < np.inf:
         raise UserError(f"t {point_t}: the point's distance along the ray must be a number of at least 0")
     scene = witnesses.scene
-    opened = Opened(camera, open_ray(method, scene, camera, pixel, step))
+    opened = Opened(camera, scene, METHODS.name_of(type(method)), open_ray(method, scene, camera, pixel, step))
     if point_t is not None:
+        if point_t > FARTHEST * opened.ray.far:
+            end = f"{opened.ray.far:.4g}"
+            raise UserError(f"t {point_t:g}: the point lies far behind all that the ray meets, which ends at {end}")
         opened = _with_point(method, witnesses, opened, point_t, around)
     yield opened
     for verdict in judging(method, witnesses, opened.ray):

@@ -75,9 +75,10 @@ class RadianceProbe:
         return np.where(xyz[..., 2:] >= 0, xyz[..., :2], np.nan)
 
     def slice(self, azimuth: float, frozen: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """The disc along its diameter at `azimuth` (radians from the disc's right): angles (A,) −π/2 … π/2 from the
-        disc's axis, and colours (A, 3)."""
-        angles = np.linspace(-np.pi / 2, np.pi / 2, 2 * DISC_SIZE + 1)[1:-1]
+        """The disc along its diameter at `azimuth` (radians from the disc's right): angles (A,) from its axis, as
+        far to either side as the middle of its outermost pixel, some 80°, and colours (A, 3)."""
+        most = np.arcsin((DISC_SIZE - 1) / DISC_SIZE)
+        angles = np.linspace(-most, most, 2 * DISC_SIZE - 1)
         image, r = self.disc_image(frozen), np.sin(angles)
         x, y = r * np.cos(azimuth), r * np.sin(azimuth)
         return angles, _bilinear(image, (x + 1) / 2 * DISC_SIZE - 0.5, (1 - y) / 2 * DISC_SIZE - 0.5)

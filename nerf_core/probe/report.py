@@ -30,6 +30,8 @@ def arrays(opened: Opened) -> dict[str, Any]:
     """Everything as nested dicts and lists of arrays and numbers; what is not known yet is left out."""
     ray, verdict, radiance = opened.ray, opened.verdict, opened.radiance
     found: dict[str, Any] = {
+        "scene": opened.scene.name,
+        "method": opened.method,
         "step": ray.step,
         "camera": camera_values(opened.camera),
         "pixel": list(ray.pixel),
@@ -69,7 +71,12 @@ def arrays(opened: Opened) -> dict[str, Any]:
         names = ("point", "t", "directions", "rgb", "frozen_rgb", "axes", "normal", "dependence")
         found["radiance"] = {name: getattr(radiance, name) for name in names}
     if opened.evidence is not None:
-        found["evidence"] = _plain(opened.evidence)
+        photos = [opened.scene.views[k].name for k in opened.evidence.views]
+        found["evidence"] = {"photos": photos, **_plain(opened.evidence)}
+    if opened.name:
+        found["name"] = opened.name
+    if opened.history is not None:
+        found["history"] = _plain(opened.history)
     return found
 
 

@@ -96,8 +96,12 @@ class Standing:
     @property
     def hazy(self) -> bool:
         """Too thick for a surface."""
-        grains = self.layer.thickness / self.layer.grain
-        return grains > DEEP or (grains > THICK and (self.error is None or self.error >= HAZY))
+        return self.layer.thickness > self.most_grains * self.layer.grain
+
+    @property
+    def most_grains(self) -> float:
+        """Of a surface that the photos agree with this much."""
+        return THICK if self.error is None or self.error >= HAZY else DEEP
 
 
 @dataclass(frozen=True)
@@ -249,8 +253,8 @@ def _fog_reasons(heavy: list[Standing], share: float) -> tuple[str, ...]:
         thickest = max(heavy, key=lambda s: s.layer.thickness)
         error = "" if thickest.error is None else f", with an error of {thickest.error:.3f}"
         lines.append(
-            f"its thickest layer, at {thickest.layer.t:.3g}, is {thickest.layer.thickness:.2g} deep{error}: "
-            f"a surface would be under {THICK * thickest.layer.grain:.2g}"
+            f"its thickest layer, at {thickest.layer.t:.3g}, is {thickest.layer.thickness:.3g} deep{error}: "
+            f"a surface would be under {thickest.most_grains * thickest.layer.grain:.3g}"
         )
     return tuple(lines)
 

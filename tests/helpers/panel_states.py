@@ -133,7 +133,7 @@ def make_opened(ray: RayProbe) -> Opened:
         Station("Resampling", "A fourth.", (Transfer(t, np.linspace(0, 1, 9), np.linspace(0, 1, 5), t[::2]),)),
         Station("Pixel", "The last.", (Colors(("model", "photo"), np.array([[1, 0, 0], [0.9, 0.1, 0]])),)),
     )
-    return Opened(make_camera(np.array([3.2, 0, 2.4])), ray, verdict, radiance, evidence, walk)
+    return Opened(make_camera(np.array([3.2, 0, 2.4])), scene, "nerf", ray, verdict, radiance, evidence, walk)
 
 
 def make_ray_history() -> RayHistory:
@@ -194,7 +194,7 @@ def odd_opened() -> Opened:
     nan = np.full(3, np.nan)
     charts = (Stems("w", nan, nan), Marks(nan, nan[:0]), BarCode(("γ",), (nan,), np.nan), Transfer(nan, nan, nan, nan))
     walk = (Station("Odd", "Nothing but holes.", (*charts, Stems("w", nan[:0], nan[:0]))),)
-    return Opened(make_camera(np.array([3.2, 0, 2.4])), ray, None, radiance, evidence, walk)
+    return Opened(make_camera(np.array([3.2, 0, 2.4])), make_scene(), "nerf", ray, None, radiance, evidence, walk)
 
 
 def states() -> dict[str, AppState]:

@@ -161,7 +161,8 @@ class ScriptedWorker:
             case Inspect():
                 ray, radiance = open_ray(command)
                 verdict = Verdict("surface", ("one layer",), ray.depth_median, ())
-                opened = Opened(command.camera, ray, verdict, radiance)
+                assert self.current.scene is not None
+                opened = Opened(command.camera, self.current.scene, "scripted", ray, verdict, radiance)
                 self.current = replace(self.current, opened=opened, opened_step=ray.step)
             case StopInspecting():
                 self.current = replace(self.current, opened=None)

@@ -110,7 +110,7 @@ def test_what_the_window_shows_is_what_a_notebook_opens(open_desk: OpenDesk, tmp
     desk.trained(4)
     desk.send(Inspect(camera, (8, 8)))
     desk.until(lambda s: s.opened_step == 4)
-    desk.send(ExportRays(tmp_path / "ray.json"), Pin(1, camera, (3, 3)), ExportRays(tmp_path / "rays.json"))
+    desk.send(ExportRays(tmp_path / "ray.json"), Pin(1, camera, (3, 3)), ExportRays(tmp_path / "rays.json", {1: "a"}))
     desk.until_told("rays.json")
     trainer = desk.worker._trainer
     assert trainer is not None
@@ -165,19 +165,22 @@ def test_what_is_written_is_whole_and_once(open_desk: OpenDesk) -> None:
     assert desk.worker.stop()
     trainer, rays = desk.worker._trainer, OpenedRays()
     assert trainer is not None
-    for number, pixel in enumerate([(3, 3), (7, 9), (3, 3)]):
+    for number, pixel in enumerate([(3, 3), (7, 9), (3, 3), (5, 5)]):
         rays.pin(Pin(number, camera, pixel), trainer)
+    rays.record(trainer)
+    names = {0: "a", 1: "b", 2: "c"}
     rays.inspect(Inspect(camera, (7, 9), 2.5))
     for _ in range(3):  # not begun, then half done
-        written = rays.whole(trainer)
-        assert [one.ray.pixel for one in written] == [(7, 9), (3, 3)]
+        written = rays.whole(trainer, names)
+        assert [(one.ray.pixel, one.name) for one in written] == [((7, 9), "b"), ((3, 3), "c")]
+        assert all(one.history is not None and one.history.steps.tolist() == [2] for one in written)
         assert all(one.verdict is not None and one.evidence is not None and one.walk for one in written)
         assert written[0].radiance is not None
         assert written[0].radiance.t == 2.5
         assert rays.draw(trainer, True)
     while rays.draw(trainer, True):
         pass
-    assert rays.whole(trainer)[0] is rays.opened
+    assert rays.whole(trainer, {})[0] is rays.opened
 
 
 def test_a_checkpoint_brings_back_what_the_window_gave_it(open_desk: OpenDesk, tmp_path: Path) -> None:

@@ -403,7 +403,9 @@ def test_pins_are_opened_hidden_removed_and_written(screen: Screen) -> None:
     assert screen.click(panel, state, "rays.remove 1") == [UnpinRay(1)]
     screen.click(panel, state, "rays.hide 2")
     assert not state.pins[1].hidden
-    assert screen.click(panel, state, "rays.write") == [ExportRays(Path("rays.json"))]
+    assert screen.click(panel, state, "rays.write") == [ExportRays(Path("rays.json"), {1: "the wall", 2: "another"})]
+    screen.click(panel, state, "rays.hide 1")
+    assert screen.click(panel, state, "rays.write") == [ExportRays(Path("rays.json"), {2: "another"})]
     state.pins = []
     assert state.inspect is not None
     assert screen.click(panel, state, "rays.pin") == [PinRay(state.inspect)]
@@ -475,7 +477,8 @@ def test_the_radiance_is_of_the_point_or_of_the_whole_ray(screen: Screen) -> Non
 
 
 def test_what_no_photo_looked_at_is_hatched() -> None:
-    from viewer.panels.radiance import FAR_DEGREES, Pictures, unseen
+    from nerf_core.probe import FAR_DEGREES, unseen
+    from viewer.panels.radiance import Pictures
 
     radiance, evidence = make_snapshot().radiance, make_snapshot().evidence
     assert radiance is not None

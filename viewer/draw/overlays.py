@@ -43,7 +43,7 @@ class Overlay:
         fills = tints(ray.passes[-1].rgb[drawn])
         for fill, place, radius in zip(fills, places.tolist(), radii.tolist(), strict=True):
             self._draw.add_circle_filled(ImVec2(*place), radius, fill)
-            self._draw.add_circle(ImVec2(*place), radius, ring, thickness=max(1.0, 0.08 * em))
+            self._draw.add_circle(ImVec2(*place), radius, ring, thickness=max(1.0, 0.05 * em))
 
     def sample_at(self, ray: RayProbe, em: float, x: float, y: float) -> int | None:
         """The last pass's sample whose disc lies under a place of the screen, or nearly; None where there is none.
@@ -66,7 +66,7 @@ class Overlay:
         pixels, depth = self._camera.project(ray.origin + last.t[drawn, None] * ray.direction)
         order = np.argsort(-depth)
         order = order[depth[order] >= self._near]
-        radii = em * (0.12 + 0.38 * np.sqrt(last.weights[drawn[order]]))
+        radii = em * (0.2 + 0.36 * np.sqrt(last.weights[drawn[order]]))  # the lightest still show their colour
         return drawn[order], pixels[order] + self._origin, radii
 
     def ring(self, position: np.ndarray, radius: float, color: ImVec4, thickness: float) -> None:

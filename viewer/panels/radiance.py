@@ -19,14 +19,14 @@ from nerf_core.probe import (
     Sightings,
     diffuse_of,
     disc_grid,
+    unseen,
 )
 from viewer.panels import PANELS, Ui
 from viewer.state import Action, AppState, SetDisc, SetPointDepth
 from viewer.widgets import Row, button, figures, hint, mono, number, packed, swatch, triple, vector
 
-CAPTIONS = {"viewer": "facing the viewer", "normal": "around the normal"}
+CAPTIONS = {"viewer": "facing the ray's camera", "normal": "around the normal"}
 SPHERE_CAPTION = "all directions; hatched: unseen"
-FAR_DEGREES = 20.0  # from the nearest photo: what the model says there was never compared with anything
 ZOOM, HATCH = 3, 9  # the pictures are drawn so many times larger, for stripes so many pixels apart
 
 
@@ -54,14 +54,6 @@ class Pictures:
         sphere = probe.sphere_image(frozen)
         hidden = far[:count].reshape(SPHERE_ROWS, SPHERE_COLUMNS, 1).astype(np.float32)
         return Pictures(probe, evidence, frozen, _hatched(disc), _hatched(np.concatenate([sphere, hidden], -1)))
-
-
-def unseen(directions: np.ndarray, evidence: Sightings | None) -> np.ndarray:
-    """Which directions (K, 3), from a point outwards, lie farther than FAR_DEGREES from any photo that sees it."""
-    seen = evidence.directions[evidence.seen] if evidence is not None else np.zeros((0, 3))
-    if not len(seen):
-        return np.ones(len(directions), bool)
-    return (directions @ seen.T).max(1) < np.cos(np.radians(FAR_DEGREES))
 
 
 def _hatched(image: np.ndarray) -> np.ndarray:

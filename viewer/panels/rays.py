@@ -42,7 +42,8 @@ class RaysPanel:
             imgui.same_line()
             tip = "the opened ray and the pinned ones: .json, .npz, .csv, or a figure as .png or .svg"
             if button(ui, WRITE, "rays.write", enabled=bool(state.rays_file.strip()), tip=tip):
-                yield ExportRays(Path(state.rays_file.strip()))
+                shown = {pin.id: pin.name for pin in state.pins if not pin.hidden}
+                yield ExportRays(Path(state.rays_file.strip()), shown)
         opened = {one.id: one for one in state.snapshot.pinned}
         for pin in list(state.pins):
             imgui.push_id(pin.id)

@@ -34,11 +34,15 @@ class WalkPanel:
             return
         scroll = imgui.WindowFlags_.horizontal_scrollbar
         imgui.begin_child("strip", ImVec2(0, 0), 0, scroll)
+        wheel = imgui.get_io().mouse_wheel
+        if wheel and imgui.is_window_hovered(imgui.HoveredFlags_.child_windows) and not imgui.get_io().key_shift:
+            imgui.set_scroll_x(imgui.get_scroll_x() - 4 * ui.em * wheel)  # it is a strip: there is no other way to go
         high = max(imgui.get_content_region_avail().y, 8 * ui.em)
         for k, station in enumerate(stations):
             if k:
                 imgui.same_line(0, 1.2 * ui.em)
-            imgui.begin_child(f"station {k}", ImVec2(WIDTH_EM * ui.em, high))
+            still = imgui.WindowFlags_.no_scroll_with_mouse
+            imgui.begin_child(f"station {k}", ImVec2(WIDTH_EM * ui.em, high), 0, still)
             _draw_station(ui, k + 1, station)
             imgui.end_child()
             if k + 1 < len(stations):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,7 @@ from panel_states import odd_opened
 from nerf_core.camera_files import camera_of, camera_values, picked_camera
 from nerf_core.cameras import Cameras
 from nerf_core.errors import UserError
-from nerf_core.probe import Opened, open_pixel, write_inspection
+from nerf_core.probe import Opened, RayHistory, open_pixel, write_inspection
 from nerf_core.scene import Scene, View
 
 RED = Ball((0.0, 0.0, 0.0), 0.7, (0.8, 0.2, 0.15))
@@ -59,11 +59,37 @@ def test_csv_has_a_line_a_sample(opened: Opened, tmp_path: Path) -> None:
 @pytest.mark.parametrize(("kind", "begin"), [("png", b"\x89PNG"), ("svg", b"<?xml")])
 def test_a_figure_is_drawn_of_any_ray(opened: Opened, tmp_path: Path, kind: str, begin: bytes) -> None:
     for name, some in (("one", [opened]), ("two", [opened, replace(opened, radiance=None, evidence=None)]),
-                       ("odd", [odd_opened()])):  # fmt: skip
+                       ("odd", [odd_opened()]), ("nothing", [met_nothing(opened)])):  # fmt: skip
         file = tmp_path / f"{name}.{kind}"
         write_inspection(some, file)
         assert file.read_bytes().startswith(begin)
         assert file.stat().st_size > 5_000
+
+
+def met_nothing(opened: Opened) -> Opened:
+    """As packed methods open a ray through empty space: a pass without samples."""
+    one = opened.ray.passes[-1]
+    empty = replace(one, **{f.name: getattr(one, f.name)[:0] for f in fields(one) if f.name != "name"})
+    depths = dict.fromkeys(("depth_expected", "depth_median", "depth_strongest"))
+    return replace(opened, ray=replace(opened.ray, passes=(empty,), opacity=0.0, **depths), verdict=None)
+
+
+def test_a_file_says_what_it_is_of(opened: Opened, tmp_path: Path) -> None:
+    steps, edges = np.array([0, 3]), np.linspace(2, 6, 5)
+    history = RayHistory(edges, steps, np.ones((2, 4)), np.ones((2, 3)), np.array([np.nan, 3.0]), np.ones(2))
+    write_inspection([replace(opened, name="the ball", history=history), opened], tmp_path / "a.json")
+    first, second = json.loads((tmp_path / "a.json").read_text())["rays"]
+    assert (first["scene"], first["method"], first["name"]) == ("balls", "nerf", "the ball")
+    assert first["history"]["steps"] == [0, 3]
+    assert first["history"]["depth"] == [None, 3.0]
+    assert "name" not in second
+    assert "history" not in second
+    assert opened.evidence is not None
+    assert first["evidence"]["photos"] == [opened.scene.views[k].name for k in opened.evidence.views]
+    write_inspection([replace(opened, name="the ball")], tmp_path / "a.svg")
+    text = (tmp_path / "a.svg").read_text()
+    assert "the ball: surface" in text
+    assert "balls, nerf, step 7" in text
 
 
 def test_what_cannot_be_written_is_told(opened: Opened, tmp_path: Path) -> None:
