@@ -159,23 +159,27 @@ class Witnesses:
 
         Without, (B, V, 3), one for each of B reaches: the stretch from `margin` before the point to `reach` behind it
         is taken out of the pixel's ray. What is left is the part in front of it, and, as far as light comes to the
-        point, a ray that begins behind it. Opaque, (V, 3): the part in front, then the point's colour. Bare, (V, 3):
-        the part in front, then the background.
+        point, a ray that begins behind it. Opaque, (V, 3): the part in front, then what comes from there on, scaled up
+        until no background is left. Bare, (V, 3): the part in front, then the background.
         """
         if not len(seen.views):
             nothing = np.zeros((0, 3), np.float32)
             return np.zeros((len(reaches), 0, 3), np.float32), nothing, nothing
         rays = self.rays(np.searchsorted(self.views, seen.views), seen.pixels)
-        distance, front = torch.from_numpy(seen.distance), torch.zeros(len(rays), 3)
+        distance, light = torch.from_numpy(seen.distance), torch.from_numpy(seen.transmittance)
+        front, opaque = torch.zeros(len(rays), 3), torch.zeros(len(rays), 3)
         for part, one in self._opened(method, rays):
             front[part] = one.color_until(distance[part] - seen.margin)
-        light = torch.from_numpy(seen.transmittance).float()[:, None]
+            end = torch.full_like(distance[part], torch.inf)
+            kept = (light[part] - one.light_at(end)).clamp(min=1e-6)  # of less than that nothing is seen
+            behind = one.color_until(end) - front[part]
+            opaque[part] = front[part] + (light[part] / kept).float()[:, None] * behind
         without = []
         for reach in reaches.tolist():
             rest = method.render(self.beginning(rays, distance + reach))
-            without.append(front + light * rest.color.cpu())
-        opaque, bare = (front + light * torch.as_tensor(c).float() for c in (seen.emitted, self.scene.background))
-        return torch.stack(without).numpy(), opaque.numpy(), bare.numpy()
+            without.append(front + light.float()[:, None] * rest.color.cpu())
+        bare = front + light.float()[:, None] * torch.tensor(self.scene.background)
+        return torch.stack(without).numpy(), opaque.clamp(0, 1).numpy(), bare.numpy()
 
     def beginning(self, rays: Rays, begin: Tensor) -> Rays:
         """The same rays (V) from world distances `begin` (V,) on."""

@@ -63,8 +63,8 @@ class _Row:
 
 def _draw(row: _Row, one: Opened) -> None:
     ray = one.ray
-    top = row.axes(0.1, 0.48, 0.58, 0.27)
-    middle, strip = row.axes(0.1, 0.22, 0.58, 0.22, sharex=top), row.axes(0.1, 0.145, 0.58, 0.04, sharex=top)
+    top = row.axes(0.1, 0.51, 0.58, 0.29)
+    middle, strip = row.axes(0.1, 0.22, 0.58, 0.25, sharex=top), row.axes(0.1, 0.145, 0.58, 0.04, sharex=top)
     for axes in (top, middle):
         axes.tick_params(labelbottom=False)
     passes = [_finite(p) for p in ray.passes]
@@ -100,7 +100,7 @@ def _draw(row: _Row, one: Opened) -> None:
     strip.set(yticks=[], xlabel="t (world units)", ylabel="colour")
     strip.yaxis.label.set(rotation=0, ha="right", va="center")
     row.title(*_words(one))
-    _draw_disc(row.axes(0.735, 0.2, 0.25, 0.55), one)
+    _draw_disc(row.axes(0.735, 0.22, 0.25, 0.58), one)
 
 
 def _words(one: Opened) -> tuple[str, str]:

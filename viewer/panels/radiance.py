@@ -25,7 +25,7 @@ from viewer.panels import PANELS, Ui
 from viewer.state import Action, AppState, SetDisc, SetPointDepth
 from viewer.widgets import Row, button, figures, hint, mono, number, packed, swatch, triple, vector
 
-CAPTIONS = {"viewer": "facing the ray's camera", "normal": "around the normal"}
+CAPTIONS = {"viewer": "facing its camera", "normal": "around the normal"}
 SPHERE_CAPTION = "all directions; hatched: unseen"
 ZOOM, HATCH = 3, 9  # the pictures are drawn so many times larger, for stripes so many pixels apart
 
@@ -90,7 +90,7 @@ class RadiancePanel:
             _tooltip(ui, *self.hovered)
 
     def _draw(self, ui: Ui, state: AppState, pictures: Pictures) -> Iterator[Action]:
-        """The disc, and the map with the figures beside it where there is room, else below."""
+        """The disc, the map beside it where there is room, else below, and the figures under both."""
         probe = pictures.probe
         viewer = _unit(state.camera.c2w()[:, 3] - probe.point)
         yield from _choices(ui, state)
@@ -106,15 +106,15 @@ class RadiancePanel:
         if beside:
             imgui.same_line(0, gap)
         imgui.begin_group()
-        width = min(imgui.get_content_region_avail().x, 2 * max(avail.y - 7 * line, 4 * ui.em))
+        width = min(imgui.get_content_region_avail().x, 2 * (side if beside else max(avail.y - 7 * line, 4 * ui.em)))
         self.hovered = _sphere(ui, pictures, viewer, width) or self.hovered
         hint(ui, SPHERE_CAPTION)
+        imgui.end_group()
         yield from _point(ui, state, probe)
         if state.snapshot.ray is not None and state.snapshot.ray.depth_strongest is None:
             hint(ui, "The ray met nothing: this point is empty, and its colour is never seen.", ui.theme.warning)
         _numbers(ui, state, pictures, viewer)
         _sight(ui, pictures.evidence)
-        imgui.end_group()
 
 
 def _choices(ui: Ui, state: AppState) -> Iterator[Action]:
