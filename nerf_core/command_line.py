@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import io
+import re
 import sys
 from collections.abc import Sequence
 from contextlib import redirect_stderr
-from typing import Any
+from typing import Any, get_args
 
 import tyro
 
@@ -40,7 +41,9 @@ def parse(kind: Any, prog: str, arguments: Sequence[str] | None) -> Any:
     except SystemExit as end:
         if not end.code:
             raise
-        raise UserError(f"{_sentence(said.getvalue())}; {prog} --help lists the options") from None
+        text = _sentence(said.getvalue())
+        whole = f"{prog} {arguments[0]}" if get_args(kind) and arguments and "--" in text else prog
+        raise UserError(f"{text}; {whole} --help lists the options") from None
 
 
 def _sentence(box: str) -> str:
@@ -55,4 +58,8 @@ def _sentence(box: str) -> str:
             words += text.split()
         elif words:
             break
-    return " ".join(words).partition(" Got errors:")[0].rstrip(".")
+    text = " ".join(words).partition(" Got errors:")[0].rstrip(".")
+    missing = re.match(r"Missing from [^:]*: (--[\w-]+) ", text)  # what follows is the option's whole help
+    if missing:
+        return f"{missing[1]}: is needed"
+    return re.sub(r"Could not parse arguments \[(.*)\] into .*", r"cannot be read: \1", text)

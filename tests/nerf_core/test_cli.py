@@ -144,6 +144,11 @@ def test_wrong_arguments_are_one_line(
         (["train", "--wings"], "--wings"),
         (["train", "--ndc", "perhaps"], "--ndc"),
         (["eval"], "DIR"),
+        (["probe", "run", "--pixel", "1", "1"], "nerf-core: --camera: is needed; nerf-core probe"),
+        (
+            ["probe", "run", "--camera", "a", "--pixel", "1.5", "1"],
+            "--pixel: cannot be read: '1.5', '1'; nerf-core probe",
+        ),
         (["fly"], "fly"),
         ([], "{train, eval, render, probe}"),
     ],
@@ -152,7 +157,8 @@ def test_what_cannot_be_parsed_is_one_line(arguments: list[str], text: str, caps
     assert main(arguments) == 2
     line = said(capsys)
     assert text in line
-    assert line.endswith("; nerf-core --help lists the options\n")
+    about = f"nerf-core {arguments[0]}" if "--" in text else "nerf-core"
+    assert line.endswith(f"; {about} --help lists the options\n")
 
 
 def test_help_is_no_mistake(capsys: pytest.CaptureFixture[str]) -> None:
