@@ -63,7 +63,7 @@ class Camera:
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """World points (P, 3) → pixel coordinates (P, 2) and z-depths (P,); points with depth ≤ 0 lie behind.
 
-        NaN where the lens shows no such point: see `shown`.
+        NaN where they would fall into the picture, but the lens shows something else there: see `shown`.
         """
         local = (points - self.c2w[:, 3]) @ self.c2w[:, :3]
         z = -local[:, 2]
@@ -72,7 +72,10 @@ class Camera:
         if any(lens):
             plane = np.clip(plane, -BESIDE, BESIDE)
             bent = distort(plane, *lens)
-            plane = np.where(shown(plane, bent, np.broadcast_to(lens, (len(z), 5)))[:, None], bent, np.nan)
+            pixels = bent * (self.fx, self.fy) + (self.cx, self.cy)
+            k = np.flatnonzero((z > 0) & (pixels >= 0).all(-1) & (pixels < (self.width, self.height)).all(-1))
+            pixels[k[~shown(plane[k], bent[k], np.broadcast_to(lens, (len(k), 5)))]] = np.nan
+            return pixels, z
         return plane * (self.fx, self.fy) + (self.cx, self.cy), z
 
 

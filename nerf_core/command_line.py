@@ -42,7 +42,11 @@ def parse(kind: Any, prog: str, arguments: Sequence[str] | None) -> Any:
         if not end.code:
             raise
         text = _sentence(said.getvalue())
-        whole = f"{prog} {arguments[0]}" if get_args(kind) and arguments and "--" in text else prog
+        whole = (
+            f"{prog} {arguments[0]}"
+            if get_args(kind) and arguments and arguments[0].isalpha() and "--" in text
+            else prog
+        )
         raise UserError(f"{text}; {whole} --help lists the options") from None
 
 

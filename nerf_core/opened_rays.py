@@ -6,6 +6,8 @@ import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 
+import numpy as np
+
 from nerf_core.messages import Inspect, Pin, Pinned
 from nerf_core.probe import Opened, RayProbe, Witnesses, open_pixel, open_ray
 from nerf_core.probe.history import HistoryRecorder
@@ -116,7 +118,7 @@ class OpenedRays:
         rays = [] if self._asked is None else [self._asked]
         for pin, name in pins:
             ray, history = Inspect(pin.command.camera, pin.command.pixel), pin.recorder.view()
-            k = next((k for k, other in enumerate(rays) if _same_ray(ray, other)), len(rays))
+            k = next((k for k, other in enumerate(rays) if _looks_alike(ray, other)), len(rays))
             if k == len(rays):
                 rays.append(ray)
                 found.append(self._whole(ray, trainer))
@@ -188,6 +190,12 @@ class OpenedRays:
 def _with_older(new: Opened, old: Opened) -> Opened:
     """What of the same ray is not known anew yet stays as it was: panels do not blink."""
     return Opened(*(getattr(new, f.name) or getattr(old, f.name) for f in fields(Opened)))
+
+
+def _looks_alike(a: Inspect, b: Inspect) -> bool:
+    """Whether they are one ray, be it that each came with a camera object of its own."""
+    alike = a.camera.intrinsics() == b.camera.intrinsics() and np.array_equal(a.camera.c2w, b.camera.c2w)
+    return alike and a.pixel == b.pixel
 
 
 def _same_ray(a: Inspect, b: Inspect) -> bool:

@@ -163,9 +163,13 @@ class Worker:
                 self._training_until = None
             else:
                 self._train_step(trainer)
-        elif not self._draw(self._wanted_view()):
-            self._publish(force=self._artist.fresh)
-            self._arrived.wait(IDLE_SECONDS)
+        else:
+            awaited = self._artist.rays.urgent
+            if not self._draw(self._wanted_view()):
+                self._publish(force=self._artist.fresh)
+                self._arrived.wait(IDLE_SECONDS)
+            elif awaited and not self._artist.rays.urgent:
+                self._publish(force=True)
         self._publish()
 
     def _obey(self, command: Command) -> None:  # noqa: PLR0912  one branch a message

@@ -141,7 +141,10 @@ class App:
         asked, opened = self.state.inspect, snapshot.opened
         if asked is None or asked is self._answered or opened is None or snapshot.opened_step < 0:
             return False
-        if opened.camera is not asked.camera or opened.ray.pixel != asked.pixel:
+        radiance = opened.radiance
+        if opened.camera is not asked.camera or opened.ray.pixel != asked.pixel or radiance is None:
+            return False
+        if radiance.around != asked.around or asked.point_t not in (None, radiance.t):
             return False
         self._answered = asked
         return True

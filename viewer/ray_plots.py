@@ -291,5 +291,5 @@ def _colors(steps: Steps, row: tuple[float, float], opacity: np.ndarray) -> None
     draw, (top, bottom) = implot.get_plot_draw_list(), row
     left, right = _pixels(steps.t).tolist(), _pixels(steps.until).tolist()
     colors = tints(steps.probe.rgb, opacity)
-    for i in np.flatnonzero(opacity > 0).tolist():
+    for i in np.flatnonzero(opacity >= 0.5 / 255).tolist():
         draw.add_rect_filled(ImVec2(left[i], top), ImVec2(right[i], bottom), colors[i])

@@ -57,8 +57,11 @@ class _Row:
         return self._page.add_axes(at, **given)
 
     def title(self, text: str, under: str) -> None:
-        self._page.text(0.02, self._bottom + 0.985 * self._height, text, fontsize=9, ha="left", va="top")
-        self._page.text(0.02, self._bottom + 0.93 * self._height, under, fontsize=6.5, ha="left", va="top", color="0.3")
+        self._page.text(
+            0.02, self._bottom + 0.985 * self._height, text, fontsize=9, ha="left", va="top", parse_math=False
+        )
+        self._page.text(0.02, self._bottom + 0.93 * self._height, under, fontsize=6.5, ha="left", va="top", color="0.3",
+                        parse_math=False)  # fmt: skip
 
 
 def _draw(row: _Row, one: Opened) -> None:

@@ -1,8 +1,8 @@
 """What is wrong with a pixel, in words: its layers, what the photos say of each, and the conclusion.
 
 Questions to the photos decide more than any threshold on shapes. Would they be matched better if a layer were not
-there, or most as well if there were nothing but background? Then it is a floater. Would they be matched better if it
-were opaque? Then the background leaks through it.
+there, or most as well if there were nothing but background? Then it is a floater. Would they be matched better if no
+background showed from there on? Then it leaks through.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ MOST_LAYERS, MOST_HIDDEN = 4, 8
 class Standing:
     """A layer before the photos. witnesses: how many see it from the ray's side, under ASIDE from its look; looked: how
     many do from anywhere; asked: how many of those in whose pixel it counts, ASKED at most. error: median over these
-    of the mean difference between their pixel and the model's; without, opaque: the same if the layer were away, or
-    opaque; None where no photo tells.
+    of the mean difference between their pixel and the model's; without, opaque: the same if the layer were away, or if
+    from it on no background showed; None where no photo tells.
 
     reach: the world distance behind its middle from which on it is away in `without`. needing: how many of those asked
     would be matched worse by the bare background in its place; None where rays end in no background that is known.
@@ -78,7 +78,7 @@ class Standing:
 
     @property
     def leaks(self) -> bool:
-        """They would be, were it opaque."""
+        """They would be, if no background showed from it on."""
         return self._better(self.opaque)
 
     def _better(self, other: float | None) -> bool:
@@ -165,7 +165,7 @@ def _hidden_surface(
 ) -> float | None:
     """Where the first layer lies that photos know and that does not float, behind what lets no light through."""
     scene = witnesses.scene
-    begin = max(s.layer.t + s.reach for s in standings if s.floats)
+    begin = max(s.layer.t + s.reach for s in standings if s.floats and s.layer.weight >= COUNTS)
     for _ in range(MOST_HIDDEN):
         o, d, near, far = (torch.as_tensor(v, dtype=torch.float32)[None] for v in (
             ray.origin, ray.direction, ray.near, ray.far))  # fmt: skip
@@ -194,8 +194,11 @@ def conclude(ray: RayProbe, standings: tuple[Standing, ...]) -> Verdict:
 
 def _outer(heavy: list[Standing]) -> list[Standing]:
     """Those that neither float nor are another's inside, front to back."""
-    real = [s for s in heavy if not s.floats]
-    return [s for k, s in enumerate(real) if not any(s.inside(front) for front in real[:k])]
+    found: list[Standing] = []
+    for s in heavy:
+        if not s.floats and not any(s.inside(front) for front in found):
+            found.append(s)
+    return found
 
 
 def _concluded(
@@ -206,7 +209,7 @@ def _concluded(
     whole = sum(s.layer.weight for s in standings)
     thin = sum(s.layer.weight for s in standings if not s.hazy)
     real = _outer(heavy)
-    leaking, left = next((s for s in real if s.leaks), None), 1 - ray.opacity
+    leaking, left = next((s for s in reversed(real) if s.leaks), None), 1 - ray.opacity  # a veil in front leaks as well
     kind: Kind = "surface"
     if ray.opacity < NOTHING:
         kind, reasons = "background", (f"the ray met nothing: its opacity is {ray.opacity:.3f}",)
@@ -269,8 +272,8 @@ def _unobserved_reason(s: Standing) -> str:
 
 def _leak_reason(s: Standing, left: float) -> str:
     return (
-        f"{left:.0%} of what is behind shows through the layer at {s.layer.t:.3g}; were it opaque, {s.asked} "
-        f"photos that see it would be matched better: error {s.error:.3f}, opaque {s.opaque:.3f}"
+        f"{left:.0%} of what is behind shows through the layer at {s.layer.t:.3g}; if no background did, {s.asked} "
+        f"photos that see it would be matched better: error {s.error:.3f}, then {s.opaque:.3f}"
     )
 
 

@@ -1,6 +1,6 @@
 """How often the verdict on a pixel is right: faults planted into scenes whose truth is known, a table of classes.
 
-    PYTHONPATH=. python tests/benchmarks/verdicts.py [--seeds 10 11 12] [--rays 40] [--out FILE.json]
+    PYTHONPATH=.:tests/helpers python tests/benchmarks/verdicts.py [--seeds 10 11 12] [--rays 40] [--out FILE.json]
 
 Each seed is a scene of its own: balls at random, photos in closed form. Voxel models are trained on photos with a fault
 and judged: with a ball that is not there (floater; judged by the photos as they should be), with one camera's pose off

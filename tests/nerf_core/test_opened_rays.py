@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -166,7 +167,7 @@ def test_what_is_written_is_whole_and_once(open_desk: OpenDesk) -> None:
     trainer, rays = desk.worker._trainer, OpenedRays()
     assert trainer is not None
     for number, pixel in enumerate([(3, 3), (7, 9), (3, 3), (5, 5)]):
-        rays.pin(Pin(number, camera, pixel), trainer)
+        rays.pin(Pin(number, replace(camera), pixel), trainer)  # each pin has a camera of its own
     rays.record(trainer)
     names = {0: "a", 1: "b", 2: "c"}
     rays.inspect(Inspect(camera, (7, 9), 2.5))

@@ -52,7 +52,7 @@ def test_what_a_lens_folds_into_the_frame_is_not_in_it() -> None:
         pixels, framed = witnesses.project(3 * look)
         assert bool(framed[0]) == seen
         (alone,), (depth,) = camera.project(3 * look[None])
-        assert np.isfinite(alone).all() == seen
+        assert (0 <= alone[0] < 800 and 0 <= alone[1] < 600) == seen
         assert depth > 0
         ray = witnesses.rays(np.array([0]), np.clip(pixels, 0, (799, 599))).directions[0].numpy()
         assert not seen or ray @ look > np.cos(np.radians(0.1))
@@ -121,6 +121,18 @@ def test_without_the_near_ball_the_far_one_is_seen(scene: Scene) -> None:
     np.testing.assert_allclose(without[0], asked.predicted, atol=0.05)
     np.testing.assert_allclose(opaque, asked.emitted, atol=0.05)
     np.testing.assert_allclose(bare, 1.0, atol=0.05)  # white, with nothing in front of it
+
+
+def test_opaque_is_what_is_seen_when_no_background_shows(scene: Scene) -> None:
+    """Of a hollow ball that lets half of the light through, its own colour, not half white."""
+    thin = model_of(scene, replace(BALL, density=6.0, skin=0.05, gloss=0.0))
+    witnesses = Witnesses(scene)
+    found = witnesses.look(thin, np.array([0.75, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.1)
+    asked = found.at(found.seen & (found.share > 0.1) & (found.angle < 1.0))
+    assert len(asked.views) >= 3
+    _, opaque, _ = witnesses.otherwise(thin, asked, np.array([0.2]))
+    assert np.abs(asked.predicted - BALL.color).mean() > 0.08
+    np.testing.assert_allclose(opaque, np.broadcast_to(BALL.color, opaque.shape), atol=0.02)
 
 
 def test_a_point_behind_all_cameras_has_no_witness(scene: Scene) -> None:

@@ -16,9 +16,11 @@ from torch import Tensor, nn
 from nerf_core.cells import Cells
 from nerf_core.errors import UserError
 from nerf_core.fields.voxel_grid import VoxelGrid
+from nerf_core.kernels.torch_voxels import TorchVoxels
 from nerf_core.methods.guided import GuidedNerf
 from nerf_core.methods.hash import Hash
 from nerf_core.methods.nerf import Nerf
+from nerf_core.methods.voxels import Voxels
 from nerf_core.nerf_config import NerfConfig
 from nerf_core.probe import (
     DISC_SIZE,
@@ -352,6 +354,23 @@ def test_a_slice_is_the_disc_along_a_line(scene: Scene) -> None:
         assert np.degrees(angles[-1]) == pytest.approx(-np.degrees(angles[0])) == pytest.approx(80.5, abs=0.1)
         for angle, direction in zip(angles[::20], directions[::20], strict=True):
             assert radiance.slice_position(direction, azimuth) == pytest.approx((angle, 0.0), abs=1e-9)
+
+
+@pytest.mark.parametrize("plain", [False, True])
+def test_a_ray_that_is_opened_alone_is_the_pictures(scene: Scene, plain: bool) -> None:
+    """A ray of voxels is computed by itself: but for rounding it is the whole picture's, in torch's operations too."""
+    trainer = Trainer(scene, RunSettings(method="voxels"))
+    for _ in range(30):
+        trainer.step()
+    method, camera = trainer.method, scene.views[5].camera.resized(61, 61)
+    assert isinstance(method, Voxels)
+    if plain:
+        method.kernels = TorchVoxels()
+    whole = render_camera(method, camera, scene)[0]
+    for x, y in np.random.default_rng(0).integers(61, size=(40, 2)).tolist():
+        ray = open_ray(method, scene, camera, (x, y), 0)
+        np.testing.assert_allclose(ray.color, whole[y, x], atol=1e-5)
+        np.testing.assert_allclose(ray.rendered_color, whole[y, x], atol=1e-6)
 
 
 @pytest.mark.parametrize("method", ["voxels", "nerf-guided", "hash", "nerf"])

@@ -86,9 +86,9 @@ def test_a_file_says_what_it_is_of(opened: Opened, tmp_path: Path) -> None:
     assert "history" not in second
     assert opened.evidence is not None
     assert first["evidence"]["photos"] == [opened.scene.views[k].name for k in opened.evidence.views]
-    write_inspection([replace(opened, name="the ball")], tmp_path / "a.svg")
+    write_inspection([replace(opened, name="the ball $^$")], tmp_path / "a.svg")
     text = (tmp_path / "a.svg").read_text()
-    assert "the ball: surface" in text
+    assert "the ball $^$: surface" in text
     assert "balls, nerf, step 7" in text
 
 
