@@ -223,7 +223,7 @@ class Script:
 
     def _inspect(self, file: Path) -> None:
         pins = {pin.id: pin.name for pin in self.app.state.pins if not pin.hidden}
-        self._do(ExportRays(file, pins), lambda _: self._told(f"wrote {file}"))
+        self._do(ExportRays(file, pins), lambda _: self._told("wrote"))
 
     def _film(self, file: Path, seconds: float | None) -> None:
         snapshot, form = self._snapshot(), self.app.state.orbit
