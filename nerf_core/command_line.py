@@ -7,11 +7,14 @@ import re
 import sys
 from collections.abc import Sequence
 from contextlib import redirect_stderr
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
 from typing import Any, get_args
 
 import tyro
 
 from nerf_core.errors import UserError
+from nerf_core.user_paths import own_path
 
 CONFIG = (
     tyro.conf.OmitArgPrefixes,
@@ -30,14 +33,14 @@ def parse(kind: Any, prog: str, arguments: Sequence[str] | None) -> Any:
     Raises UserError naming the option, SystemExit(0) after --help.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
-    options = [a.partition("=")[0].replace("_", "-") for a in arguments if a.startswith("--")]
-    for option in options:
-        if options.count(option) > 1 and option not in REPEATABLE:
-            raise UserError(f"{option}: given {options.count(option)} times; once is enough")
+    names = [a.partition("=")[0].replace("_", "-") for a in arguments if a.startswith("--")]
+    for option in names:
+        if names.count(option) > 1 and option not in REPEATABLE:
+            raise UserError(f"{option}: given {names.count(option)} times; once is enough")
     said = io.StringIO()
     try:
         with redirect_stderr(said):
-            return tyro.cli(kind, prog=prog, args=arguments, config=CONFIG)
+            options = tyro.cli(kind, prog=prog, args=arguments, config=CONFIG)
     except SystemExit as end:
         if not end.code:
             raise
@@ -48,6 +51,18 @@ def parse(kind: Any, prog: str, arguments: Sequence[str] | None) -> Any:
             else prog
         )
         raise UserError(f"{text}; {whole} --help lists the options") from None
+    return _at_home(options)
+
+
+def _at_home(value: Any) -> Any:
+    """The same with every path's `~` put into full: shells leave the one in --save=~/x.ckpt as it is."""
+    if isinstance(value, Path):
+        return own_path(value)
+    if isinstance(value, list):
+        return [_at_home(one) for one in value]
+    if is_dataclass(value) and not isinstance(value, type):
+        return replace(value, **{f.name: _at_home(getattr(value, f.name)) for f in fields(value)})
+    return value
 
 
 def _sentence(box: str) -> str:

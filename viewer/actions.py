@@ -25,6 +25,7 @@ from nerf_core.messages import (
 )
 from nerf_core.paths import orbit
 from nerf_core.scene import Scene
+from nerf_core.user_paths import own_path
 from viewer import pins
 from viewer.link import Link
 from viewer.state import (
@@ -154,14 +155,6 @@ class Actions:
                 state.camera.reset()
             case FrameScene():
                 state.camera.frame()
-
-
-def own_path(path: Path) -> Path:
-    """`~` and `~name` as a shell has them. Raises UserError for somebody who is not known here."""
-    try:
-        return path.expanduser()
-    except RuntimeError:
-        raise UserError(f"{path}: there is no such user's folder") from None
 
 
 def orbit_export(scene: Scene, form: OrbitForm) -> ExportPath:
