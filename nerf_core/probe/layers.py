@@ -13,6 +13,7 @@ GRAIN = 0.02  # of the scene's radius: what is closer together counts as one lay
 FAR_GRAIN = 0.01  # of its distance, where that is more: far away, as cameras resolve it
 BINS = 2  # to a grain
 VALLEY = 0.5  # two peaks are one layer unless the weight between them falls under this share of the lesser one's
+SURFACE = 0.25  # of a layer's weight lies in front of the surface that it stands for
 LIGHTEST = 0.02  # weight of what is worth to be called a layer
 
 
@@ -71,7 +72,7 @@ def pass_layers(p: PassProbe, far: float, radius: float) -> tuple[Layer, ...]:
         a, b = np.interp([edges[first], edges[last + 1]], knots, reached)
         if b - a < LIGHTEST:
             continue
-        quantiles = np.interp(a + (b - a) * np.array([0.001, 0.1, 0.25, 0.5, 0.9, 0.999]), reached, knots)
+        quantiles = np.interp(a + (b - a) * np.array([0.001, 0.1, SURFACE, 0.5, 0.9, 0.999]), reached, knots)
         begin, q10, surface, middle, q90, end = (_distance(float(s), radius) for s in quantiles)
         inside = (low < edges[last + 1]) & (high > edges[first])
         share = weights * inside

@@ -58,11 +58,13 @@ def arrays(opened: Opened) -> dict[str, Any]:
                     **_plain(s.layer),
                     "witnesses": s.witnesses,
                     "looked": s.looked,
+                    "voters": s.voters,
                     "asked": s.asked,
+                    "against": s.against,
+                    "missing": s.missing,
                     "error": s.error,
                     "without": s.without,
                     "opaque": s.opaque,
-                    "needing": s.needing,
                 }
                 for s in verdict.standings
             ],

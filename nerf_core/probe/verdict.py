@@ -1,13 +1,14 @@
 """What is wrong with a pixel, in words: its layers, what the photos say of each, and the conclusion.
 
-Questions to the photos decide more than any threshold on shapes. Would they be matched better if a layer were not
-there, or most as well if there were nothing but background? Then it is a floater. Would they be matched better if no
-background showed from there on? Then it leaks through.
+Questions to the photos decide more than any threshold on shapes. How many of those that see a layer contradict it, as
+they would be matched better if it were not there, or as well if there were nothing but background; and how many would
+miss it? Where the first are the more, it is a floater. Would the photos be matched better if no background showed from
+there on? Then it leaks through.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -25,6 +26,7 @@ Kind = Literal["surface", "several surfaces", "floater", "fog", "background leak
 NOTHING = 0.05  # opacity under which a ray has met nothing that one could see
 LEAK = 0.1  # transmittance behind the last layer from which on what is behind shows
 THICK, DEEP = 6.0, 20.0  # grains: a thicker layer is a surface only where photos agree with it, and none at all
+CLOUD = 10.0  # grains: a thicker layer is no thing of its own unless nobody would miss it
 HAZY = 0.03  # mean error of a channel in the photos that see a thick layer, from which on they do not agree with it
 SOLID = 0.5  # of the layers' weight must lie in layers that are not hazy, or the ray is in fog
 FEW = 2  # photos: what fewer see, nobody can have learnt
@@ -32,11 +34,11 @@ ASIDE = np.radians(75)  # between looks at a point: a photo that sees it from fa
 INSIDE = 0.3  # of the photos that see a layer: what fewer see behind it is its own inside
 FRONT = 1 / 3  # of the weight of a front and of what shows through it: a lighter one is no front
 WRONG = 0.05  # mean error of a channel in the photos that see a layer, from which on something is wrong
-BETTER = 0.6  # times the error: what a layer's absence, or its opacity, must bring it down to
-ALIKE = 0.01  # mean error of a channel: what differs by less is as good; of such reaches the shortest is taken
-NEEDING = 0.5  # of the photos asked: what no more of them need, the bare background in its place, is not there
+LEAKING = 0.8  # times the error: what no background from a layer on must bring it down to
+ALIKE = 0.01  # mean error of a channel: what differs by less is as good
+AGAINST = 1 / 4  # of the photos that see a layer: what so many contradict, and no more would miss, is not there
 COUNTS = 0.1  # weight of a layer that is worth a verdict, in this pixel and in a photo's
-ASKED = 16  # photos that are asked how they would look otherwise
+ASKED = 16  # photos that see a layer, the nearest in angle: they are asked how they would look otherwise
 REACHES = np.array([1.0, 3.0, 8.0, 20.0])  # grains behind a layer's end at which it may be over, where it hides that
 MOST_LAYERS, MOST_HIDDEN = 4, 8
 
@@ -44,47 +46,42 @@ MOST_LAYERS, MOST_HIDDEN = 4, 8
 @dataclass(frozen=True)
 class Standing:
     """A layer before the photos. witnesses: how many see it from the ray's side, under ASIDE from its look; looked: how
-    many do from anywhere; asked: how many of those in whose pixel it counts, ASKED at most. error: median over these
-    of the mean difference between their pixel and the model's; without, opaque: the same if the layer were away, or if
-    from it on no background showed; None where no photo tells.
+    many do from anywhere; voters: those of them that are asked, ASKED at most; asked: in how many of their pixels it
+    counts. against: how many voters contradict it: those in whose pixel it does not count, and those that would be
+    matched better if it were not there, or as well by the bare background, where one is known; missing: how many of the
+    others would be matched worse.
 
-    reach: the world distance behind its middle from which on it is away in `without`. needing: how many of those asked
-    would be matched worse by the bare background in its place; None where rays end in no background that is known.
+    error: median over those asked of the mean difference between their pixel and the model's; without, opaque: the same
+    if the layer were away, or if from it on no background showed; None where it counts in no photo. reach: the world
+    distance behind its middle from which on it is away: that of REACHES at which most are against it.
     """
 
     layer: Layer
     sightings: Sightings
     witnesses: int
     looked: int
+    voters: int
     asked: int
+    against: int
+    missing: int
     error: float | None
     without: float | None
     opaque: float | None
     reach: float
-    needing: int | None
 
     @property
     def floats(self) -> bool:
-        """The photos would be matched better without it, or most of them as well by nothing at all."""
-        return self.disturbs or self.needless
-
-    @property
-    def disturbs(self) -> bool:
-        return self._better(self.without)
-
-    @property
-    def needless(self) -> bool:
-        return self.needing is not None and self.asked >= FEW and self.needing <= NEEDING * self.asked
+        """Not few of the photos that see it contradict it, and no more would miss it; of a cloud, none would."""
+        if self.voters < FEW or self.against < AGAINST * self.voters:
+            return False
+        return self.missing <= (self.against if self.layer.thickness <= CLOUD * self.layer.grain else 0)
 
     @property
     def leaks(self) -> bool:
-        """They would be, if no background showed from it on."""
-        return self._better(self.opaque)
-
-    def _better(self, other: float | None) -> bool:
-        if self.error is None or other is None or self.asked < FEW:
+        """The photos would be matched better, if no background showed from it on."""
+        if self.error is None or self.opaque is None or self.asked < FEW:
             return False
-        return self.error >= WRONG and other <= BETTER * self.error
+        return self.error >= WRONG and self.opaque <= LEAKING * self.error
 
     def inside(self, front: Standing) -> bool:
         """Whether this is what shows through a layer in front that is not quite opaque: the inside of it, as hardly a
@@ -132,9 +129,10 @@ def judging(method: Method, witnesses: Witnesses, ray: RayProbe) -> Iterator[Ver
     verdict = conclude(ray, tuple(standings))
     if verdict.kind == "floater":
         last = max(s.layer.t for s in standings if s.floats and s.layer.weight >= COUNTS)
-        behind = [s.layer for s in standings if s.layer.t > last and s.layer.weight >= COUNTS and s.witnesses >= FEW]
         # what photos know nothing of may well be the floater's inside
-        t = behind[0].surface if behind else _hidden_surface(method, witnesses, ray, verdict.standings)
+        behind = [s.layer for s in _outer(standings) if s.layer.t > last and s.witnesses >= FEW]
+        rest = max(behind, key=lambda layer: layer.weight, default=None)
+        t = rest.surface if rest is not None else _hidden_surface(method, witnesses, ray, verdict.standings)
         verdict = replace(verdict, surface_t=t)
     yield verdict
 
@@ -145,18 +143,23 @@ def stand(method: Method, witnesses: Witnesses, ray: RayProbe, layer: Layer) -> 
     margin = layer.grain + min(layer.t - layer.begin, THICK * layer.grain)
     sightings = witnesses.look(method, point, ray.direction.astype(np.float64), margin)
     counts = int((sightings.seen & (sightings.angle < ASIDE)).sum()), int(sightings.seen.sum())
-    asked = sightings.at(np.flatnonzero(sightings.seen & (sightings.share >= COUNTS))[:ASKED])
+    voters = sightings.at(np.flatnonzero(sightings.seen)[:ASKED])
+    asked = voters.at(voters.share >= COUNTS)
+    votes, blank = (len(voters.views), len(asked.views)), len(voters.views) - len(asked.views)
     if not len(asked.views):
-        return Standing(layer, sightings, *counts, 0, None, None, None, 0.0, None)
+        return Standing(layer, sightings, *counts, *votes, blank, 0, None, None, None, 0.0)
     reaches = margin + REACHES * layer.grain
     without, opaque, bare = witnesses.otherwise(method, asked, reaches)
-    needing = _off(bare, asked.observed) > _off(asked.predicted, asked.observed) + ALIKE
-    errors = [_error(colors, asked.observed) for colors in without]
-    best = int(np.flatnonzero(np.array(errors) <= min(errors) + ALIKE)[0])
+    error, instead = _off(asked.predicted, asked.observed), _off(without, asked.observed)
+    against = instead < error - ALIKE
+    if witnesses.scene.synthetic:
+        against |= _off(bare, asked.observed) <= error + ALIKE
+    missing = (instead > error + ALIKE) & ~against
+    best = int(np.lexsort((missing.sum(-1), -against.sum(-1)))[0])
     return Standing(
-        layer, sightings, *counts, len(asked.views), _error(asked.predicted, asked.observed), errors[best],
-        _error(opaque, asked.observed), float(reaches[best]),
-        int(needing.sum()) if witnesses.scene.synthetic else None,
+        layer, sightings, *counts, *votes, blank + int(against[best].sum()), int(missing[best].sum()),
+        float(np.median(error)), float(np.median(instead[best])), float(np.median(_off(opaque, asked.observed))),
+        float(reaches[best]),
     )  # fmt: skip
 
 
@@ -186,17 +189,17 @@ def _hidden_surface(
 def conclude(ray: RayProbe, standings: tuple[Standing, ...]) -> Verdict:
     """The verdict on what is known; no more is asked."""
     heavy = [s for s in standings if s.layer.weight >= COUNTS]
-    surface = max(_outer(heavy), key=lambda s: s.layer.weight, default=None)
+    surface = max(_outer(standings), key=lambda s: s.layer.weight, default=None)
     kind, reasons = _concluded(ray, standings, heavy, surface)
     rest = surface is not None and kind != "background"
     return Verdict(kind, reasons, surface.layer.surface if rest and surface is not None else None, standings)
 
 
-def _outer(heavy: list[Standing]) -> list[Standing]:
-    """Those that neither float nor are another's inside, front to back."""
+def _outer(standings: Iterable[Standing]) -> list[Standing]:
+    """Those of weight that neither float nor are another's inside, front to back."""
     found: list[Standing] = []
-    for s in heavy:
-        if not s.floats and not any(s.inside(front) for front in found):
+    for s in standings:
+        if s.layer.weight >= COUNTS and not s.floats and not any(s.inside(front) for front in found):
             found.append(s)
     return found
 
@@ -208,7 +211,7 @@ def _concluded(
     floaters = [s for s in heavy if s.floats]
     whole = sum(s.layer.weight for s in standings)
     thin = sum(s.layer.weight for s in standings if not s.hazy)
-    real = _outer(heavy)
+    real = _outer(standings)
     leaking, left = next((s for s in reversed(real) if s.leaks), None), 1 - ray.opacity  # a veil in front leaks as well
     kind: Kind = "surface"
     if ray.opacity < NOTHING:
@@ -235,19 +238,12 @@ def _off(colors: np.ndarray, photos: np.ndarray) -> np.ndarray:
     return np.abs(colors - photos).mean(-1)
 
 
-def _error(colors: np.ndarray, photos: np.ndarray) -> float:
-    return float(np.median(_off(colors, photos)))
-
-
 def _floater_reason(s: Standing) -> str:
-    layer = f"a layer at {s.layer.t:.3g} makes {s.layer.weight:.0%} of the pixel, but"
-    if s.disturbs:
-        return (
-            f"{layer} {s.asked} photos that see it would be matched better without it: error {s.error:.3f}, without "
-            f"it {s.without:.3f}"
-        )
-    alike = s.asked - (s.needing or 0)
-    return f"{layer} {alike} of {s.asked} photos that see it would be matched as well by the bare background"
+    error = "" if s.error is None else f": error {s.error:.3f}, without it {s.without:.3f}"
+    return (
+        f"a layer at {s.layer.t:.3g} makes {s.layer.weight:.0%} of the pixel, but of {s.voters} photos that see it "
+        f"{s.against} contradict it and {s.missing} would miss it{error}"
+    )
 
 
 def _fog_reasons(heavy: list[Standing], share: float) -> tuple[str, ...]:

@@ -1,13 +1,13 @@
 """How often the verdict on a pixel is right: faults planted into scenes whose truth is known, a table of classes.
 
-    PYTHONPATH=.:tests/helpers python tests/benchmarks/verdicts.py [--seeds 10 11 12] [--rays 40] [--out FILE.json]
+    PYTHONPATH=.:tests/helpers python tests/benchmarks/verdicts.py [--seeds 14 15 16] [--rays 40] [--out FILE.json]
 
-Each seed is a scene of its own: balls at random, photos in closed form. Voxel models are trained on photos with a fault
-and judged: with a ball that is not there (floater; judged by the photos as they should be), with one camera's pose off
-by 25° or four by 8° (what they leave in front of the surface floats; judged by the same photos and wrong poses), with
-less density than was learnt (background leak), with cameras of one side alone (unobserved), for a few steps only (fog);
-and, without a fault, surfaces, true veils before surfaces (several surfaces) and background. The thresholds were set on
-seeds 100 and up; seeds below measure.
+Each seed is a scene of its own: balls at random, none of them near white, photos in closed form before white. Voxel
+models are trained on photos with a fault and judged: with a ball that is not there (floater; judged by the photos as
+they should be), with one camera's pose off by 25° or four by 8° (what they leave in front of the surface floats; judged
+by the same photos and wrong poses), with less density than was learnt (background leak), with cameras of one side alone
+(unobserved), for a few steps only (fog); and, without a fault, surfaces, true veils before surfaces (several surfaces)
+and background. The thresholds were set on seeds 100 and up; seeds below measure.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ import nerf_core  # noqa: F401  before torch: it sets how OpenMP's threads wait
 import numpy as np
 import torch
 from balls import Ball, looking, model_of, ring_scene
+from torch import Tensor
 
 from nerf_core.cameras import Camera
 from nerf_core.fields.voxel_grid import DENSITY
@@ -38,9 +39,10 @@ from nerf_core.types import Rays
 
 CLASSES = ("surface", "several surfaces", "floater", "fog", "background leak", "unobserved", "background")
 SIZE, CAMERAS, STEPS, FOG_STEPS, PATTERN = 64, 40, 800, 12, 0.35
+DARKEST = 0.5  # at least one channel is: what is white before white no photo can tell from nothing
 THINNED = 0.12  # of the density is left where the background is to leak through
-FRONT = 0.1  # world units in front of the true surface from which on a layer is one of its own
-LEFT = 0.2  # weight in front of the truth that makes a floater
+FRONT = 0.2  # world units in front of the true surface, more than a layer may be thick: what is nearer is out of place
+LEFT = 0.2  # weight in front of the truth that makes a floater, or of the background that makes a leak
 RIM = 0.85  # of a ball's radius: rays that pass farther out graze it,
 ROOM = 0.1  # and so do those that pass it by so little, in world units: two pixels
 
@@ -68,7 +70,9 @@ class World:
     @staticmethod
     def of(seed: int) -> World:
         rng = np.random.default_rng(seed)
-        colors = rng.uniform(0.1, 0.9, (5, 3)).tolist()
+        drawn = rng.uniform(0.1, 0.9, (5, 3))
+        drawn[range(5), drawn.argmin(-1)] = np.minimum(drawn.min(-1), DARKEST)
+        colors = drawn.tolist()
         turn = rng.uniform(0, 2 * np.pi)
         ball = partial(Ball, pattern=PATTERN)
         main = ball((0.0, 0.0, 0.0), float(rng.uniform(0.5, 0.65)), tuple(colors[0]), gloss=0.1)
@@ -201,7 +205,9 @@ def cases(seed: int, count: int) -> list[Case]:
 
     def intruder_first(o: np.ndarray, d: np.ndarray) -> bool:
         intruder, hit = first_hit(o, d, (world.intruder,)), first_hit(o, d, balls)
-        return intruder is not None and (hit is None or intruder[0] < hit[0] - FRONT)
+        if intruder is None:
+            return False
+        return clear(o, d, balls) if hit is None else intruder[0] < hit[0] - FRONT
 
     def with_something_behind(o: np.ndarray, d: np.ndarray) -> bool:
         return intruder_first(o, d) and hits(o, d)
@@ -209,10 +215,14 @@ def cases(seed: int, count: int) -> list[Case]:
     intruding = pick.rays(intruder_first) + pick.rays(with_something_behind)
     found.append(Case("floater", "a ball that is not there", intruded, scene, intruding))
 
-    def alone(o: np.ndarray, d: np.ndarray) -> bool:
-        return sum(first_hit(o, d, (ball,)) is not None for ball in balls) == 1 and hits(o, d)
+    leaky = thinned(trained(scene))
 
-    found.append(Case("background leak", "density taken away", thinned(trained(scene)), scene, pick.rays(alone)))
+    def alone(o: np.ndarray, d: np.ndarray) -> bool:
+        if sum(first_hit(o, d, (ball,)) is not None for ball in balls) != 1 or not hits(o, d):
+            return False
+        return 1 - float(_weights(leaky, scene, o, d)[1].sum()) > LEFT
+
+    found.append(Case("background leak", "density taken away", leaky, scene, pick.rays(alone)))
     side = np.random.default_rng(seed).uniform(0, 2 * np.pi)
     facing = np.array([np.cos(side), np.sin(side), 0.0])
     seeing = tuple(k for k, view in enumerate(scene.views) if view.camera.c2w[:, 3] @ facing > 1.2)
@@ -248,11 +258,16 @@ def _left_in_front(
     hit = first_hit(origin, direction, balls)
     if hit is None and not clear(origin, direction, balls):
         return False
+    t, weights = _weights(method, scene, origin, direction)
+    return float(weights[t < (hit[0] - FRONT if hit is not None else np.inf)].sum()) > LEFT
+
+
+def _weights(method: Method, scene: Scene, origin: np.ndarray, direction: np.ndarray) -> tuple[Tensor, Tensor]:
+    """The samples of a ray as the model has it: t and weights, both (1, S)."""
     o, d = (torch.from_numpy(v).float()[None] for v in (origin, direction))
     length = -float(np.linalg.norm(origin) / (origin @ direction))  # of a z-depth of 1: cameras look at the origin
     last = method.trace(Rays(o, d, torch.tensor([scene.near * length]), torch.tensor([scene.far * length]))).passes[-1]
-    until = hit[0] - FRONT if hit is not None else np.inf
-    return float(last.weights[last.t < until].sum()) > LEFT
+    return last.t, last.weights
 
 
 # ---- measuring ----------------------------------------------------------------------------------------------------
@@ -260,7 +275,7 @@ def _left_in_front(
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, nargs="*", default=[10, 11, 12])
+    parser.add_argument("--seeds", type=int, nargs="*", default=[14, 15, 16])
     parser.add_argument("--rays", type=int, default=40, help="of each case")
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
@@ -299,8 +314,9 @@ def table(said: Counter[tuple[str, str, str]], landed: dict[str, list[float]]) -
         for plant in sorted({plant for _, plant, _ in mine}):
             rays = sum(n for (_, p, _), n in mine.items() if p == plant)
             print(f"| &nbsp; {plant} | {rays} | | {said[label, plant, label] / rays:.2f} |")
+    landed = {**landed, "all of them": [off for one in landed.values() for off in one]}
     for plant, off in landed.items():
-        share = np.mean(np.array(off) < 0.01)
+        share = np.mean(np.array(off) < 0.01) if off else np.nan
         print(
             f"{plant}: behind {len(off)} floaters the surface was found within 1 % of the scene's size on {share:.0%}"
         )

@@ -80,14 +80,12 @@ def main() -> None:
             link.opened.clear()
             link.looked.clear()
             phase.kept.append(_speed(worker, args.seconds, work) / alone)
-            phase.frames += link.frames
+            phase.frames.append(tuple(link.frames))
             phase.delays += link.delays
             phase.opened += link.opened
             phase.looked += link.looked
     for phase in phases:
-        low, middle, high = min(phase.kept), statistics.median(phase.kept), max(phase.kept)
-        print(f"{phase.name}: training keeps {middle:.0%} ({low:.0%} – {high:.0%}) of its speed alone, asked for 60%")
-        _tell("frame", phase.frames)
+        _report(phase)
     _tell("moved camera to new pixels", orbiting.delays)
     _tell("click to the new ray in every panel", microscope.opened)
     _tell("between two looks at a pinned ray", microscope.looked)
@@ -125,10 +123,18 @@ class _Phase:
     pixels: int = 0
     clicks: bool = False
     kept: list[float] = field(default_factory=list)
-    frames: list[float] = field(default_factory=list)
+    frames: list[tuple[float, ...]] = field(default_factory=list)  # of each round
     delays: list[float] = field(default_factory=list)
     opened: list[float] = field(default_factory=list)
     looked: list[float] = field(default_factory=list)
+
+
+def _report(phase: _Phase) -> None:
+    low, middle, high = min(phase.kept), statistics.median(phase.kept), max(phase.kept)
+    print(f"{phase.name}: training keeps {middle:.0%} ({low:.0%} – {high:.0%}) of its speed alone, asked for 60%")
+    _tell("frame", [one for frames in phase.frames for one in frames])
+    rounds = [float(np.percentile(frames, 99)) for frames in phase.frames]
+    print(f"  p99 of a round's frames: {statistics.median(rounds):.0f} ({min(rounds):.0f} – {max(rounds):.0f}) ms")
 
 
 class _Hand:

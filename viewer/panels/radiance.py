@@ -145,6 +145,8 @@ def _numbers(ui: Ui, state: AppState, pictures: Pictures, viewer: np.ndarray) ->
         rest = np.maximum(pictures.probe.rgb[towards] - diffuse, 0)
         rows.append(("diffuse", triple(diffuse), partial(swatch, ui, diffuse)))
         rows.append(("specular here", triple(rest), partial(swatch, ui, rest)))
+    if state.frozen_ray:
+        hint(ui, "These are of the point alone:")
     figures(ui, "numbers", rows)
 
 
