@@ -75,7 +75,9 @@ def unseen(directions: np.ndarray, evidence: Sightings | None) -> np.ndarray:
     seen = evidence.directions[evidence.seen] if evidence is not None else np.zeros((0, 3))
     if not len(seen):
         return np.ones(len(directions), bool)
-    return (directions @ seen.T).max(1) < np.cos(np.radians(FAR_DEGREES))
+    # Not @, whose BLAS waits for threads that training may hold for 20 ms, and a window for it
+    cosines = np.einsum("vi,ik->vk", seen.astype(np.float32), np.ascontiguousarray(directions.T, np.float32))
+    return cosines.max(0) < np.cos(np.radians(FAR_DEGREES))
 
 
 class Witnesses:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -90,11 +91,16 @@ class RadianceProbe:
         return float(np.arctan2(along, z)), float(np.arcsin(np.clip(across, -1, 1)))
 
 
+@cache
 def disc_grid() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """x, y (y up) of the disc's pixel centres and which of them lie inside: three (DISC_SIZE, DISC_SIZE) arrays."""
+    """x, y (y up) of the disc's pixel centres and which of them lie inside: three (DISC_SIZE, DISC_SIZE) arrays, to be
+    read alone."""
     centres = (np.arange(DISC_SIZE) + 0.5) / DISC_SIZE * 2 - 1
     x, y = np.meshgrid(centres, -centres)
-    return x, y, x * x + y * y < 1
+    found = x, y, x * x + y * y < 1
+    for array in found:
+        array.flags.writeable = False
+    return found
 
 
 def open_radiance(

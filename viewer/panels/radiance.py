@@ -47,24 +47,31 @@ class Pictures:
     def of(probe: RadianceProbe, evidence: Sightings | None, frozen: bool) -> Pictures:
         far = unseen(probe.directions, evidence)
         count = SPHERE_ROWS * SPHERE_COLUMNS
-        disc, hidden = probe.disc_image(frozen), np.zeros((DISC_SIZE, DISC_SIZE), bool)
+        hidden = np.zeros((DISC_SIZE, DISC_SIZE), bool)
         hidden[disc_grid()[2]] = far[count:]
-        disc[..., 3] = hidden  # the alpha of what lies outside is no longer of use
-        disc = disc[_nearest_inside()]
-        sphere = probe.sphere_image(frozen)
-        hidden = far[:count].reshape(SPHERE_ROWS, SPHERE_COLUMNS, 1).astype(np.float32)
-        return Pictures(probe, evidence, frozen, _hatched(disc), _hatched(np.concatenate([sphere, hidden], -1)))
+        near = _nearest_inside()
+        disc = _hatched(probe.disc_image(frozen)[..., :3][near], hidden[near])
+        sphere = _hatched(probe.sphere_image(frozen), far[:count].reshape(SPHERE_ROWS, SPHERE_COLUMNS))
+        return Pictures(probe, evidence, frozen, disc, sphere)
 
 
-def _hatched(image: np.ndarray) -> np.ndarray:
-    """(h, w, 4) colours and where to hatch → uint8 (ZOOM h, ZOOM w, 4), opaque."""
-    large = image.repeat(ZOOM, 0).repeat(ZOOM, 1)
-    y, x = np.mgrid[: large.shape[0], : large.shape[1]]
-    stripe = ((x + y) % HATCH < HATCH // 3) & (large[..., 3] > 0.5)
-    rgb = large[..., :3]
+def _hatched(rgb: np.ndarray, hidden: np.ndarray) -> np.ndarray:
+    """(h, w, 3) colours and (h, w) where to hatch → uint8 (ZOOM h, ZOOM w, 4), opaque.
+
+    Made while frames wait: both colours of each pixel first, small; then enlarged, four bytes at once.
+    """
     dark = rgb.mean(-1, keepdims=True) < 0.5  # a stripe that shows on any colour
-    rgb = np.where(stripe[..., None], 0.55 * rgb + np.where(dark, 0.45, 0.0), rgb)
-    return _bytes(np.concatenate([rgb, np.ones((*rgb.shape[:2], 1))], -1))
+    striped = np.where(hidden[..., None], 0.55 * rgb + np.where(dark, 0.45, 0.0), rgb)
+    both = np.full((2, *hidden.shape, 4), 255, np.uint8)
+    both[..., :3] = _bytes(np.stack([rgb, striped]))
+    plain, stripe = both.view(np.uint32)[..., 0].repeat(ZOOM, 1).repeat(ZOOM, 2)
+    return np.where(_stripes(plain.shape), stripe, plain)[..., None].view(np.uint8)
+
+
+@cache
+def _stripes(shape: tuple[int, int]) -> np.ndarray:
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    return (x + y) % HATCH < HATCH // 3
 
 
 @PANELS.register("radiance")
@@ -141,7 +148,7 @@ def _numbers(ui: Ui, state: AppState, pictures: Pictures, viewer: np.ndarray) ->
     rows: list[Row] = [("view-dependence", number(pictures.probe.dependence, 3))]
     diffuse = diffuse_of(pictures.evidence) if pictures.evidence is not None else None
     if diffuse is not None:
-        towards = int(np.argmax(pictures.probe.directions @ viewer))
+        towards = int(np.argmax(np.einsum("ki,i->k", pictures.probe.directions, viewer)))  # no BLAS: see `unseen`
         rest = np.maximum(pictures.probe.rgb[towards] - diffuse, 0)
         rows.append(("diffuse", triple(diffuse), partial(swatch, ui, diffuse)))
         rows.append(("specular here", triple(rest), partial(swatch, ui, rest)))
