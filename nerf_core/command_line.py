@@ -7,7 +7,6 @@ import re
 import sys
 from collections.abc import Sequence
 from contextlib import redirect_stderr
-from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -30,17 +29,17 @@ REPEATABLE = ("--click", "--pin", "--set", "--write")
 def parse(kind: Any, prog: str, arguments: Sequence[str] | None) -> Any:
     """An instance of the dataclass (or of one of a union's) that `arguments` (None: the process's own) describe.
 
-    Raises UserError naming the option, SystemExit(0) after --help.
+    Raises UserError naming what cannot be taken, SystemExit(0) after --help.
     """
-    arguments = sys.argv[1:] if arguments is None else arguments
-    names = [a.partition("=")[0].replace("_", "-") for a in arguments if a.startswith("--")]
-    for option in names:
-        if names.count(option) > 1 and option not in REPEATABLE:
-            raise UserError(f"{option}: given {names.count(option)} times; once is enough")
+    arguments = [_at_home(one) for one in (sys.argv[1:] if arguments is None else arguments)]
+    options = [a.partition("=")[0].replace("_", "-") for a in arguments if a.startswith("--")]
+    for option in options:
+        if options.count(option) > 1 and option not in REPEATABLE:
+            raise UserError(f"{option}: given {options.count(option)} times; once is enough")
     said = io.StringIO()
     try:
         with redirect_stderr(said):
-            options = tyro.cli(kind, prog=prog, args=arguments, config=CONFIG)
+            return tyro.cli(kind, prog=prog, args=arguments, config=CONFIG)
     except SystemExit as end:
         if not end.code:
             raise
@@ -51,18 +50,12 @@ def parse(kind: Any, prog: str, arguments: Sequence[str] | None) -> Any:
             else prog
         )
         raise UserError(f"{text}; {whole} --help lists the options") from None
-    return _at_home(options)
 
 
-def _at_home(value: Any) -> Any:
-    """The same with every path's `~` put into full: shells leave the one in --save=~/x.ckpt as it is."""
-    if isinstance(value, Path):
-        return own_path(value)
-    if isinstance(value, list):
-        return [_at_home(one) for one in value]
-    if is_dataclass(value) and not isinstance(value, type):
-        return replace(value, **{f.name: _at_home(getattr(value, f.name)) for f in fields(value)})
-    return value
+def _at_home(argument: str) -> str:
+    """The same with a `~` at its beginning put into full: shells leave the one in --save=~/x.ckpt as it is."""
+    option, equals, value = argument.partition("=") if argument.startswith("--") else ("", "", argument)
+    return f"{option}{equals}{own_path(Path(value))}" if value.startswith("~") else argument
 
 
 def _sentence(box: str) -> str:

@@ -2,8 +2,8 @@
 
 Questions to the photos decide more than any threshold on shapes. How many of those that see a layer contradict it, as
 they would be matched better if it were not there, or as well if there were nothing but background; and how many would
-miss it? Where the first are the more, it is a floater. Would the photos be matched better if no background showed from
-there on? Then it leaks through.
+miss it? Where not few contradict it, and no more would miss it, it is a floater. Would the photos be matched better if
+no background showed from there on? Then it leaks through.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Kind = Literal["surface", "several surfaces", "floater", "fog", "background leak
 NOTHING = 0.05  # opacity under which a ray has met nothing that one could see
 LEAK = 0.1  # transmittance behind the last layer from which on what is behind shows
 THICK, DEEP = 6.0, 20.0  # grains: a thicker layer is a surface only where photos agree with it, and none at all
-CLOUD = 10.0  # grains: a thicker layer is no thing of its own unless nobody would miss it
+CLOUD = 10.0  # grains: a thicker layer floats only where hardly anybody would miss it
 HAZY = 0.03  # mean error of a channel in the photos that see a thick layer, from which on they do not agree with it
 SOLID = 0.5  # of the layers' weight must lie in layers that are not hazy, or the ray is in fog
 FEW = 2  # photos: what fewer see, nobody can have learnt
@@ -35,9 +35,10 @@ INSIDE = 0.3  # of the photos that see a layer: what fewer see behind it is its 
 FRONT = 1 / 3  # of the weight of a front and of what shows through it: a lighter one is no front
 WRONG = 0.05  # mean error of a channel in the photos that see a layer, from which on something is wrong
 LEAKING = 0.8  # times the error: what no background from a layer on must bring it down to
-ALIKE = 0.01  # mean error of a channel: what differs by less is as good
+ALIKE, NOISE = 0.01, 0.25  # mean error of a channel, and share of a photo's own: what differs by less is as good
 AGAINST = 1 / 4  # of the photos that see a layer: what so many contradict, and no more would miss, is not there
 COUNTS = 0.1  # weight of a layer that is worth a verdict, in this pixel and in a photo's
+HARDLY = 1 / 8  # of the photos that see a layer: so few may themselves be wrong, as by their poses
 ASKED = 16  # photos that see a layer, the nearest in angle: they are asked how they would look otherwise
 REACHES = np.array([1.0, 3.0, 8.0, 20.0])  # grains behind a layer's end at which it may be over, where it hides that
 MOST_LAYERS, MOST_HIDDEN = 4, 8
@@ -46,14 +47,15 @@ MOST_LAYERS, MOST_HIDDEN = 4, 8
 @dataclass(frozen=True)
 class Standing:
     """A layer before the photos. witnesses: how many see it from the ray's side, under ASIDE from its look; looked: how
-    many do from anywhere; voters: those of them that are asked, ASKED at most; asked: in how many of their pixels it
-    counts. against: how many voters contradict it: those in whose pixel it does not count, and those that would be
-    matched better if it were not there, or as well by the bare background, where one is known; missing: how many of the
-    others would be matched worse.
+    many do from anywhere; voters: those of them that are asked, ASKED at most. against: how many voters contradict it,
+    as they would be matched better if it were not there, or as well by the bare background, where one is known;
+    missing: how many of the others would be matched worse; blank: how many of the rest do not show it, since it does
+    not count in their pixel. shown: in how many of the voters' pixels it counts.
 
-    error: median over those asked of the mean difference between their pixel and the model's; without, opaque: the same
-    if the layer were away, or if from it on no background showed; None where it counts in no photo. reach: the world
-    distance behind its middle from which on it is away: that of REACHES at which most are against it.
+    error: median over those of the mean difference between their pixel and the model's; without, opaque: the same if
+    the layer were away, or if from it on no background showed; None where it is shown in none. reach: the world
+    distance behind its middle from which on it is away: that of REACHES at which it floats and most are against it, of
+    those alike the shortest.
     """
 
     layer: Layer
@@ -61,9 +63,10 @@ class Standing:
     witnesses: int
     looked: int
     voters: int
-    asked: int
     against: int
     missing: int
+    blank: int
+    shown: int
     error: float | None
     without: float | None
     opaque: float | None
@@ -71,15 +74,19 @@ class Standing:
 
     @property
     def floats(self) -> bool:
-        """Not few of the photos that see it contradict it, and no more would miss it; of a cloud, none would."""
-        if self.voters < FEW or self.against < AGAINST * self.voters:
+        """Not few of the photos that see it contradict it, and no more would miss it than contradict it or do not show
+        it. Of a cloud, or what is contradicted only by not being shown, hardly one would: a thing finer than a pixel is
+        beside the middle of many."""
+        enough, idle = AGAINST * self.voters, self.against + self.blank
+        if self.voters < FEW or idle < enough:
             return False
-        return self.missing <= (self.against if self.layer.thickness <= CLOUD * self.layer.grain else 0)
+        sure = self.against >= enough and self.layer.thickness <= CLOUD * self.layer.grain
+        return self.missing <= (idle if sure else HARDLY * self.voters)
 
     @property
     def leaks(self) -> bool:
         """The photos would be matched better, if no background showed from it on."""
-        if self.error is None or self.opaque is None or self.asked < FEW:
+        if self.error is None or self.opaque is None or self.shown < FEW:
             return False
         return self.error >= WRONG and self.opaque <= LEAKING * self.error
 
@@ -98,7 +105,7 @@ class Standing:
     @property
     def most_grains(self) -> float:
         """Of a surface that the photos agree with this much."""
-        return THICK if self.error is None or self.error >= HAZY else DEEP
+        return DEEP if self.error is not None and self.error < HAZY else THICK
 
 
 @dataclass(frozen=True)
@@ -143,24 +150,28 @@ def stand(method: Method, witnesses: Witnesses, ray: RayProbe, layer: Layer) -> 
     margin = layer.grain + min(layer.t - layer.begin, THICK * layer.grain)
     sightings = witnesses.look(method, point, ray.direction.astype(np.float64), margin)
     counts = int((sightings.seen & (sightings.angle < ASIDE)).sum()), int(sightings.seen.sum())
-    voters = sightings.at(np.flatnonzero(sightings.seen)[:ASKED])
-    asked = voters.at(voters.share >= COUNTS)
-    votes, blank = (len(voters.views), len(asked.views)), len(voters.views) - len(asked.views)
+    asked = sightings.at(np.flatnonzero(sightings.seen)[:ASKED])
     if not len(asked.views):
-        return Standing(layer, sightings, *counts, *votes, blank, 0, None, None, None, 0.0)
+        return Standing(layer, sightings, *counts, 0, 0, 0, 0, 0, None, None, None, layer.end - layer.t)
     reaches = margin + REACHES * layer.grain
     without, opaque, bare = witnesses.otherwise(method, asked, reaches)
-    error, instead = _off(asked.predicted, asked.observed), _off(without, asked.observed)
-    against = instead < error - ALIKE
-    if witnesses.scene.synthetic:
-        against |= _off(bare, asked.observed) <= error + ALIKE
-    missing = (instead > error + ALIKE) & ~against
-    best = int(np.lexsort((missing.sum(-1), -against.sum(-1)))[0])
-    return Standing(
-        layer, sightings, *counts, *votes, blank + int(against[best].sum()), int(missing[best].sum()),
-        float(np.median(error)), float(np.median(instead[best])), float(np.median(_off(opaque, asked.observed))),
-        float(reaches[best]),
-    )  # fmt: skip
+    error, shown = _off(asked.predicted, asked.observed), asked.share >= COUNTS
+    slack = np.maximum(ALIKE, NOISE * error)
+    needless = _off(bare, asked.observed) <= error + slack if witnesses.scene.synthetic else np.zeros(len(error), bool)
+
+    def median(off: np.ndarray) -> float | None:
+        return float(np.median(off[shown])) if shown.any() else None
+
+    found = []
+    for reach, instead in zip(reaches.tolist(), _off(without, asked.observed), strict=True):
+        against = shown & ((instead < error - slack) | needless)
+        missing = (instead > error + slack) & ~against
+        blank = ~shown & ~missing
+        found.append(Standing(
+            layer, sightings, *counts, len(error), int(against.sum()), int(missing.sum()), int(blank.sum()),
+            int(shown.sum()), median(error), median(instead), median(_off(opaque, asked.observed)), reach,
+        ))  # fmt: skip
+    return max(found, key=lambda one: (one.floats, one.against, -one.missing))  # of those alike the first
 
 
 def _hidden_surface(
@@ -218,7 +229,7 @@ def _concluded(
         kind, reasons = "background", (f"the ray met nothing: its opacity is {ray.opacity:.3f}",)
     elif floaters:
         kind, reasons = "floater", tuple(map(_floater_reason, floaters))
-    elif surface is not None and surface.witnesses < FEW:
+    elif surface is not None and min(surface.witnesses, max(surface.shown, surface.missing)) < FEW:
         kind, reasons = "unobserved", (_unobserved_reason(surface),)
     elif left >= LEAK and leaking is not None:
         kind, reasons = "background leak", (_leak_reason(leaking, left),)
@@ -239,11 +250,13 @@ def _off(colors: np.ndarray, photos: np.ndarray) -> np.ndarray:
 
 
 def _floater_reason(s: Standing) -> str:
-    error = "" if s.error is None else f": error {s.error:.3f}, without it {s.without:.3f}"
-    return (
-        f"a layer at {s.layer.t:.3g} makes {s.layer.weight:.0%} of the pixel, but of {s.voters} photos that see it "
-        f"{s.against} contradict it and {s.missing} would miss it{error}"
-    )
+    said = ((s.against, "contradict it"), (s.blank, "do not show it"), (s.missing, "would miss it"))
+    *rest, last = [f"{count} {what}" for count, what in said if count]
+    votes = f"{', '.join(rest)} and {last}" if rest else last
+    better = s.error is not None and s.without is not None and s.without < s.error
+    error = f": error {s.error:.3f}, without it {s.without:.3f}" if better else ""
+    layer = f"a layer at {s.layer.t:.3g} makes {s.layer.weight:.0%} of the pixel"
+    return f"{layer}, but of {s.voters} photos that see it {votes}{error}"
 
 
 def _fog_reasons(heavy: list[Standing], share: float) -> tuple[str, ...]:
@@ -259,6 +272,9 @@ def _fog_reasons(heavy: list[Standing], share: float) -> tuple[str, ...]:
 
 
 def _unobserved_reason(s: Standing) -> str:
+    if s.witnesses >= FEW:
+        shown = "one shows it" if s.shown else "none shows it"
+        return f"of {s.voters} training photos that see the point at {s.layer.t:.3g}, {shown}"
     seen = {0: "no training photo sees", 1: "one training photo alone sees"}[s.witnesses]
     return (
         f"{seen} the point at {s.layer.t:.3g} from this side ({s.sightings.framed} of {s.sightings.asked} have it in "
@@ -268,8 +284,8 @@ def _unobserved_reason(s: Standing) -> str:
 
 def _leak_reason(s: Standing, left: float) -> str:
     return (
-        f"{left:.0%} of what is behind shows through the layer at {s.layer.t:.3g}; if no background did, {s.asked} "
-        f"photos that see it would be matched better: error {s.error:.3f}, then {s.opaque:.3f}"
+        f"{left:.0%} of what is behind shows through the layer at {s.layer.t:.3g}; if no background did, the median "
+        f"error of {s.shown} photos that show it would be {s.opaque:.3f} instead of {s.error:.3f}"
     )
 
 

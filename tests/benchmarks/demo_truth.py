@@ -112,11 +112,16 @@ def microscope(trainer: Trainer, pixels: int = 24, seed: int = 0) -> dict[str, f
         )  # fmt: skip
         error = np.abs(probe.rgb - truth).mean(-1)
         found.append((
-            abs(probe.t - t[flat]), error[outer & near].mean(), error[outer & ~near].mean(),
+            abs(probe.t - t[flat]), _mean(error[outer & near]), _mean(error[outer & ~near]),
             _spread(probe.rgb[outer & near]), _spread(truth[outer & near]),
         ))  # fmt: skip
     names = ("off", "observed", "extrapolated", "spread", "spread_truth")
     return dict(zip(names, np.nanmedian(np.array(found), 0).tolist(), strict=True))
+
+
+def _mean(errors: np.ndarray) -> float:
+    """NaN of none: from nowhere near has a photo looked."""
+    return float(errors.mean()) if len(errors) else np.nan
 
 
 def _spread(rgb: np.ndarray) -> float:

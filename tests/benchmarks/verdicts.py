@@ -1,13 +1,13 @@
 """How often the verdict on a pixel is right: faults planted into scenes whose truth is known, a table of classes.
 
-    PYTHONPATH=.:tests/helpers python tests/benchmarks/verdicts.py [--seeds 14 15 16] [--rays 40] [--out FILE.json]
+    PYTHONPATH=.:tests/helpers python tests/benchmarks/verdicts.py [--seeds 17 18 19] [--rays 40] [--out FILE.json]
 
 Each seed is a scene of its own: balls at random, none of them near white, photos in closed form before white. Voxel
 models are trained on photos with a fault and judged: with a ball that is not there (floater; judged by the photos as
 they should be), with one camera's pose off by 25° or four by 8° (what they leave in front of the surface floats; judged
 by the same photos and wrong poses), with less density than was learnt (background leak), with cameras of one side alone
 (unobserved), for a few steps only (fog); and, without a fault, surfaces, true veils before surfaces (several surfaces)
-and background. The thresholds were set on seeds 100 and up; seeds below measure.
+and background. Rules and thresholds were set on seeds 100 and up, and on 1–16, which have been looked at since.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ from nerf_core.types import Rays
 
 CLASSES = ("surface", "several surfaces", "floater", "fog", "background leak", "unobserved", "background")
 SIZE, CAMERAS, STEPS, FOG_STEPS, PATTERN = 64, 40, 800, 12, 0.35
-DARKEST = 0.5  # at least one channel is: what is white before white no photo can tell from nothing
+DARKEST = 0.5  # one channel of each colour at most: what is near white before white photos hardly tell from nothing
 THINNED = 0.12  # of the density is left where the background is to leak through
-FRONT = 0.2  # world units in front of the true surface, more than a layer may be thick: what is nearer is out of place
+FRONT = 0.2  # world units in front of the true surface, over 6 grains: what is nearer is that surface out of place
 LEFT = 0.2  # weight in front of the truth that makes a floater, or of the background that makes a leak
 RIM = 0.85  # of a ball's radius: rays that pass farther out graze it,
 ROOM = 0.1  # and so do those that pass it by so little, in world units: two pixels
@@ -68,10 +68,10 @@ class World:
     scene: Scene
 
     @staticmethod
-    def of(seed: int) -> World:
+    def of(seed: int, darkest: float = DARKEST) -> World:
         rng = np.random.default_rng(seed)
         drawn = rng.uniform(0.1, 0.9, (5, 3))
-        drawn[range(5), drawn.argmin(-1)] = np.minimum(drawn.min(-1), DARKEST)
+        drawn[range(5), drawn.argmin(-1)] = np.minimum(drawn.min(-1), darkest)
         colors = drawn.tolist()
         turn = rng.uniform(0, 2 * np.pi)
         ball = partial(Ball, pattern=PATTERN)
@@ -182,8 +182,8 @@ class Picker:
         return found
 
 
-def cases(seed: int, count: int) -> list[Case]:
-    world, pick = World.of(seed), Picker(seed, count)
+def cases(world: World, seed: int, count: int) -> list[Case]:
+    pick = Picker(seed, count)
     scene, balls = world.scene, world.balls
 
     def hits(o: np.ndarray, d: np.ndarray) -> bool:
@@ -275,16 +275,17 @@ def _weights(method: Method, scene: Scene, origin: np.ndarray, direction: np.nda
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, nargs="*", default=[14, 15, 16])
+    parser.add_argument("--seeds", type=int, nargs="*", default=[17, 18, 19])
     parser.add_argument("--rays", type=int, default=40, help="of each case")
+    parser.add_argument("--darkest", type=float, default=DARKEST, help="of each colour one channel is at most")
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
     said: Counter[tuple[str, str, str]] = Counter()
     landed: dict[str, list[float]] = defaultdict(list)
     for seed in args.seeds:
-        world = World.of(seed)
+        world = World.of(seed, args.darkest)
         closed_form = model_of(world.scene, *world.balls)
-        for case in cases(seed, args.rays):
+        for case in cases(world, seed, args.rays):
             witnesses = Witnesses(case.scene)
             for camera, pixel in case.rays:
                 ray = open_ray(case.method, case.scene, camera, pixel, 0)

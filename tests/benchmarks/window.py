@@ -133,7 +133,7 @@ def _report(phase: _Phase) -> None:
     low, middle, high = min(phase.kept), statistics.median(phase.kept), max(phase.kept)
     print(f"{phase.name}: training keeps {middle:.0%} ({low:.0%} – {high:.0%}) of its speed alone, asked for 60%")
     _tell("frame", [one for frames in phase.frames for one in frames])
-    rounds = [float(np.percentile(frames, 99)) for frames in phase.frames]
+    rounds = [float(np.percentile(frames, 99)) for frames in phase.frames if frames]
     print(f"  p99 of a round's frames: {statistics.median(rounds):.0f} ({min(rounds):.0f} – {max(rounds):.0f}) ms")
 
 

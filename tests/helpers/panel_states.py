@@ -122,7 +122,7 @@ def make_opened(ray: RayProbe) -> Opened:
     scene, radiance = make_scene(), make_radiance(ray)
     evidence = make_evidence(scene, radiance)
     layer = Layer(3.2, 3.17, 3.1, 3.3, 0.1, 0.03, 0.4, 1.0, np.array([0.9, 0.1, 0.1]))
-    standing = Standing(layer, evidence, 9, 11, 11, 9, 8, 2, 0.2, 0.03, 0.3, 0.1)
+    standing = Standing(layer, evidence, 9, 11, 11, 8, 2, 1, 9, 0.2, 0.03, 0.3, 0.1)
     reasons = (
         "a layer at 3.2 makes 40% of the pixel, but of 11 photos that see it 8 contradict it and 2 would miss it",
     )

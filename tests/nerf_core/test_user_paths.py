@@ -29,9 +29,9 @@ class Outer:
 def test_the_home_folder_is_put_into_every_path(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
     found = parse(
-        Outer, "x", ["~/photos", "--save=~/a.ckpt", "--write", "~/b.json", "--write", "c~.csv", "--name", "~"]
+        Outer, "x", ["~/photos", "--save=~/a.ckpt", "--write", "~/b.json", "--write", "c~.csv", "--name", "a~"]
     )
-    assert found == Outer(Inner(tmp_path / "a.ckpt"), tmp_path / "photos", [tmp_path / "b.json", Path("c~.csv")], "~")
+    assert found == Outer(Inner(tmp_path / "a.ckpt"), tmp_path / "photos", [tmp_path / "b.json", Path("c~.csv")], "a~")
 
 
 def test_somebody_unknown_is_told() -> None:

@@ -547,3 +547,22 @@ def test_words() -> None:
     assert [rate(v) for v in (0.0, 512.0, 640_123.0, 1.254e6)] == ["–", "512", "640k", "1.25M"]
     assert [number(v) for v in (None, float("inf"), -0.00012345, 3.0)] == ["–", "–", "−0.0001234", "3"]
     assert vector(np.array([0.5, -1.25])) == " 0.500 −1.250"
+
+
+def test_hatched_pictures_are_the_colours_with_stripes_where_nobody_looked() -> None:
+    from viewer.panels.radiance import HATCH, ZOOM, _hatched
+
+    rng = np.random.default_rng(0)
+    rgb, hidden = rng.uniform(-0.2, 1.2, (5, 7, 3)).astype(np.float32), rng.random((5, 7)) < 0.5
+    rgb[1, 2] = np.nan
+    found = _hatched(rgb, hidden)
+    assert found.dtype == np.uint8
+    assert found.shape == (5 * ZOOM, 7 * ZOOM, 4)
+    assert (found[..., 3] == 255).all()
+    for y in range(5 * ZOOM):
+        for x in range(7 * ZOOM):
+            color = rgb[y // ZOOM, x // ZOOM].astype(np.float64)
+            if hidden[y // ZOOM, x // ZOOM] and (x + y) % HATCH < HATCH // 3:
+                color = 0.55 * color + (0.45 if color.mean() < 0.5 else 0.0)
+            want = np.clip(np.nan_to_num(color), 0, 1) * 255
+            assert (np.abs(found[y, x, :3] - want) <= 0.51).all()

@@ -71,7 +71,9 @@ def _hatched(rgb: np.ndarray, hidden: np.ndarray) -> np.ndarray:
 @cache
 def _stripes(shape: tuple[int, int]) -> np.ndarray:
     y, x = np.mgrid[: shape[0], : shape[1]]
-    return (x + y) % HATCH < HATCH // 3
+    found = (x + y) % HATCH < HATCH // 3
+    found.flags.writeable = False
+    return found
 
 
 @PANELS.register("radiance")

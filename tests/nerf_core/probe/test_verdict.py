@@ -56,7 +56,7 @@ def test_what_no_photo_shows_floats(scene: Scene, density: float) -> None:
     """Opaque, it hides the ball from the ray; thin, both make the pixel. The eye is to rest on the ball."""
     verdict = said(model_of(scene, RED, replace(FLOATER, density=density)), scene)
     assert verdict.kind == "floater"
-    assert re.search(r"of (\d+) photos that see it \1 contradict it and 0 would miss it", verdict.reasons[0])
+    assert re.search(r"of (\d+) photos that see it \1 contradict it: error", verdict.reasons[0])
     assert verdict.surface_t == pytest.approx(front_of(RED), abs=0.05)
 
 
@@ -78,31 +78,57 @@ def test_what_the_bare_background_shows_as_well_floats(scene: Scene, known: bool
         assert verdict.kind == "surface"
 
 
+GRAIN = Ball((1.5, 0.0, 0.3375), 0.0, FLOATER.color, density=400.0)
+
+
 def test_what_hardly_a_photo_shows_that_sees_it_floats() -> None:
     """A grain between the middles of most photos' pixels, none of which shows it."""
-    coarse, grain = ring_scene(RED, size=8), Ball((1.5, 0.0, 0.3375), 0.0, FLOATER.color, density=30.0)
-    verdict = said(model_of(coarse, RED, grain), coarse)
+    coarse = ring_scene(RED, size=8)
+    verdict = said(model_of(coarse, RED, replace(GRAIN, density=30.0)), coarse)
     front = verdict.standings[0]
     assert front.voters >= 10
-    assert front.asked <= 4
-    assert front.against == front.voters
+    assert front.shown <= 4
+    assert front.against + front.blank == front.voters
     assert verdict.kind == "floater"
+    assert verdict.surface_t == pytest.approx(front_of(RED), abs=0.05)
+
+
+def test_what_is_finer_than_a_pixel_does_not_float() -> None:
+    """The same grain, but photos show it: those whose pixels' middles it lies beside say nothing against it."""
+    coarse = ring_scene(RED, GRAIN, size=8)
+    verdict = said(model_of(coarse, RED, GRAIN), coarse)
+    front = verdict.standings[0]
+    assert front.blank >= 4
+    assert front.missing >= 3
+    assert verdict.kind != "floater"
+
+
+def test_true_haze_does_not_float() -> None:
+    """So thin that what lies near its middle counts in no pixel; all photos would miss the whole."""
+    haze = Ball((0.0, 0.0, 0.0), 0.7, (0.2, 0.2, 0.3), density=0.17)
+    scene = ring_scene(haze, size=16, count=12)
+    verdict = said(model_of(scene, haze), scene)
+    assert verdict.kind == "fog"
+    assert all(s.missing == s.voters for s in verdict.standings)
 
 
 def test_photos_vote_on_what_floats(scene: Scene) -> None:
     one = said(model_of(scene, RED, FLOATER), scene).standings[0]
 
-    def floats(voters: int, against: int, missing: int, grains: float = 3.0) -> bool:
+    def floats(voters: int, against: int, missing: int, blank: int = 0, grains: float = 3.0) -> bool:
         layer = replace(one.layer, thickness=grains * one.layer.grain)
-        return replace(one, layer=layer, voters=voters, against=against, missing=missing).floats
+        return replace(one, layer=layer, voters=voters, against=against, missing=missing, blank=blank).floats
 
     assert floats(16, 4, 4)
     assert not floats(16, 3, 0)
     assert not floats(16, 4, 5)
+    assert floats(16, 4, 6, blank=2)
     assert floats(2, 1, 1)
     assert not floats(1, 1, 0)
-    assert floats(16, 16, 0, grains=12.0)
-    assert not floats(16, 12, 1, grains=12.0)
+    assert floats(16, 14, 2, grains=12.0)
+    assert not floats(16, 13, 3, grains=12.0)
+    assert floats(16, 0, 2, blank=4)
+    assert not floats(16, 0, 3, blank=13)
 
 
 def test_a_radiance_point_lands_behind_the_floater(scene: Scene) -> None:
