@@ -13,7 +13,6 @@ from nerf_core.cameras import Camera
 from nerf_core.datasets.json_reader import read_json
 from nerf_core.errors import UserError, shorten
 from nerf_core.scene import Scene
-from nerf_core.user_paths import own_path
 
 MOST_PIXELS = 1 << 16  # a side
 # What no camera has, and what rays of float32 numbers could not bear
@@ -52,7 +51,7 @@ def picked_camera(scene: Scene, text: str) -> Camera:
     """The camera that an option names: a photo of the scene, by its name or its end, or a .json file with a camera, as
     an opened ray's. Raises UserError."""
     if text.lower().endswith(".json"):
-        values = read_json(own_path(Path(text))).values
+        values = read_json(Path(text)).values
         inner = values.get("camera", values)
         try:
             return camera_of(inner)

@@ -53,9 +53,13 @@ def parse(kind: Any, prog: str, arguments: Sequence[str] | None) -> Any:
 
 
 def _at_home(argument: str) -> str:
-    """The same with a `~` at its beginning put into full: shells leave the one in --save=~/x.ckpt as it is."""
+    """The same with a `~` at its beginning put into full: shells leave the one in --save=~/x.ckpt as it is. A folder of
+    that name, ./~, is told by its whole path: paths drop the dot, and would mean the home folder from then on."""
     option, equals, value = argument.partition("=") if argument.startswith("--") else ("", "", argument)
-    return f"{option}{equals}{own_path(Path(value))}" if value.startswith("~") else argument
+    path = Path(value)
+    if not str(path).startswith("~"):
+        return argument
+    return f"{option}{equals}{own_path(path) if value.startswith('~') else path.absolute()}"
 
 
 def _sentence(box: str) -> str:

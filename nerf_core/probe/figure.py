@@ -57,11 +57,9 @@ class _Row:
         return self._page.add_axes(at, **given)
 
     def title(self, text: str, under: str) -> None:
-        self._page.text(
-            0.02, self._bottom + 0.985 * self._height, text, fontsize=9, ha="left", va="top", parse_math=False
-        )
-        self._page.text(0.02, self._bottom + 0.93 * self._height, under, fontsize=6.5, ha="left", va="top", color="0.3",
-                        parse_math=False)  # fmt: skip
+        left = {"ha": "left", "va": "top", "parse_math": False}
+        self._page.text(0.02, self._bottom + 0.985 * self._height, text, fontsize=9, **left)
+        self._page.text(0.02, self._bottom + 0.93 * self._height, under, fontsize=6.5, color="0.3", **left)
 
 
 def _draw(row: _Row, one: Opened) -> None:

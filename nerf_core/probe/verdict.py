@@ -162,14 +162,14 @@ def stand(method: Method, witnesses: Witnesses, ray: RayProbe, layer: Layer) -> 
     def median(off: np.ndarray) -> float | None:
         return float(np.median(off[shown])) if shown.any() else None
 
-    found = []
+    middle, opaquely, found = median(error), median(_off(opaque, asked.observed)), []
     for reach, instead in zip(reaches.tolist(), _off(without, asked.observed), strict=True):
         against = shown & ((instead < error - slack) | needless)
         missing = (instead > error + slack) & ~against
         blank = ~shown & ~missing
         found.append(Standing(
             layer, sightings, *counts, len(error), int(against.sum()), int(missing.sum()), int(blank.sum()),
-            int(shown.sum()), median(error), median(instead), median(_off(opaque, asked.observed)), reach,
+            int(shown.sum()), middle, median(instead), opaquely, reach,
         ))  # fmt: skip
     return max(found, key=lambda one: (one.floats, one.against, -one.missing))  # of those alike the first
 
