@@ -19,6 +19,8 @@ MOST_PIXELS = 1 << 16  # a side
 FARTHEST = 1e9  # from the origin, in units of the world; principal points, in pixels
 FOCAL = 1e-3, 1e9  # pixels
 LENS = 1e6  # its coefficients
+NEEDED = "width", "height", "fx", "fy", "cx", "cy", "c2w"
+CAMERA_FILE = f'an object as an opened ray\'s file has under "camera" ({", ".join(NEEDED)}: 3 × 4)'
 
 
 def camera_values(camera: Camera) -> dict[str, Any]:
@@ -27,7 +29,12 @@ def camera_values(camera: Camera) -> dict[str, Any]:
 
 
 def camera_of(values: Mapping[str, Any]) -> Camera:
-    """The camera of `camera_values`. Raises ValueError, KeyError or TypeError for anything else."""
+    """The camera of `camera_values`. Raises ValueError, TypeError or OverflowError for anything else."""
+    if not isinstance(values, Mapping):
+        raise TypeError(f"{shorten(values)} is no object")
+    for name in NEEDED:
+        if name not in values:
+            raise ValueError(f"field {name} is missing")
     c2w = np.array(values["c2w"], np.float64)
     width, height = int(values["width"]), int(values["height"])
     names = [f.name for f in fields(Camera) if f.name not in ("width", "height", "c2w")]
@@ -51,21 +58,19 @@ def picked_camera(scene: Scene, text: str) -> Camera:
     """The camera that an option names: a photo of the scene, by its name or its end, or a .json file with a camera, as
     an opened ray's. Raises UserError."""
     if text.lower().endswith(".json"):
-        values = read_json(Path(text)).values
-        inner = values.get("camera", values)
+        values = read_json(Path(text), CAMERA_FILE).values
         try:
-            return camera_of(inner)
-        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-            raise UserError(
-                f"--camera {shorten(text, 300)}: holds no camera ({shorten(str(error), 80)}): width, height, fx, fy, "
-                "cx, cy and a 3 × 4 c2w are needed"
-            ) from None
+            return camera_of(values.get("camera", values))
+        except (TypeError, ValueError, OverflowError) as error:
+            what = f"holds no camera ({str(error)[:80]})"
+            raise UserError(f"--camera {shorten(text, 300)}: {what}: {CAMERA_FILE} is needed") from None
     exact = [view for view in scene.views if view.name == text]
     found = exact or [
         view for view in scene.views if Path(view.name).stem in (Path(text).stem, Path(text).name) and text in view.name
     ]
     if len(found) == 1:
         return found[0].camera
-    some = ", ".join(shorten(view.name) for view in (found or scene.views)[:3])
+    named = [shorten(view.name) for view in found or scene.views]
+    some = ", ".join(named[:3]) + (", …" if len(named) > 3 else "")
     what = f"means {len(found)} photos" if found else f"is none of the {len(scene.views):,} photos"
-    raise UserError(f"--camera {shorten(text, 300)}: {what} ({some}, …): give a photo's whole name or a .json file")
+    raise UserError(f"--camera {shorten(text, 300)}: {what} ({some}): give a photo's whole name or a .json file")

@@ -114,7 +114,8 @@ def write_atomically(path: Path, data: bytes | str) -> None:
     except OSError as error:
         with suppress(OSError):  # where the path itself is impossible, removing fails as creating did
             temporary.unlink()
-        raise UserError(f"{path}: cannot be written: {error.strerror or error}") from None
+        advice = "choose a folder that has space and takes files"
+        raise UserError(f"{path}: cannot be written: {error.strerror or error}; {advice}") from None
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
@@ -128,8 +129,9 @@ def newest(folder: Path) -> tuple[Path, dict[str, Any], dict[str, Tensor], tuple
             return path, *load(path), tuple(rejected)
         except UserError as error:
             rejected.append(str(error))
-    reason = f": {rejected[0]}" if rejected else f": no checkpoints/*{SUFFIX} in it"
-    raise UserError(f"{folder}: not a run that can be continued{reason}")
+    advice = f"train first: nerf-core train DATA --out {folder}"
+    reason = rejected[0] if rejected else f"no checkpoints/*{SUFFIX} in it: {advice}"
+    raise UserError(f"{folder}: not a run that can be continued: {reason}")
 
 
 def step_path(folder: Path, step: int) -> Path:

@@ -233,7 +233,8 @@ class Probe:
     run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
     """The run folder that `nerf-core train` wrote."""
     camera: str
-    """A photo of the capture by its name or its end (r_3), or a .json file with a camera, as an opened ray's has."""
+    """A photo of the capture by its name (test/r_3.png) or its end, or a .json file with a camera, as an opened ray's
+    has."""
     pixel: tuple[int, int]
     """Column and row, counted from the top left, in the camera's picture."""
     write: list[Path] = field(default_factory=list)
@@ -254,7 +255,10 @@ class Probe:
             trainer, notes = RunFolder(self.run_folder).restore(self.data, self.device, progress)
         _tell(notes)
         camera = picked_camera(trainer.scene, self.camera)
-        opened = open_pixel(trainer.method, trainer.scene, camera, self.pixel, trainer.step_count, self.t)
+        try:
+            opened = open_pixel(trainer.method, trainer.scene, camera, self.pixel, trainer.step_count, self.t)
+        except UserError as error:  # it begins with the name of what is wrong: pixel, t
+            raise UserError(f"--{error}") from None
         ray, verdict = opened.ray, opened.verdict
         assert verdict is not None
         print(f"{verdict.kind}: {'; '.join(verdict.reasons)}")

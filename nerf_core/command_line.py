@@ -23,7 +23,13 @@ CONFIG = (
 )
 
 
-REPEATABLE = ("--click", "--pin", "--set", "--write")
+REPEATABLE = ("--click", "--inspect", "--pin", "--set", "--write")
+UNREAD = (  # what tyro says of values, and what is said of them here
+    (r"Could not parse arguments \[(.*)\] into .*\bint\b.*", r"cannot be read: \1: whole numbers are needed"),
+    (r"Could not parse arguments \[(.*)\] into .*", r"cannot be read: \1"),
+    (r"no type matching INT could be instantiated from \[(.*)\]", r"cannot be read: \1: a whole number is needed"),
+    (r"no type matching FLOAT could be instantiated from \[(.*)\]", r"cannot be read: \1: a number is needed"),
+)
 
 
 def parse(kind: Any, prog: str, arguments: Sequence[str] | None) -> Any:
@@ -78,4 +84,6 @@ def _sentence(box: str) -> str:
     missing = re.match(r"Missing from [^:]*: (--[\w-]+) ", text)  # what follows is the option's whole help
     if missing:
         return f"{missing[1]}: is needed"
-    return re.sub(r"Could not parse arguments \[(.*)\] into .*", r"cannot be read: \1", text)
+    for theirs, ours in UNREAD:
+        text = re.sub(theirs, ours, text)
+    return text.removeprefix("Error parsing ")

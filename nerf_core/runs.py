@@ -23,6 +23,7 @@ from nerf_core.settings import RunSettings
 from nerf_core.trainer import Trainer
 
 T = TypeVar("T")
+CONFIG = "the object that `nerf-core train` wrote"
 OPTION_NAMES = {"changes": "set"}  # where a setting is not called like its option
 
 
@@ -67,7 +68,7 @@ class RunFolder:
         """Raises UserError where a run is to begin but the folder holds one, or somebody else's config.json."""
         if self.checkpoints():
             raise UserError(f"{self.path}: holds a run already: continue it with --resume or choose another --out")
-        if self.config_file.exists() and "settings" not in read_json(self.config_file):
+        if self.config_file.exists() and "settings" not in read_json(self.config_file, CONFIG):
             raise UserError(f"{self.config_file}: not written by a training: choose another --out")
 
     def begin(self, data: Path | None, settings: RunSettings, trainer: Trainer) -> None:
@@ -111,7 +112,7 @@ class RunFolder:
             raise UserError(
                 f"{self.path}: not a run: it has no config.json; give the folder that `nerf-core train` wrote"
             )
-        document = read_json(self.config_file)
+        document = read_json(self.config_file, CONFIG)
         settings = document.values.get("settings")
         if not isinstance(settings, dict):
             raise document.error("settings", "an object is needed: was this file written by `nerf-core train`?")

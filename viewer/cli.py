@@ -41,19 +41,20 @@ class ViewerOptions:
     click: list[tuple[str, str]] = field(default_factory=list)
     """Click into the viewport at X Y after training: in pixels, or with a decimal point in fractions. Repeatable."""
     pin: list[tuple[str, str]] = field(default_factory=list)
-    """Pin the ray at X Y of the viewport before training: its history is kept from the first step on. Repeatable."""
+    """Pin the ray at X Y of the viewport before training: its history is kept from the first step on. Repeatable,
+    up to eight times."""
     camera: str = ""
-    """Look from where this photo was taken (its name or its end: r_3), or from the camera in a .json file, as an opened
-    ray's has."""
+    """Look from where this photo was taken (its name, as test/r_3.png, or its end), or from the camera in a .json file,
+    as an opened ray's has."""
     mode: str = "colour"
     """What the picture shows of each pixel: colour, or view-dependence."""
     screenshot: Path | None = None
     """Write the whole interface as a PNG."""
     render: Path | None = None
     """Write the viewport's picture alone at full resolution: .png, or .npy (float32 before rounding)."""
-    inspect: Path | None = None
+    inspect: list[Path] = field(default_factory=list)
     """Write all arrays of the clicked ray, its point's radiance, its verdict and the photos' evidence: .json, .npz;
-    its samples: .csv; a figure: .png, .svg."""
+    its samples: .csv; a figure: .png, .svg. Repeatable."""
     orbit: Path | None = None
     """Write an orbit video (MP4)."""
     load: Path | None = None
@@ -95,7 +96,7 @@ def run(options: ViewerOptions, signals: Signals) -> int:
     wishes = sessions.Wishes(
         load=options.load, steps=options.train.steps, seconds=options.train.seconds, save=options.save,
         camera=options.camera, mode=options.mode, pins=tuple(options.pin), clicks=tuple(options.click),
-        inspect=options.inspect, render=options.render, orbit=options.orbit, screenshot=options.screenshot,
+        inspect=tuple(options.inspect), render=options.render, orbit=options.orbit, screenshot=options.screenshot,
     )  # fmt: skip
     wishes.check()
     if options.load is not None:

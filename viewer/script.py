@@ -12,6 +12,7 @@ from pathlib import Path
 from nerf_core.camera_files import picked_camera
 from nerf_core.checkpoint import describe
 from nerf_core.console import Display, duration
+from nerf_core.datasets.demo import LANDMARKS
 from nerf_core.errors import UserError, shorten
 from nerf_core.messages import (
     CancelExport,
@@ -34,7 +35,8 @@ from nerf_core.render_modes import COLOR, MODES
 from nerf_core.settings import RunSettings
 from nerf_core.worker import Worker
 from viewer.app import App
-from viewer.state import PinRay, StartOrbitExport
+from viewer.pins import MOST
+from viewer.state import PinRay, StartOrbitExport, UnpinRay
 
 FRAME_SECONDS = 0.25  # how often an offscreen interface is drawn while it waits: drawing takes time from training
 SHARPEN_SECONDS = 180.0  # how long a screenshot waits for the preview to reach full resolution
@@ -58,33 +60,40 @@ class Wishes:
     mode: str = COLOR
     pins: tuple[tuple[str, str], ...] = ()
     clicks: tuple[tuple[str, str], ...] = ()
-    inspect: Path | None = None
+    inspect: tuple[Path, ...] = ()
     render: Path | None = None
     orbit: Path | None = None
     orbit_seconds: float | None = None
     screenshot: Path | None = None
 
     def any_file(self) -> bool:
-        return any((self.save, self.inspect, self.render, self.orbit, self.screenshot))
+        return bool(self.files())
 
     def files(self) -> tuple[Path, ...]:
-        return tuple(p for p in (self.save, self.inspect, self.render, self.orbit, self.screenshot) if p is not None)
+        found = (self.save, *self.inspect, self.render, self.orbit, self.screenshot)
+        return tuple(p for p in found if p is not None)
 
     def check(self) -> None:
         """Raises UserError for what cannot be done, before hours are spent on what goes before it."""
         if self.mode not in (COLOR, *MODES):
             raise UserError(f"--mode {shorten(self.mode)}: choose from {', '.join((COLOR, *MODES))}")
+        if len(self.pins) > MOST:
+            raise UserError(f"--pin: given {len(self.pins)} times; {MOST} rays at most can be pinned: leave some out")
         for option, places in (("click", self.clicks), ("pin", self.pins)):
             for place in places:
                 for text in place:
                     _coordinate(option, text)
         if self.load is not None:
             describe(self.load)
-        if self.inspect is not None and not self.clicks:
-            raise UserError(f"--inspect {self.inspect}: of which ray? add --click X Y")
-        kinds = {"screenshot": (".png",), "render": (".png", ".npy"), "orbit": (".mp4",), "inspect": tuple(FORMATS)}
-        for option, suffixes in kinds.items():
-            file: Path | None = getattr(self, option)
+        if self.inspect and not self.clicks:
+            raise UserError(f"--inspect {self.inspect[0]}: of which ray? add --click X Y")
+        kinds = [
+            ("screenshot", self.screenshot, (".png",)),
+            ("render", self.render, (".png", ".npy")),
+            ("orbit", self.orbit, (".mp4",)),
+            *(("inspect", file, tuple(FORMATS)) for file in self.inspect),
+        ]
+        for option, file, suffixes in kinds:
             if file is not None and file.suffix.lower() not in suffixes:
                 raise UserError(f"--{option} {file}: name a {' or '.join(suffixes)} file")
         for file in self.files():
@@ -129,8 +138,8 @@ class Script:
         self._uncover()
         for x, y in wishes.clicks:
             self._click(x, y)
-        if wishes.inspect is not None:
-            self._inspect(wishes.inspect)
+        for file in wishes.inspect:
+            self._inspect(file)
         if wishes.screenshot is not None:
             self._sharpen()
             self._uncover()
@@ -201,10 +210,23 @@ class Script:
             state.camera.go_to(picked_camera(scene, self.wishes.camera))
             self._wait(lambda _: not state.camera.flying)
         self._uncover()
+        self._make_room()
         for x, y in self.wishes.pins:
             _, _, column, row = self._place("pin", x, y)
             camera = state.camera.camera(*state.viewport)
             self.app.perform(PinRay(Inspect(camera, (column, row))))
+
+    def _make_room(self) -> None:
+        """The demo's own pins, out of sight, give way to --pin; those of a hand do not. Raises UserError."""
+        pins, asked = self.app.state.pins, len(self.wishes.pins)
+        over = max(len(pins) + asked - MOST, 0)
+        landmarks = [pin for pin in pins if pin.hidden and pin.name in {name for name, _, _ in LANDMARKS}]
+        if over > len(landmarks):
+            room = asked - over + len(landmarks)
+            beside = f"beside the rays that are pinned in {self.wishes.load} there is room for {room}"
+            raise UserError(f"--pin: given {asked} times; {beside}: leave the others out")
+        for pin in landmarks[::-1][:over]:
+            self.app.perform(UnpinRay(pin.id))
 
     def _place(self, option: str, x: str, y: str) -> tuple[float, float, int, int]:
         """Where the viewport begins, and the pixel of it that a command line means. Raises UserError."""

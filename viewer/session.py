@@ -125,7 +125,7 @@ def unattended(wishes: Wishes) -> Wishes:
             screenshot=folder / "screenshot.png",
             orbit=folder / "orbit.mp4",
             orbit_seconds=UNATTENDED_ORBIT_SECONDS,
-            inspect=folder / "ray.json",
+            inspect=(folder / "ray.json",),
         )
     return wishes
 

@@ -115,10 +115,10 @@ def scaled_note(file: Path, lengths: list[float]) -> list[str]:
     return [f"{file}: {len(odd)} poses have scaled axes (length {odd[0]:.4g}); their rotation is taken without scale"]
 
 
-def read_json(file: Path) -> Fields:
+def read_json(file: Path, needed: str = "an object with frames") -> Fields:
     """A JSON object; BOM, UTF-16 and // comments are accepted. Raises UserError for everything else.
 
-    Every number must be finite, used or not: the field is named.
+    Every number must be finite, used or not: the field is named. needed: what the file must hold, for people.
     """
     if not file.is_file():
         raise UserError(f"{file} is no regular file: name an existing .json file")
@@ -137,7 +137,7 @@ def read_json(file: Path) -> Fields:
         raise UserError(f"{file} is a web page, not JSON: download the file itself")
     values = _parsed(TEXT_OR_COMMENT.sub(lambda m: m[1] or "", text), file)
     if not isinstance(values, dict):
-        raise UserError(f"{file} holds {shorten(values)}: an object with frames is needed")
+        raise UserError(f"{file} holds {shorten(values)}: {needed} is needed")
     _refuse_infinite(values, file)
     return Fields(values, file)
 

@@ -80,8 +80,8 @@ def pieces(
     opened = Opened(camera, scene, METHODS.name_of(type(method)), open_ray(method, scene, camera, pixel, step))
     if point_t is not None:
         if point_t > FARTHEST * opened.ray.far:
-            end = f"{opened.ray.far:.4g}"
-            raise UserError(f"t {point_t:g}: the point lies far behind all that the ray meets, which ends at {end}")
+            fit = f"give a distance from {opened.ray.near:.4g} to {opened.ray.far:.4g}"
+            raise UserError(f"t {point_t:g}: the point lies far behind all that the ray meets: {fit}")
         opened = _with_point(method, witnesses, opened, point_t, around)
     yield opened
     for verdict in judging(method, witnesses, opened.ray):

@@ -106,7 +106,8 @@ def open_ray(method: Method, scene: Scene, camera: Camera, pixel: tuple[int, int
     """
     column, row = pixel
     if not (0 <= column < camera.width and 0 <= row < camera.height):
-        raise UserError(f"pixel {column}, {row} lies outside the {camera.width}×{camera.height} picture")
+        fit = f"columns 0 … {camera.width - 1}, rows 0 … {camera.height - 1}"
+        raise UserError(f"pixel {column} {row}: outside the picture, {fit}")
     flat = row * camera.width + column
     count = 1 if method.alone else min(method.tile, MOST_RAYS)
     rays, i = tile_rays(camera, scene, flat - flat % count, count), flat % count

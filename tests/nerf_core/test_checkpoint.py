@@ -221,7 +221,7 @@ def test_a_real_write_error_leaves_the_old_file(saved: Path) -> None:
 def test_an_impossible_path_is_told(tmp_path: Path, name: str) -> None:
     (tmp_path / "file").write_text("")
     (tmp_path / "folder").mkdir()
-    with pytest.raises(UserError, match="cannot be written: "):
+    with pytest.raises(UserError, match=r"cannot be written: .+; choose a folder that has space and takes files"):
         write_atomically(tmp_path / name, "text")
     assert sorted(os.listdir(tmp_path)) == ["file", "folder"]
 
@@ -281,7 +281,9 @@ def test_the_newest_intact_checkpoint_of_a_run_is_found(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_is_no_run_is_told(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match=r"not a run that can be continued: no checkpoints/\*\.safetensors in it"):
+    with pytest.raises(
+        UserError, match=r"not a run that can be continued: no checkpoints/\*\.safetensors in it: train first"
+    ):
         newest(tmp_path)
     step_path(tmp_path, 1).parent.mkdir()
     step_path(tmp_path, 1).write_bytes(b"junk")

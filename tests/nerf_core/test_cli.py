@@ -140,14 +140,25 @@ def test_wrong_arguments_are_one_line(
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["train", "--steps", "many"], "--steps"),
+        (
+            ["train", "--steps", "many"],
+            "nerf-core: --steps: cannot be read: 'many': a whole number is needed; nerf-core",
+        ),
         (["train", "--wings"], "--wings"),
         (["train", "--ndc", "perhaps"], "--ndc"),
         (["eval"], "DIR"),
         (["probe", "run", "--pixel", "1", "1"], "nerf-core: --camera: is needed; nerf-core probe"),
         (
             ["probe", "run", "--camera", "a", "--pixel", "1.5", "1"],
-            "--pixel: cannot be read: '1.5', '1'; nerf-core probe",
+            "nerf-core: --pixel: cannot be read: '1.5', '1': whole numbers are needed; nerf-core probe",
+        ),
+        (
+            ["probe", "run", "--camera", "a", "--pixel", "a", "b"],
+            "--pixel: cannot be read: 'a', 'b': whole numbers are needed; nerf-core probe",
+        ),
+        (
+            ["probe", "run", "--camera", "a", "--pixel", "1", "1", "--t", "x"],
+            "nerf-core: --t: cannot be read: 'x': a number is needed; nerf-core probe",
         ),
         (["fly"], "fly"),
         ([], "{train, eval, render, probe}"),
@@ -234,14 +245,30 @@ def test_probe_opens_a_pixel_of_a_run(capture: Path, tmp_path: Path, capsys: pyt
     assert main([*words[:2], "--camera", str(file), "--pixel", "8", "8", "--write", str(tmp_path / "again.json")]) == 0
     assert json.loads((tmp_path / "again.json").read_text()) == stored  # an opened ray names its own camera
     capsys.readouterr()
+    (tmp_path / "list.json").write_text("[]")
+    (tmp_path / "poor.json").write_text(json.dumps({k: v for k, v in stored["camera"].items() if k != "c2w"}))
+    near, far = (f"{stored[name]:.4g}" for name in ("near", "far"))
     for wrong, text in (
+        (["--camera", str(tmp_path / "list.json"), "--pixel", "8", "8"], "list.json holds []: an object as an opened"),
+        (["--camera", str(tmp_path / "poor.json"), "--pixel", "8", "8"], "holds no camera (field c2w is missing): an"),
+        (
+            ["--camera", "r_2", "--pixel", "8", "8", "--t", "1e9"],
+            f"--t 1e+09: the point lies far behind all that the ray meets: give a distance from {near} to {far}\n",
+        ),
         (["--camera", "r_9", "--pixel", "8", "8"], "--camera 'r_9': is none of the 6 photos"),
-        (["--camera", "r_2", "--pixel", "8", "8", "--t", "nan"], "t nan: the point's distance along the ray"),
-        (["--camera", "r_2", "--pixel", "8", "8", "--t", "-1"], "t -1.0: the point's distance along the ray"),
-        (["--camera", "r_2", "--pixel", "16", "0"], "pixel 16, 0 lies outside the 16×16 picture"),
+        (["--camera", "r_2", "--pixel", "8", "8", "--t", "nan"], "--t nan: the point's distance along the ray"),
+        (["--camera", "r_2", "--pixel", "8", "8", "--t", "-1"], "--t -1.0: the point's distance along the ray"),
+        (
+            ["--camera", "r_2", "--pixel", "16", "0"],
+            "nerf-core: --pixel 16 0: outside the picture, columns 0 … 15, rows 0 … 15\n",
+        ),
         (
             ["--camera", "r_2", "--pixel", "1", "1", "--write", str(tmp_path / "a.txt")],
             "a.txt: an opened ray is written",
+        ),
+        (
+            ["--camera", "r_2", "--pixel", "1", "1", "--write", "/proc/x.json"],
+            "/proc/x.json: cannot be written: No such file or directory; choose a folder that has space",
         ),
     ):
         assert main(["probe", str(run), *wrong]) == 2

@@ -77,7 +77,7 @@ def test_a_pin_that_cannot_be_opened_is_told_once_and_the_others_stay(open_desk:
     desk = open_desk()
     camera = scene_of(desk).views[0].camera
     desk.send(Pin(1, camera, (99, 0)), Pin(2, camera, (3, 3)))
-    desk.until_told("pixel 99, 0 lies outside")
+    desk.until_told("pixel 99 0: outside the picture")
     shown = desk.until(lambda s: len(s.pinned) == 1 and s.pinned[0].ray is not None)
     assert shown.pinned[0].id == 2
     desk.trained(2)

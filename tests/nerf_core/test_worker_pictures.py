@@ -122,7 +122,7 @@ def test_an_opened_ray_stays_live(open_desk: OpenDesk) -> None:
     assert moved.radiance is not None
     assert moved.radiance.t == 3.5
     desk.send(Inspect(camera, (99, 0)))
-    assert desk.until_told("pixel 99, 0 lies outside the 16×16 picture").level == "error"
+    assert desk.until_told("pixel 99 0: outside the picture, columns 0 … 15, rows 0 … 15").level == "error"
     desk.send(StopInspecting())
     desk.until(lambda s: s.ray is None and s.radiance is None and s.status == "training")
 

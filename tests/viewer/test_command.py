@@ -18,6 +18,7 @@ import pytest
 from nerf_core.cameras import Camera, camera_rays
 from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.errors import UserError
+from viewer.pins import MOST
 from viewer.script import Wishes
 from viewer.session import autosave_path
 
@@ -136,6 +137,8 @@ def test_a_loaded_model_keeps_its_method_and_constants(written: Path, arguments:
         (["--size", "640"], "--size 640"),
         (["--click", "2.0", "0.5", "--inspect", "x.json"], "--click 2.0"),
         (["--inspect", "x.json"], "--click X Y"),
+        (["--click", "0.5", "0.5", "--inspect", "x.json", "--inspect", "y.txt"], "--inspect y.txt: name a .json or"),
+        (["--pin", "0.5", "0.5"] * (MOST + 1), "--pin: given 9 times; 8 rays at most can be pinned"),
         (["--camera", "nowhere", "--steps", "1", "--screenshot", "x.png"], "--camera 'nowhere': is none of the"),
         (["--click", "a", "0.5", "--steps", "1000000"], "--click a"),
         (["--render", "a.png", "--render", "b.npy"], "--render: given 2 times"),
@@ -168,6 +171,27 @@ def test_a_mistake_is_one_line_and_status_2(arguments: list[str], words: str, tm
     assert words in done.stderr
     assert done.stderr.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_eight_pins_fit_beside_what_the_demo_pins_and_every_file_has_them(tmp_path: Path) -> None:
+    pins = [word for k in range(MOST) for word in ("--pin", f"0.{k + 1}", "0.4")]
+    files, model = [tmp_path / "rays.json", tmp_path / "rays.csv"], tmp_path / "model.safetensors"
+    done = viewer(
+        *TINY, "--headless", "--steps", "2", *pins, "--click", "0.5", "0.6", "--save", str(model),
+        *(word for file in files for word in ("--inspect", str(file))),
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    rays = json.loads(files[0].read_text())["rays"]
+    names = [ray.get("name") for ray in rays]
+    assert names[0] is None  # the clicked one
+    assert len(set(names[1:])) == len({tuple(ray["pixel"]) for ray in rays[1:]}) == MOST
+    lines = files[1].read_text().splitlines()[1:]
+    assert {line.partition(",")[0] for line in lines} == {str(k) for k in range(MOST + 1)}
+
+    done = viewer(*TINY, "--headless", "--load", str(model), "--pin", "0.5", "0.5", "--render", str(tmp_path / "x.npy"))
+    assert done.returncode == 2
+    assert f"--pin: given 1 times; beside the rays that are pinned in {model} there is room for 0" in done.stderr
+    assert not (tmp_path / "x.npy").exists()
 
 
 def test_what_was_trained_outlives_a_file_that_cannot_be_written(data_home: Path, tmp_path: Path) -> None:

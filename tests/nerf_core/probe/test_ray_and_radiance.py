@@ -219,7 +219,9 @@ def test_in_open_space_the_axis_ends_where_the_weight_does(scene: Scene) -> None
 
 @pytest.mark.parametrize("pixel", [(16, 0), (0, -1), (3, 16)])
 def test_a_pixel_outside_is_told(scene: Scene, pixel: tuple[int, int]) -> None:
-    with pytest.raises(UserError, match=rf"pixel {pixel[0]}, {pixel[1]} lies outside the 16×16 picture"):
+    with pytest.raises(
+        UserError, match=rf"pixel {pixel[0]} {pixel[1]}: outside the picture, columns 0 … 15, rows 0 … 15"
+    ):
         open_ray(ball_method(scene), scene, scene.views[0].camera, pixel, 0)
 
 

@@ -141,6 +141,23 @@ def test_values_that_are_no_camera_are_refused(change: dict[str, object], tmp_pa
         picked_camera(scene_of("a"), str(file))
 
 
+@pytest.mark.parametrize(
+    ("document", "words"),
+    [
+        ([], r"camera\.json holds \[\]: an object as an opened ray's file has under \"camera\" \(width, height, fx, "),
+        ({}, r"holds no camera \(field width is missing\): an object as an opened ray's file has under \"camera\""),
+        ({"camera": 5}, r"holds no camera \(5 is no object\)"),
+        ({"camera": {"width": 4, "height": 4, "fx": 4, "fy": 4, "cx": 2, "cy": 2}}, r"\(field c2w is missing\)"),
+    ],
+    ids=str,
+)
+def test_a_file_that_holds_no_camera_is_told_what_one_is(document: object, words: str, tmp_path: Path) -> None:
+    file = tmp_path / "camera.json"
+    file.write_text(json.dumps(document))
+    with pytest.raises(UserError, match=words):
+        picked_camera(scene_of("a"), str(file))
+
+
 extreme = st.sampled_from([-1.0, -1e-3, 0.0, 1e-3, 1.0])
 
 
@@ -173,10 +190,12 @@ def test_a_photo_is_picked_by_its_name_or_its_end(opened: Opened, tmp_path: Path
     scene = scene_of("train/r_1.png", "train/r_11.png", "test/r_1.png")
     assert picked_camera(scene, "train/r_1.png") is scene.views[0].camera
     assert picked_camera(scene, "r_11") is scene.views[1].camera
-    with pytest.raises(UserError, match=r"--camera 'r_1': means 2 photos \('train/r_1\.png', 'test/r_1\.png'"):
+    with pytest.raises(UserError, match=r"--camera 'r_1': means 2 photos \('train/r_1\.png', 'test/r_1\.png'\): give"):
         picked_camera(scene, "r_1")
-    with pytest.raises(UserError, match="--camera 'r_7': is none of the 3 photos"):
+    with pytest.raises(UserError, match=r"--camera 'r_7': is none of the 3 photos \([^…]*\): give"):
         picked_camera(scene, "r_7")
+    with pytest.raises(UserError, match=r"is none of the 4 photos \('a', 'b', 'c', …\): give"):
+        picked_camera(scene_of("a", "b", "c", "d"), "r_7")
     write_inspection([opened], tmp_path / "ray.json")
     again = picked_camera(scene, str(tmp_path / "ray.json"))
     np.testing.assert_array_equal(again.c2w, opened.camera.c2w)
