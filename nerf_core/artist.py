@@ -74,10 +74,10 @@ class Artist:
             return True
         if view is None:
             return False
-        picture = self._current(view)
+        picture = self._current(view, trainer.method.born)
         if not training and self._model_step != trainer.step_count and not picture.begins:
             picture.begin_again()  # what is under way shows a model of before the pause
-        if not picture.advance(trainer.step_count, training):
+        if not picture.advance(trainer.step_count, training, time.monotonic()):
             return False
         if picture.begins or self._model is None:
             self._model_step = trainer.step_count
@@ -119,18 +119,22 @@ class Artist:
             self._copy, self._copy_step = trainer.frozen_method(), trainer.step_count
         return self._copy
 
-    def _current(self, view: ViewRequest) -> Refinement:
+    def _current(self, view: ViewRequest, born: int) -> Refinement:
         """The picture to work on: the newest view's, but a moving camera's few pixels are finished first.
 
-        Otherwise a hand that never rests would see no new pixel at all.
+        Otherwise a hand that never rests would see no new pixel at all. Where other weights draw it by now, all begins
+        anew.
         """
         picture = self._picture
         finish = picture is not None and self._moving and not picture.first_level_done
+        if picture is not None and picture.born != born:
+            picture = None
+            self._rates.clear()
         if picture is None or (picture.stamp != view.stamp and not finish):
             quality = "coarse" if view.moving else "fine"
             rate = self._rates.get((quality, view.mode), GUESSED_RATE)
             affordable = rate * (MOVING_SECONDS if view.moving else RESTING_SECONDS)
             stride = first_stride(view.camera.width, view.camera.height, affordable)
-            picture = self._picture = Refinement(view.camera, view.stamp, stride, quality, view.mode)
+            picture = self._picture = Refinement(view.camera, view.stamp, stride, quality, view.mode, born)
             self._moving = view.moving
         return picture

@@ -57,7 +57,7 @@ class MlpModel:
         field.initialise(start)
         return field.to(self.device)
 
-    stage = ""
+    stage, born = "", 0
 
     @property
     def final(self) -> MlpField:

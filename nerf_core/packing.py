@@ -10,6 +10,8 @@ from torch import Tensor
 from nerf_core.spaces import Space
 from nerf_core.types import Rays, Samples, Trace
 
+OPAQUE = 800.0  # optical depth behind which e^−τ is 0 in 64 bits
+
 
 @dataclass(frozen=True)
 class Packed:
@@ -29,8 +31,12 @@ class Packed:
         return torch.repeat_interleave(torch.arange(len(counts), device=counts.device), counts)
 
     def before(self, tau: Tensor) -> Tensor:
-        """Optical depth (M,) float64 in front of each sample: a running sum, less what it was where the ray began."""
-        running = tau.double().cumsum(0) - tau.double()
+        """Optical depth (M,) float64 in front of each sample: a running sum, less what it was where the ray began.
+
+        A sample counts as OPAQUE at most: in a sum with 10¹² nothing would be left of the others.
+        """
+        tau = tau.double().clamp(max=OPAQUE)
+        running = tau.cumsum(0) - tau
         if not len(tau):
             return running
         return running - running[self.ends[:-1].clamp(max=len(tau) - 1)][self.ray]
@@ -59,7 +65,8 @@ def opened(name: str, space: Space, rays: Rays, packed: Packed, tau: Tensor, rgb
     t = torch.where(some, t, boxed.near[:, None])
     delta = torch.where(some, delta, 1.0) * stretch[:, None]
     alpha = -torch.expm1(-depth)
-    light = torch.exp(-(depth.cumsum(-1) - depth))
+    # exclusive: what is in front of a sample without end must not be told from its infinite depth
+    light = torch.exp(-torch.cat([torch.zeros_like(depth[:, :1]), depth[:, :-1].cumsum(-1)], -1))
     return Samples(name, space.world_t(rays, t), delta, depth / delta, alpha, light, alpha * light, color, counts)
 
 

@@ -4,7 +4,8 @@ A picture starts as a coarse grid of pixels (stride 32, say) and is refined by h
 the coarser one: its pixels are kept if the weights are still those that drew them. Within a level, pixels come from the
 centre outwards. All of a level is to be drawn with the weights of its beginning, whatever training does meanwhile:
 where half of the pixels are one step older than the others, one sees the seam. Young weights are others before a fine
-level is done; then the picture stays at a level that can be drawn in time.
+level is done, and nobody wants to look at an old picture for long: while training goes on, the picture stays at a level
+that can be drawn in time, or goes back to one.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from nerf_core.render_modes import COLOR
 
 COARSEST = 64
 YOUNG = 0.75  # weights of this share of today's steps still tell what the model looks like
+FRESH_SECONDS = 5.0  # which a level may take to draw while training goes on
+PATIENCE = 2  # times what a level may take are waited before it is given up: it was only an estimate
 
 
 def first_stride(width: int, height: int, affordable: float) -> int:
@@ -31,11 +34,11 @@ def first_stride(width: int, height: int, affordable: float) -> int:
 
 
 class Refinement:
-    """The progressive picture of one camera."""
+    """The progressive picture of one camera. born: the step at which the weights that draw it began to learn."""
 
-    def __init__(self, camera: Camera, stamp: int, stride: int, quality: str, mode: str = COLOR) -> None:
-        self.camera, self.stamp, self.quality, self.mode = camera, stamp, quality, mode
-        self.stride = stride
+    def __init__(self, camera: Camera, stamp: int, stride: int, quality: str, mode: str = COLOR, born: int = 0) -> None:
+        self.camera, self.stamp, self.quality, self.mode, self.born = camera, stamp, quality, mode, born
+        self.stride = self._first_stride = stride
         self.fresh = False  # whether anything was written since `image` was last called
         self.first_level_done = self._drawn_again = False
         shape = (-(-camera.height // stride), -(-camera.width // stride))
@@ -45,26 +48,45 @@ class Refinement:
         self._known = np.zeros(shape, bool)
         self._queue = _ordered(~self._known)
         self._next = 0
+        self._begun = 0, 0.0  # the level: at which step, when
+        self._took: float | None = None  # seconds it took
 
-    def advance(self, step: int, training: bool = False) -> bool:
-        """When a level is complete: go to the next if that can be drawn before the weights are others, else draw it
-        again; False: all done.
+    def advance(self, step: int, training: bool = False, now: float = 0.0) -> bool:
+        """When a level is complete: go to the next if that can be drawn in time, else draw it again; where that takes
+        too long, or has done so by `now` (seconds of any clock), go back to one that does not. False: all done.
 
         The next has four times the pixels: four times as many steps will pass as did during this one. The first level
         is drawn in one go, so while `training` it is drawn once more to see how many those are.
         """
+        if self.begins:
+            self._begun, self._took = (step, now), None
+        begun, seconds = self._begun[0], now - self._begun[1]
         if not self.level_done:
+            steps = step - begun
+            late = not self._in_time(begun, steps / PATIENCE, seconds / PATIENCE)
+            if training and late and self.stride < self._first_stride:
+                part = self._next / len(self._queue)
+                self._coarsen(step, steps / part, seconds / part)
+                return self.advance(step, training, now)
             return True
-        oldest = int(self._step.min())
-        passed = step - oldest
+        passed = step - int(self._step.min())
+        self._took = seconds if self._took is None else self._took
+        took = self._took if training else 0.0
         timed = bool(passed) or self._drawn_again or not training
-        if self.stride > 1 and timed and oldest + passed >= YOUNG * (oldest + 5 * passed):
+        if self.stride > 1 and timed and self._in_time(step, 4 * passed, 4 * took):
             self._refine(step)
-            return self.advance(step, training)  # a picture of one texel gains none by halving
-        if timed and not passed:
+        elif timed and not passed:
             return False
-        self.begin_again()
-        return True
+        elif training and not self._in_time(begun, passed / PATIENCE, took / PATIENCE):
+            self._coarsen(step, passed, took)
+        else:
+            self.begin_again()
+        return self.advance(step, training, now)  # a picture of one texel gains none by halving
+
+    def _in_time(self, step: int, steps: float, seconds: float) -> bool:
+        """Whether the weights of `step` still tell what the model looks like so much later."""
+        age = step - self.born
+        return age >= YOUNG * (age + steps) and seconds <= FRESH_SECONDS
 
     def begin_again(self) -> None:
         """Draw all of this level anew."""
@@ -118,6 +140,16 @@ class Refinement:
         # Older texels between newer ones would show as a grid of dots: while training goes on all are drawn again.
         self._queue = _ordered(~known | (self._step < step))
         self._next = 0
+
+    def _coarsen(self, step: int, steps: float, seconds: float) -> None:
+        """Back to a level that can be drawn in time, if this one takes so many; never behind the first."""
+        skip = 1
+        while self.stride < self._first_stride and not self._in_time(step, steps, seconds):
+            self.stride, skip, steps, seconds = 2 * self.stride, 2 * skip, steps / 4, seconds / 4
+        self._color, self._depth, self._step, self._known = (
+            grid[::skip, ::skip].copy() for grid in (self._color, self._depth, self._step, self._known)
+        )
+        self.begin_again()
 
     def complete(self) -> bool:
         return self.stride == 1 and bool(self._known.all())

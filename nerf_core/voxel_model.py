@@ -57,7 +57,7 @@ class Level(NamedTuple):
 class VoxelModel:
     """See the module."""
 
-    stage = ""
+    stage, born = "", 0
 
     def __init__(self, scene: Scene, config: VoxelConfig, device: torch.device, seed: int) -> None:
         # on a CPU whatever the device: its kernels are made for one

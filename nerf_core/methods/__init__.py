@@ -39,6 +39,11 @@ class Method(Protocol):
         """What the user should know of where training stands; mostly nothing."""
         ...
 
+    @property
+    def born(self) -> int:
+        """The step at which what draws the picture began to learn: mostly 0."""
+        ...
+
     @staticmethod
     def configure(scene: Scene, preset: str, changes: Mapping[str, str], device: torch.device) -> Any:
         """The configuration (a frozen dataclass) of `preset` with `changes` by name. Raises UserError."""

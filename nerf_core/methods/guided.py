@@ -66,6 +66,10 @@ class GuidedNerf(MlpModel):
         return f"the guide learns, {self.guided:,} of {self.config.guide_steps:,} steps: the picture is its own"
 
     @property
+    def born(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]  only read
+        return self.config.guide_steps if self._ready else 0
+
+    @property
     def _ready(self) -> bool:
         return self.guided >= self.config.guide_steps
 

@@ -54,6 +54,7 @@ class Hash:
     coarse: ClassVar[str] = ""
     alone: ClassVar[bool] = False
     stage: ClassVar[str] = ""
+    born: ClassVar[int] = 0
 
     configure = staticmethod(HashConfig.configure)
     restore = staticmethod(HashConfig.restore)

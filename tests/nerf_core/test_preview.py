@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nerf_core.cameras import Camera
-from nerf_core.preview import COARSEST, Refinement, first_stride
+from nerf_core.preview import COARSEST, FRESH_SECONDS, Refinement, first_stride
 from nerf_core.render import to_bytes
 
 sizes = st.integers(1, 90)
@@ -160,6 +160,61 @@ def test_a_finer_level_is_all_of_one_age() -> None:
     work(picture, 100, 16)
     assert picture.advance(100)
     assert len(picture.take(100)) == 48
+
+
+def whole(born: int = 0) -> Refinement:
+    """A full picture, drawn at step born + 300 while nothing trained; its first level had a stride of 8."""
+    picture = Refinement(camera(64, 64), 1, 8, "fine", born=born)
+    finished(picture, born + 300)
+    assert picture.complete()
+    return picture
+
+
+@pytest.mark.parametrize("born", [0, 5000])
+def test_a_level_that_training_overtakes_is_given_up_for_one_that_is_done_in_time(born: int) -> None:
+    """Weights of step 300 tell what the model looks like until step 400, and 500 is waited for."""
+    picture = whole(born)
+    begun = born + 301
+    assert picture.advance(begun, training=True)
+    for step in (begun, begun + 200):
+        assert picture.advance(step, training=True)
+        assert picture.stride == 1
+        work(picture, begun, 1024)
+    assert picture.advance(now := begun + 201, training=True)  # half is done: all takes 402 steps, a quarter 100
+    assert picture.stride == 2
+    for step in (now, now + 50):
+        assert picture.advance(step, training=True)
+        work(picture, now, 512)
+    assert picture.coherent()
+    assert (picture.image().stride, picture.image().step) == (2, now)
+
+
+def test_no_level_takes_long_while_training_goes_on() -> None:
+    """Whatever the steps: they may be few and slow."""
+    picture = whole()
+    assert picture.advance(301, training=True, now=100.0)
+    work(picture, 301, 1024)
+    assert picture.advance(301, training=True, now=100 + 2 * FRESH_SECONDS)
+    assert picture.stride == 1
+    assert picture.advance(301, training=True, now=101 + 2 * FRESH_SECONDS)  # a quarter: all would take 8 of these
+    assert picture.stride == 4
+    for k in range(3):  # fast enough, but the next level would not be
+        work(picture, 302 + k, 256)
+        assert picture.advance(303 + k, training=True, now=101 + (2.8 + 0.8 * k) * FRESH_SECONDS)
+        assert picture.stride == 4
+    finished(picture, 305)  # a pause
+    assert picture.complete()
+
+
+def test_a_picture_never_falls_behind_its_first_level() -> None:
+    picture = whole()
+    picture.advance(301, training=True)
+    work(picture, 301, 1)
+    assert picture.advance(20_000, training=True, now=1e6)
+    assert picture.stride == 8
+    work(picture, 20_000, 10)
+    assert picture.advance(90_000, training=True, now=2e6)
+    assert len(picture.take(100)) == 54  # it goes on
 
 
 @pytest.mark.parametrize("affordable", [0.5, 1, 100, 5000, 1e9])

@@ -239,3 +239,19 @@ def test_a_pause_drops_what_shows_an_older_model(make_trainer: Callable[..., Tra
     picture = artist.preview(None)
     assert picture is not None
     assert picture.step == trainer.step_count
+
+
+def test_other_weights_draw_another_picture(make_trainer: Callable[..., Trainer], scene: Scene) -> None:
+    """Where a network takes over from what guided it, nothing that was seen or timed before counts."""
+    trainer, artist = make_trainer(tile=16), Artist()
+    view = ViewRequest(1, scene.views[5].camera, moving=False)
+    while artist.draw(trainer, view, training=False):
+        assert artist.preview(None) is None or not artist.urgent(view)
+    assert artist.rays_per_second("fine") > 0
+    trainer.method.born = 7  # type: ignore[misc]  as if
+    assert artist.draw(trainer, view, training=False)
+    assert artist.urgent(view)
+    assert artist.rays_per_second("fine") > 0  # of the one piece that the new weights drew
+    kept = artist.preview(None)
+    assert kept is not None
+    assert kept.complete  # until the first level is there

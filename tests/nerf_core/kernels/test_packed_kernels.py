@@ -182,8 +182,12 @@ def test_a_dense_level_interpolates_its_vertices(kernels: PackedKernels) -> None
 
 
 @each
-def test_packed_rays_are_composited_like_full_ones(kernels: PackedKernels) -> None:
+@pytest.mark.parametrize("endless", [False, True])
+def test_packed_rays_are_composited_like_full_ones(kernels: PackedKernels, endless: bool) -> None:
+    """endless: the last sample of each ray reaches to where space ends."""
     samples, tau, rgb = some_samples()
+    if endless:
+        tau[samples.ends[1:][samples.ends.diff() > 0] - 1] = 1e12
     pixel = kernels.composite(tau, rgb, samples, WHITE)
     for r in range(len(samples.ends) - 1):
         part = slice(int(samples.ends[r]), int(samples.ends[r + 1]))

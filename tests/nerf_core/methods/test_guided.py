@@ -221,3 +221,17 @@ def test_under_ndc_density_is_per_length_of_ndc(scene: Scene) -> None:
     assert int(real.sum()) > 1000
     torch.testing.assert_close(fine.sigma[real], torch.full_like(fine.sigma[real], 3.0))
     torch.testing.assert_close(fine.alpha[real], 1 - torch.exp(-3.0 * fine.delta[real]))
+
+
+def test_what_has_no_end_is_behind_all_that_is_before_it(scene: Scene) -> None:
+    """The last sample of a ray in open space is 10¹⁰ long: the light that reaches it is still what the others let by."""
+    method = guided(run(replace(scene, synthetic=False), 60, least=0.0))
+    method.networks = {"fine": _Fog()}  # pyright: ignore[reportAttributeAccessIssue]
+    rays = first_rays(scene)
+    traced = method.trace(rays)
+    fine = traced.passes[-1]
+    assert fine.count is not None
+    assert float(fine.delta.max()) > 1e9
+    torch.testing.assert_close(fine.weights.sum(-1), traced.rendering.opacity, atol=1e-5, rtol=0)
+    light = torch.cat([torch.ones(len(rays), 1), (1 - fine.alpha).cumprod(-1)[:, :-1]], -1)
+    torch.testing.assert_close(fine.transmittance, light, atol=1e-5, rtol=0)

@@ -13,6 +13,7 @@ from balls import Ball as PlainBall
 from balls import model_of
 from torch import Tensor, nn
 
+from nerf_core.cameras import Ndc
 from nerf_core.cells import Cells
 from nerf_core.errors import UserError
 from nerf_core.fields.voxel_grid import VoxelGrid
@@ -375,20 +376,44 @@ def test_a_ray_that_is_opened_alone_is_the_pictures(scene: Scene, plain: bool) -
         np.testing.assert_allclose(ray.rendered_color, whole[y, x], atol=1e-6)
 
 
+def _in_space(scene: Scene, kind: str) -> Scene:
+    """The scene as an object in a box, as a place without end, or before one camera in NDC."""
+    if kind == "world":
+        return scene
+    if kind == "contracted":
+        return replace(scene, synthetic=False, background=(0.0, 0.0, 0.0))
+    turned = scene.views[0].camera.c2w  # rays of NDC look along −z: the world is turned, so that this camera does
+    turn = np.linalg.inv(np.vstack([turned, [0, 0, 0, 1]]))[:3]
+    views = []
+    for k, view in enumerate(scene.views):
+        camera = scene.views[0].camera
+        beside = camera.c2w[:, :3] @ np.array([0.2 * (k - 2), 0.1 * (k % 3 - 1), 0.0])
+        c2w = np.column_stack([camera.c2w[:, :3], camera.c2w[:, 3] + beside])
+        moved = turn @ np.vstack([c2w, [0, 0, 0, 1]])
+        views.append(replace(view, camera=camera.moved(moved)))
+    ndc = Ndc(16, 16, scene.views[0].camera.fx, 1.0, 20.0)
+    return replace(scene, synthetic=False, views=tuple(views), ndc=ndc, near=1.0, far=20.0, center=turn[:, 3])
+
+
+@pytest.mark.parametrize("space", ["world", "contracted", "ndc"])
 @pytest.mark.parametrize("method", ["voxels", "nerf-guided", "hash", "nerf"])
-def test_every_pixel_is_the_sum_of_its_samples(scene: Scene, method: str) -> None:
+def test_every_pixel_is_the_sum_of_its_samples(scene: Scene, method: str, space: str) -> None:
     """10,000 and more of them, as they are opened, against the full picture."""
-    small = {"guide_steps": "30"} if "guided" in method else {"width": "32"} if method == "nerf" else {}
+    scene = _in_space(scene, space)
+    small = {"nerf-guided": {"guide_steps": "30", "width": "64"}, "nerf": {"width": "32"}}.get(method, {})
     trainer = Trainer(scene, RunSettings(method=method, changes=small))
     for _ in range(40):
         trainer.step()
-    camera = scene.views[5].camera.resized(104, 104)
+    size = 104 if space == "world" else 40
+    camera = scene.views[5].camera.resized(size, size)
     whole = render_camera(trainer.method, camera, scene)[0].reshape(-1, 3)
     count, background = min(trainer.method.tile, MOST_RAYS), np.array(scene.background)
-    worst = 0.0
-    for start in range(0, 104 * 104, count):
+    worst, most = 0.0, 0.0
+    for start in range(0, size**2, count):
         last = trainer.method.trace(tile_rays(camera, scene, start, count)).passes[-1]
         weights, rgb = last.weights.double().cpu().numpy(), last.rgb.double().cpu().numpy()
         color = np.einsum("rs,rsc->rc", weights, rgb) + (1 - weights.sum(-1))[:, None] * background
         worst = max(worst, float(np.abs(color - whole[start : start + count]).max()))
+        most = max(most, float(weights.sum(-1).max()))
     assert worst < 1e-5
+    assert 0.1 < most < 1 + 1e-5
