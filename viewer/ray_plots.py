@@ -22,8 +22,10 @@ X1, Y1 = implot.ImAxis_.x1, implot.ImAxis_.y1
 PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
 LOG_DECADES = 4  # how far below its peak density is still told from empty space on a log axis
 DRAG_ID = 0
+REACH_EM = 0.3  # from a sample's stretch at which the mouse still means it
 ROW_EM = 1.0  # height of the strip's rows, which all passes' ticks share one of: their names must not overlap
 
+LogChoice = Literal["auto", "on", "off"]
 Glyph = Callable[[imgui.ImDrawList, ImVec2, float, int], None]
 
 
@@ -62,6 +64,7 @@ class RayPlots:
     """Three plots over a shared t axis whose limits are set when another ray is opened, and by the user alone after."""
 
     def __init__(self) -> None:
+        self.log_choice: LogChoice = "auto"
         self.log_density = False
         self.hovered: tuple[Steps, int] | None = None
         self._t_min, self._t_max = implot.BoxedValue(0.0), implot.BoxedValue(1.0)
@@ -77,11 +80,16 @@ class RayPlots:
         """Choose limits and scale for a ray that was just opened."""
         span = max(ray.far - ray.near, 1e-6)  # a ray without length still needs an axis
         self._t_min.value, self._t_max.value = ray.near - 0.01 * span, ray.near + 1.01 * span
-        self.log_density = bool(passes) and wants_log(passes[-1].sigma)
         self._dragged = None
-        self.scale_density(passes)
+        self.choose_log(self.log_choice, passes)
 
-    def scale_density(self, passes: tuple[Steps, ...]) -> None:
+    def choose_log(self, choice: LogChoice, passes: tuple[Steps, ...]) -> None:
+        """auto: by what this ray needs, and each that is opened after it."""
+        self.log_choice = choice
+        self.log_density = bool(passes) and wants_log(passes[-1].sigma) if choice == "auto" else choice == "on"
+        self._scale_density(passes)
+
+    def _scale_density(self, passes: tuple[Steps, ...]) -> None:
         top = max([float(p.sigma.max()) for p in passes], default=0.0) or 1.0
         self._sigma_limits = (top * 10.0**-LOG_DECADES, 3 * top) if self.log_density else (0.0, 1.2 * top)
         self._fresh_density = True
@@ -90,7 +98,7 @@ class RayPlots:
         """Draw everything into `size`. Returns the t to which the user drags the radiance point, else None."""
         ray, passes = opened.ray, opened.passes
         if max((float(p.sigma.max()) for p in passes), default=0.0) > self._sigma_limits[1]:
-            self.scale_density(passes)  # training has lifted it past what could be seen
+            self._scale_density(passes)  # training has lifted it past what could be seen
         pad = 0.25 * ui.em
         implot.push_style_var(implot.StyleVar_.plot_min_size, ImVec2(ui.em, ui.em))
         implot.push_style_var(implot.StyleVar_.plot_padding, ImVec2(pad, pad))
@@ -237,7 +245,7 @@ class RayPlots:
         implot.pop_plot_clip_rect()
 
     def _read(self, ui: Ui, passes: tuple[Steps, ...], marked: tuple[Steps, int] | None) -> tuple[Steps, int] | None:
-        """The sample nearest to the mouse, of whichever pass; the one that is pointed at is marked in this plot."""
+        """The sample under the mouse, of whichever pass; the one that is pointed at is marked in this plot."""
         if marked is not None:
             steps, index = marked
             x = _x(float(steps.t[index]))
@@ -245,9 +253,20 @@ class RayPlots:
             implot.get_plot_draw_list().add_line(ImVec2(x, top), ImVec2(x, top + height), packed(ui.theme.text))
         if not implot.is_plot_hovered() or not passes:
             return None
-        t = implot.get_plot_mouse_pos().x
-        nearest = [(steps, int(np.abs(steps.t - t).argmin())) for steps in passes]
-        return min(nearest, key=lambda hit: abs(float(hit[0].t[hit[1]]) - t))
+        reach = REACH_EM * ui.em * implot.get_plot_limits().x.size() / max(implot.get_plot_size().x, 1.0)
+        return sample_at(passes, implot.get_plot_mouse_pos().x, reach)
+
+
+def sample_at(passes: tuple[Steps, ...], t: float, reach: float) -> tuple[Steps, int] | None:
+    """The sample whose stretch holds t, or begins or ends within `reach` of it; of several the one that begins nearest.
+    None: t lies where no sample stands for the ray."""
+    found, least = None, (reach, np.inf)
+    for steps in passes:
+        aside = np.maximum(np.maximum(steps.t - t, t - steps.until), 0.0)
+        k = int(np.lexsort((np.abs(steps.t - t), aside))[0])
+        if (apart := (float(aside[k]), abs(float(steps.t[k]) - t))) <= least:
+            found, least = (steps, k), apart
+    return found
 
 
 def _of_largest(steps: Steps) -> np.ndarray:

@@ -8,7 +8,6 @@ from imgui_bundle import ImVec2, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.cameras import Camera
-from nerf_core.colormaps import colored
 from nerf_core.probe import RayProbe
 from nerf_core.render_modes import MODES, Mode
 from nerf_core.scene import Scene
@@ -20,10 +19,9 @@ from viewer.layout import VIEWPORT
 from viewer.panel_host import PanelUi
 from viewer.state import AppState, SampleRef
 from viewer.theme import GREEN, SKY, VERMILION
-from viewer.widgets import color_of, faded, packed, sample_tooltip
+from viewer.widgets import color_scale, faded, packed, sample_tooltip
 
 FRUSTUM_DEPTH = 0.12  # of the scene's radius: visible beside the scene, not in its way
-SCALE_STEPS = 48
 SHADE = ImVec4(0.0, 0.0, 0.0, 0.6)  # under bright lines and words, so that they read on any picture
 
 
@@ -110,9 +108,11 @@ class ViewportPanel:
         if not state.show_samples:
             return
         shown = {pin.id: pin for pin in state.pins if not pin.hidden}
-        for opened in state.snapshot.pinned:
-            if opened.ray is not None and opened.id in shown:
-                _draw_ray(ui, overlay, opened.ray, theme.pins[shown[opened.id].color])
+        pinned = [(shown[one.id], one.ray) for one in state.snapshot.pinned if one.ray is not None and one.id in shown]
+        for pin, ray in pinned:
+            _draw_ray(ui, overlay, ray, theme.pins[pin.color])
+        for pin, ray in pinned:
+            overlay.tag(*_ends(ray), pin.name, ui.em, theme.pins[pin.color], theme.ground)
         ray = state.snapshot.ray
         if ray is None:
             return
@@ -170,10 +170,14 @@ def _point_at(ui: PanelUi, state: AppState, overlay: Overlay, ray: RayProbe) -> 
 
 def _draw_ray(ui: PanelUi, overlay: Overlay, ray: RayProbe, color: ImVec4) -> None:
     thin = max(1.0, ui.em / 14)
-    start, end = ray.origin + ray.near * ray.direction, ray.origin + ray.far * ray.direction
+    start, end = _ends(ray)
     overlay.lines(start[None], end[None], (SHADE, 3 * thin), (color, 1.2 * thin))
     if ray.passes:
-        overlay.samples(ray, ui.em, ui.theme.ground)
+        overlay.samples(ray, ui.em, (SHADE, 2.2 * thin), (color, 1.4 * thin))
+
+
+def _ends(ray: RayProbe) -> tuple[np.ndarray, np.ndarray]:
+    return ray.origin + ray.near * ray.direction, ray.origin + ray.far * ray.direction
 
 
 def _why_empty(state: AppState) -> tuple[str, str]:
@@ -220,10 +224,7 @@ def _scale(ui: PanelUi, draw: imgui.ImDrawList, place: ImVec2, mode: Mode) -> No
     text = packed(ui.theme.text)
     draw.add_text(ImVec2(x, y), text, words[0])
     x += widths[0] + pad
-    for k, rgb in enumerate(colored(np.linspace(0, 1, SCALE_STEPS), 0, 1, mode.colors).tolist()):
-        low = ImVec2(x + k * bar / SCALE_STEPS, y + 0.15 * high)
-        high_corner = ImVec2(x + (k + 1) * bar / SCALE_STEPS, y + 0.85 * high)
-        draw.add_rect_filled(low, high_corner, packed(color_of(rgb)))
+    color_scale(draw, ImVec2(x, y + 0.15 * high), ImVec2(x + bar, y + 0.85 * high), mode.colors)
     draw.add_text(ImVec2(x + bar + pad, y), text, words[1])
 
 

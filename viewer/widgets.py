@@ -7,19 +7,23 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
 
+from nerf_core.colormaps import Name, colored
+
 if TYPE_CHECKING:
-    from nerf_core.messages import Snapshot
+    from nerf_core.messages import Notice, Snapshot
     from nerf_core.probe import PassProbe
     from viewer.panels import Ui
 
 NOTHING = "–"  # shown where there is no number
+SCALE_STEPS = 16  # of a colour scale: as many as colour maps have stops
 
 # ---- words ---------------------------------------------------------------------------------------------------
 
@@ -130,10 +134,10 @@ def keep_in_front() -> None:
     imgui.internal.bring_window_to_display_front(imgui.internal.get_current_window())
 
 
-def same_line_if_fits(label: str) -> None:
-    """Stay on the line when a button called `label` still fits beside the last item, else wrap."""
+def same_line_if_fits(label: str, more: float = 0.0) -> None:
+    """Stay on the line when a button called `label`, and `more` pixels, still fit beside the last item, else wrap."""
     style = imgui.get_style()
-    width = imgui.calc_text_size(label).x + 2 * style.frame_padding.x
+    width = imgui.calc_text_size(label).x + 2 * style.frame_padding.x + more
     right = imgui.get_cursor_screen_pos().x + imgui.get_content_region_avail().x
     if imgui.get_item_rect_max().x + style.item_spacing.x + width <= right:
         imgui.same_line()
@@ -149,6 +153,14 @@ def swatch(ui: Ui, rgb: Sequence[float] | np.ndarray) -> None:
     draw.add_rect_filled(low, high, packed(color_of(rgb)))
     draw.add_rect(low, high, packed(ui.theme.hairline))
     imgui.dummy(ImVec2(size, size))
+
+
+def color_scale(draw: imgui.ImDrawList, low: ImVec2, high: ImVec2, name: Name = "viridis") -> None:
+    """A colour map from its beginning, on the left, to its end."""
+    colors = tints(colored(np.linspace(0, 1, SCALE_STEPS + 1), 0, 1, name))
+    edges = np.linspace(low.x, high.x, SCALE_STEPS + 1).tolist()
+    for (left, first), (right, last) in pairwise(zip(edges, colors, strict=True)):
+        draw.add_rect_filled_multi_color(ImVec2(left, low.y), ImVec2(right, high.y), first, last, last, first)
 
 
 Row = tuple[str, str] | tuple[str, str, Callable[[], None]]
@@ -213,13 +225,14 @@ LEVELS = {
 }
 
 
-def notice_text(ui: Ui, level: Literal["info", "warning", "error"], text: str) -> None:
-    """The level's sign in its colour, then the text, which wraps."""
-    color = {"info": ui.theme.good, "warning": ui.theme.warning, "error": ui.theme.error}[level]
-    imgui.text_colored(color, LEVELS[level])
+def notice_text(ui: Ui, notice: Notice) -> None:
+    """The level's sign in its colour, then the text, which wraps; without the path that it ends in, which has its own
+    line."""
+    color = {"info": ui.theme.good, "warning": ui.theme.warning, "error": ui.theme.error}[notice.level]
+    imgui.text_colored(color, LEVELS[notice.level])
     imgui.same_line()
     imgui.push_text_wrap_pos(0.0)
-    imgui.text_unformatted(text)
+    imgui.text_unformatted(notice.text if notice.path is None else notice.text.removesuffix(f" {notice.path}"))
     imgui.pop_text_wrap_pos()
 
 

@@ -16,7 +16,7 @@ RECORDS = 240  # of a whole schedule: as many as one wants to look at, spaced ev
 class RayHistory:
     """steps (N,) int64, ascending. edges (BINS + 1,) world distances. weights (N, BINS): Σ w per bin.
 
-    color (N, 3); depth (N,): median depth, else expected, NaN where nothing was hit; opacity (N,).
+    color (N, 3); depth (N,): median depth, NaN where less than half of the light met anything; opacity (N,).
     """
 
     edges: np.ndarray
@@ -47,9 +47,8 @@ class HistoryRecorder:
             return
         if self._edges is None:
             self._edges = np.linspace(ray.near, max(ray.far, ray.near + 1e-6), BINS + 1)  # fixed: rows are compared
-        depth = ray.depth_median if ray.depth_median is not None else ray.depth_expected
-        row = binned(ray, self._edges)
-        self._rows.append((ray.step, row, ray.color, np.nan if depth is None else depth, ray.opacity))
+        depth = np.nan if ray.depth_median is None else ray.depth_median
+        self._rows.append((ray.step, binned(ray, self._edges), ray.color, depth, ray.opacity))
         self._view = None
         while self._next is not None and self._next <= ray.step:
             self._next = next(self._due, None)

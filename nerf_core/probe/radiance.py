@@ -30,8 +30,9 @@ class RadianceProbe:
 
     directions: (K, 3); the first SPHERE_ROWS × SPHERE_COLUMNS cover the sphere row by row, from +up to −up, azimuth
     growing along a row; the rest are the disc's pixels inside the unit circle, row by row.
-    rgb: (K, 3), the point alone. frozen_rgb: (K, 3), the pixel if every sample of the ray kept its weight and showed
-    the colour that it emits towards v: Σ w_i c(x_i, −v) and background.
+    rgb: (K, 3), the point alone. back_rgb: (3,), the same towards where the ray comes from. frozen_rgb: (K, 3), the
+    pixel if every sample of the ray kept its weight and showed the colour that it emits towards v: Σ w_i c(x_i, −v) and
+    background.
     axes: (3, 3) rows right, up, towards the viewer or along the normal: what the disc is drawn in. up: the sphere map's
     pole; its azimuth 0 is `azimuth0`, growing towards cross(up, azimuth0). normal: −∇σ, unit; None where σ is flat.
     dependence: see `view_dependence`.
@@ -42,6 +43,7 @@ class RadianceProbe:
     t: float
     directions: np.ndarray
     rgb: np.ndarray
+    back_rgb: np.ndarray
     frozen_rgb: np.ndarray
     axes: np.ndarray
     up: np.ndarray
@@ -126,11 +128,12 @@ def open_radiance(
     azimuth0 = _facing(pole, axes[0])[1]
     directions = np.concatenate([_sphere(pole, azimuth0), _disc(axes)])
     looking = torch.from_numpy(-directions)
-    rgb = method.radiance(torch.from_numpy(point)[None], looking)[0].cpu().numpy()
+    every = torch.cat([looking, torch.from_numpy(along)[None]])
+    rgb, back = np.split(method.radiance(torch.from_numpy(point)[None], every)[0].cpu().numpy(), [-1])
     frozen = _frozen(method, ray, looking)
     dependence = float(view_dependence(method, torch.from_numpy(point)[None], torch.from_numpy(-along)[None])[0])
     return RadianceProbe(
-        ray.step, point, float(t), directions, rgb, frozen, axes, pole, azimuth0, normal, around, dependence
+        ray.step, point, float(t), directions, rgb, back[0], frozen, axes, pole, azimuth0, normal, around, dependence
     )
 
 

@@ -100,7 +100,9 @@ def make_radiance(ray: RayProbe) -> RadianceProbe:
     directions = np.concatenate([sphere.reshape(-1, 3), disc])
     point = ray.origin + t * ray.direction
     rgb = (0.5 - 0.5 * directions).astype(np.float32)
-    return RadianceProbe(ray.step, point, t, directions, rgb, 0.9 * rgb, axes, up, azimuth0, axes[2], "viewer", 0.21)
+    return RadianceProbe(
+        ray.step, point, t, directions, rgb, 0.5 - 0.5 * towards, 0.9 * rgb, axes, up, azimuth0, axes[2], "viewer", 0.21
+    )
 
 
 def make_evidence(scene: Scene, radiance: RadianceProbe) -> Sightings:

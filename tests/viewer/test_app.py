@@ -655,6 +655,19 @@ def test_ctrl_click_pins_a_ray_which_stays_while_the_camera_moves(start: Start) 
     assert (app.state.pins, worker.sent[-1]) == ([], Unpin(pin.id))
 
 
+def test_pins_that_are_shown_are_named_in_the_picture(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    named: list[str] = []
+    monkeypatch.setattr("viewer.draw.overlays.Overlay.tag", lambda self, start, end, text, *style: named.append(text))
+    app, _ = start()
+    app.perform(PinRay(Inspect(app.state.camera.camera(80, 60), (40, 30))))
+    app.perform(PinRay(Inspect(app.state.camera.camera(80, 60), (20, 30))))
+    app.state.pins[1].hidden = True
+    app.settle(1)
+    named.clear()
+    app.settle(1)
+    assert named == ["ray 1"]
+
+
 def test_a_checkpoint_carries_the_pins(start: Start) -> None:
     app, worker = start()
     app.perform(PinRay(Inspect(app.state.camera.camera(100, 80), (40, 30))))

@@ -329,7 +329,7 @@ def test_the_sample_under_the_mouse_is_the_one_that_is_drawn_there(canvas: tuple
 
     def draw(lists: imgui.ImDrawList) -> None:
         overlay = Overlay(lists, camera, (30.0, 20.0), 1e-3)
-        overlay.samples(ray, em, ImVec4(0, 0, 0, 0))
+        overlay.samples(ray, em)
         for place in places[heavy]:
             found = overlay.sample_at(ray, em, *place)
             assert found is not None
@@ -343,3 +343,46 @@ def test_the_sample_under_the_mouse_is_the_one_that_is_drawn_there(canvas: tuple
     shown = paint(canvas, draw)
     x, y = np.floor(places[heavy[-1]]).astype(int)
     np.testing.assert_allclose(shown[y, x] / 255, last.rgb[heavy[-1]], atol=0.15)  # neighbours differ little in colour
+
+
+def test_rims_lie_around_the_samples_and_over_none_of_them(canvas: tuple[Window, ImguiRenderer]) -> None:
+    ray, camera, em, red = make_ray(), make_camera(np.array([0.5, 3.2, 1.0])), 6.0, ImVec4(1, 0, 0, 1)
+    places = camera.project(ray.origin + ray.passes[-1].t[:, None] * ray.direction)[0]
+    heavy = places[ray.passes[-1].weights > 0.02]
+    assert np.linalg.norm(np.diff(heavy, axis=0), axis=1).max() < 0.3 * em  # they overlap
+
+    def shown(*rims: tuple[ImVec4, float]) -> np.ndarray:
+        return paint(canvas, lambda lists: Overlay(lists, camera, (0.0, 0.0), 1e-3).samples(ray, em, *rims))
+
+    bare, rimmed = shown(), shown((red, 3.0))
+    for x, y in np.floor(heavy).astype(int):
+        np.testing.assert_array_equal(rimmed[y, x], bare[y, x])
+    new = (bare == 0).all(-1) & (rimmed == [255, 0, 0]).all(-1)
+    assert new.sum() > 50
+
+
+@pytest.mark.parametrize("eye", [(0.5, 3.2, 1.0), (3.2, 0.0, 2.4), (0.4, -1.5, 0.3)])
+def test_a_tag_lies_whole_in_the_picture(canvas: tuple[Window, ImguiRenderer], eye: tuple[float, ...]) -> None:
+    """Also where one looks along the ray, and where the ray leaves the picture."""
+    ray, camera, blue = make_ray(), make_camera(np.array(eye)), ImVec4(0, 0, 1, 1)
+    start, end = (ray.origin + t * ray.direction for t in (ray.near, ray.far))
+
+    def draw(lists: imgui.ImDrawList) -> None:
+        Overlay(lists, camera, (0.0, 0.0), 1e-3).tag(start, end, "ray 4", 13.0, blue, blue)
+
+    lit = np.argwhere((paint(canvas, draw) == [0, 0, 255]).all(-1))
+    high, wide = lit.max(0) - lit.min(0)
+    assert high > 8
+    assert wide > 25
+    _, ((x, y),), _ = clip_segments(camera, start[None], end[None], 1e-3)
+    assert np.abs(lit - (y, x)).max(1).min() < 2 * 13.0
+
+
+def test_a_tag_of_what_is_out_of_sight_is_not_drawn(canvas: tuple[Window, ImguiRenderer]) -> None:
+    camera, blue = make_camera(np.array([3.2, 0, 2.4])), ImVec4(0, 0, 1, 1)
+    behind = camera.c2w[:, 3] + camera.c2w[:, 2]
+
+    def draw(lists: imgui.ImDrawList) -> None:
+        Overlay(lists, camera, (0.0, 0.0), 1e-3).tag(behind, 2 * behind, "a", 13.0, blue, blue)
+
+    assert not paint(canvas, draw).any()

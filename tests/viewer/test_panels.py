@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
 from imgui_bundle import ImVec2, imgui, implot
-from panel_states import make_camera, make_opened, make_ray, make_snapshot, make_state, states
+from panel_states import make_camera, make_opened, make_ray, make_ray_history, make_snapshot, make_state, states
 
 from nerf_core.datasets import LoadOptions
 from nerf_core.messages import (
@@ -18,6 +20,7 @@ from nerf_core.messages import (
     LoadCheckpoint,
     OpenScene,
     Pause,
+    Pinned,
     Reset,
     SaveCheckpoint,
     SetShare,
@@ -27,6 +30,7 @@ from nerf_core.messages import (
     UseMethod,
 )
 from nerf_core.methods import METHODS
+from nerf_core.probe import RayHistory
 from nerf_core.settings import RunSettings
 from viewer.panels import PANELS, Panel
 from viewer.state import (
@@ -46,7 +50,7 @@ from viewer.state import (
     UnpinRay,
 )
 from viewer.theme import DarkTheme
-from viewer.widgets import duration, number, rate, vector
+from viewer.widgets import duration, number, rate, triple, vector
 
 SCREEN = (1280, 800)
 
@@ -428,6 +432,65 @@ def test_a_line_of_the_table_points_at_its_sample(screen: Screen) -> None:
     assert state.pointed_at.one == 0
 
 
+def test_a_place_in_the_table_is_of_one_line_alone(screen: Screen) -> None:
+    panel, state = PANELS.get("samples")(), make_state(make_snapshot())
+    screen.size = (760, 300)
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    lines = [screen.widgets[f"samples.row {k}"] for k in range(4)]
+    for (_, _, _, bottom), (_, top, _, _) in pairwise(lines):
+        assert bottom == top
+    for y in np.arange(lines[0][1] + 0.5, lines[3][3]):
+        imgui.get_io().add_mouse_pos_event(120, y)
+        for _ in range(2):
+            state.sample, state.pointed_at = state.pointed_at, None  # as the app does between frames
+            screen.frame(panel, state)
+        (under,) = [k for k, (_, top, _, bottom) in enumerate(lines) if top <= y < bottom]
+        assert state.sample == state.pointed_at == SampleRef(1, under)
+
+
+def test_a_sample_is_meant_on_its_stretch_and_close_to_it_alone() -> None:
+    from viewer.ray_plots import sample_at
+    from viewer.ray_steps import Steps, steps_of
+
+    (_, fine) = steps_of(make_ray())
+    gap = replace(fine, t=np.array([2.0, 3.0, 3.1]), until=np.array([2.5, 3.1, 3.2]))
+
+    def at(t: float, *passes: Steps) -> int | None:
+        found = sample_at(passes or (gap,), t, 0.05)
+        return None if found is None else found[1]
+
+    assert [at(t) for t in (1.9, 1.96, 2.1, 2.49, 2.54, 2.6, 2.96)] == [None, 0, 0, 0, 0, None, 1]
+    assert [at(t) for t in (3.05, 3.09, 3.11, 3.24, 3.3, 5.0)] == [1, 1, 2, 2, None, None]
+    other = replace(gap, t=np.array([2.05]), until=np.array([4.0]))
+    for t, owner in ((2.1, other), (2.01, gap), (2.8, other), (3.11, gap)):
+        assert (found := sample_at((gap, other), t, 0.05)) is not None
+        assert found[0] is owner
+    assert sample_at((), 2.0, 0.05) is None
+
+
+@pytest.mark.parametrize("choice", ["on", "off"])
+def test_a_choice_of_the_density_axis_stays_from_ray_to_ray(screen: Screen, choice: str) -> None:
+    from viewer.panels.ray import RayPanel
+
+    panel, state = RayPanel(), make_state(make_snapshot())
+    screen.size = (900, 420)
+    screen.frame(panel, state)
+    wanted = panel.plots.log_density  # by itself
+    screen.click(panel, state, f"ray.log {choice}")
+    assert panel.plots.log_density == (choice == "on")
+    for density in (0.5, 4000.0):
+        ray = replace(make_ray(density), pixel=(int(density), 2))
+        state.snapshot = replace(state.snapshot, opened=replace(make_opened(ray), ray=ray))
+        screen.frame(panel, state)
+        assert panel.plots.log_density == (choice == "on")
+    screen.click(panel, state, "ray.log auto")
+    ray = make_ray()
+    state.snapshot = replace(state.snapshot, opened=replace(make_opened(ray), ray=ray))
+    screen.frame(panel, state)
+    assert panel.plots.log_density == wanted
+
+
 def test_the_table_goes_to_the_sample_that_is_pointed_at_elsewhere(screen: Screen) -> None:
     panel, state = PANELS.get("samples")(), make_state(make_snapshot())
     screen.size = (760, 300)
@@ -495,6 +558,26 @@ def test_what_no_photo_looked_at_is_hatched() -> None:
     assert unseen(radiance.directions, None).all()
 
 
+@pytest.mark.parametrize("around", ["viewer", "normal"])
+def test_specular_is_what_the_ray_saw_beyond_the_diffuse(
+    screen: Screen, around: Literal["viewer", "normal"], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However the disc is turned, and wherever the camera has gone since."""
+    shown: dict[str, str] = {}
+    figures = "viewer.panels.radiance.figures"
+    monkeypatch.setattr(figures, lambda ui, name, rows: shown.update({row[0]: row[1] for row in rows}))
+    state = make_state(make_snapshot())
+    opened, radiance, evidence = state.snapshot.opened, state.snapshot.radiance, state.snapshot.evidence
+    assert opened is not None
+    assert radiance is not None
+    assert evidence is not None
+    turned = replace(radiance, around=around, directions=-radiance.directions[::-1], rgb=radiance.rgb[::-1])
+    state.snapshot = replace(state.snapshot, opened=replace(opened, radiance=turned))
+    screen.frame(PANELS.get("radiance")(), state)
+    expected = np.maximum(radiance.back_rgb - evidence.emitted[evidence.seen].min(0), 0)
+    assert shown["specular in this ray"] == triple(expected)
+
+
 def test_every_station_is_drawn(screen: Screen) -> None:
     panel, state = PANELS.get("walk")(), make_state(make_snapshot())
     screen.size = (2200, 300)
@@ -517,6 +600,85 @@ def test_the_history_is_of_the_opened_pin(screen: Screen) -> None:
     assert "ray_history.map" not in screen.widgets
 
 
+@pytest.mark.parametrize("apart", [0.06, 0.1, 0.3, 1.0])
+@pytest.mark.parametrize(("first", "span"), [(0, 1), (0, 500_000), (98, 2), (381, 9), (381, 11_619), (12_345, 150)])
+def test_steps_are_named_at_both_ends_and_where_they_are_round(first: int, span: int, apart: float) -> None:
+    from viewer.panels.ray_history import ticks
+
+    last = first + span
+    found = ticks(first, last, apart)
+    assert (found[0], found[-1]) == (first, last)
+    places = np.log1p(np.array(found) - first) / np.log1p(span)
+    assert np.diff(places).min() >= apart
+    for step in found[1:-1]:
+        assert any(step % 10**k == 0 for k in range(7) if 500 * 10**k >= first)  # 381: tens; 12,345: hundreds
+
+
+def test_known_steps_are_named() -> None:
+    from viewer.panels.ray_history import ticks
+
+    assert ticks(0, 12_000, 0.1) == [0, 2, 10, 30, 100, 300, 1000, 3000, 12_000]
+    assert ticks(381, 12_000, 0.1) == [381, 385, 400, 500, 1000, 2000, 12_000]
+
+
+def test_the_history_opens_where_the_weights_are_and_follows_them(screen: Screen) -> None:
+    from viewer.panels.ray_history import RayHistoryPanel
+
+    panel, state = RayHistoryPanel(), make_state(make_snapshot())
+    screen.size = (900, 260)
+
+    def shown(history: RayHistory) -> tuple[float, ...]:
+        state.snapshot = replace(state.snapshot, pinned=(Pinned(1, state.snapshot.ray, history),))
+        for _ in range(3):
+            screen.frame(panel, state)
+        return panel._x.high.value, panel._t.low.value, panel._t.high.value
+
+    history = make_ray_history()
+    weights = np.zeros_like(history.weights)
+    weights[3, 40], weights[5, 44], weights[:, 80] = 0.6, 0.5, 0.005
+    edges, early = history.edges, slice(0, 6)
+    young = replace(
+        history, steps=history.steps[early], weights=weights[early], color=history.color[early],
+        depth=history.depth[early], opacity=history.opacity[early],
+    )  # fmt: skip
+    width = edges[1] - edges[0]
+    around = edges[40] - 3 * width, edges[45] + 3 * width
+    assert shown(young) == pytest.approx((np.log1p(40), *around))
+    assert shown(replace(history, weights=0 * weights)) == pytest.approx((np.log1p(12_000), 2, 6))
+    assert shown(replace(history, weights=weights)) == pytest.approx((np.log1p(12_000), *around))
+    # where the user has gone, the axes stay
+    left, top, right, bottom = screen.widgets["ray_history.map"]
+    imgui.get_io().add_mouse_pos_event((left + right) / 2, (top + bottom) / 2)
+    screen.frame(panel, state)
+    imgui.get_io().add_mouse_wheel_event(0, -2)
+    zoomed = shown(replace(history, weights=weights))
+    assert zoomed[1] < around[0] < around[1] < zoomed[2]
+    assert shown(replace(history, weights=0 * weights)) == zoomed
+    shown(replace(history, weights=weights))
+    # a double click takes them back to the weights
+    imgui.get_io().delta_time = 0.02
+    for down in (True, False, True, False):
+        imgui.get_io().add_mouse_button_event(0, down)
+        screen.frame(panel, state)
+    assert shown(replace(history, weights=weights)) == pytest.approx((np.log1p(12_000), *around))
+    assert shown(young) == pytest.approx((np.log1p(40), *around))
+
+
+def test_the_history_tells_of_the_record_that_it_shows(screen: Screen, monkeypatch: pytest.MonkeyPatch) -> None:
+    panel, state = PANELS.get("ray_history")(), make_state(make_snapshot())
+    told: list[str] = []
+    monkeypatch.setattr(imgui, "set_tooltip", told.append)
+    screen.size = (900, 260)
+    for _ in range(3):
+        screen.frame(panel, state)
+    left, top, right, bottom = screen.widgets["ray_history.map"]
+    for x, expected in ((left + 4 * screen.em, "step 0: no depth"), (right - 4 * screen.em, "step 900: depth 3.8")):
+        imgui.get_io().add_mouse_pos_event(x, (top + bottom) / 2)
+        screen.frame(panel, state)
+        screen.frame(panel, state)
+        assert told[-1].startswith(expected)
+
+
 # ---- notices ----------------------------------------------------------------------------------------------------
 
 
@@ -530,6 +692,17 @@ def test_an_error_stays_until_it_is_dismissed(screen: Screen) -> None:
     screen.click(panel, state, "toasts.2.dismiss")
     assert state.notices[2].dismissed
     assert not screen.widgets
+
+
+@pytest.mark.parametrize("name", ["toasts", "notices"])
+def test_a_path_is_told_once(screen: Screen, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+    for function in ("text_unformatted", "text_wrapped"):
+        monkeypatch.setattr(imgui, function, told.append)
+    screen.frame(PANELS.get(name)(), states()["failed"])
+    assert told.count("saved") == 1
+    assert sum("run/last.safetensors" in text for text in told) == 1
+    assert "out of memory" in told
 
 
 def test_the_path_of_a_result_is_copied(screen: Screen) -> None:

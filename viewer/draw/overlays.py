@@ -37,13 +37,35 @@ class Overlay:
             for p, q in shown:
                 self._draw.add_line(p, q, tint, thickness)
 
-    def samples(self, ray: RayProbe, em: float, outline: ImVec4) -> None:
-        """The last pass's samples: area grows with weight, colour is what each sample emits."""
-        ring, (drawn, places, radii) = packed(outline), self._discs(ray, em)
-        fills = tints(ray.passes[-1].rgb[drawn])
-        for fill, place, radius in zip(fills, places.tolist(), radii.tolist(), strict=True):
-            self._draw.add_circle_filled(ImVec2(*place), radius, fill)
-            self._draw.add_circle(ImVec2(*place), radius, ring, thickness=max(1.0, 0.05 * em))
+    def samples(self, ray: RayProbe, em: float, *rims: tuple[ImVec4, float]) -> None:
+        """The last pass's samples: area grows with weight, colour is what each sample emits.
+
+        rims: colours, and how many pixels each reaches around all of them. They lie under every sample: dense ones
+        would hide each other's colours under their rims.
+        """
+        drawn, places, radii = self._discs(ray, em)
+        discs = [(ImVec2(*place), radius) for place, radius in zip(places.tolist(), radii.tolist(), strict=True)]
+        for color, reach in rims:
+            tint = packed(color)
+            for place, radius in discs:
+                self._draw.add_circle_filled(place, radius + reach, tint)
+        for fill, (place, radius) in zip(tints(ray.passes[-1].rgb[drawn]), discs, strict=True):
+            self._draw.add_circle_filled(place, radius, fill)
+
+    def tag(self, start: np.ndarray, end: np.ndarray, text: str, em: float, color: ImVec4, ink: ImVec4) -> None:
+        """A name, in `ink` on `color`, past the visible end of a world segment and within the picture."""
+        starts, ends, visible = clip_segments(self._camera, start[None], end[None], self._near)
+        if not visible[0]:
+            return
+        size, pad, gap = imgui.calc_text_size(text), 0.3 * em, 1.4 * em  # clear of what marks a sample there
+        x, y = ends[0]
+        x = x + gap if x >= starts[0, 0] else x - gap - size.x
+        x = max(min(x, self._camera.width - size.x - pad), pad)
+        y = max(min(y - size.y / 2, self._camera.height - size.y), 0.0)
+        at = ImVec2(float(int(self._origin[0] + x)), float(int(self._origin[1] + y)))
+        far = ImVec2(at.x + size.x + pad, at.y + size.y)
+        self._draw.add_rect_filled(ImVec2(at.x - pad, at.y), far, packed(color), 0.2 * em)
+        self._draw.add_text(at, packed(ink), text)
 
     def sample_at(self, ray: RayProbe, em: float, x: float, y: float) -> int | None:
         """The last pass's sample whose disc lies under a place of the screen, or nearly; None where there is none.

@@ -32,7 +32,7 @@ class NoticesPanel:
 def _entry(ui: Ui, shown: ShownNotice, now: float, mark: str) -> None:
     notice = shown.notice
     shown.dismissed |= imgui.is_window_focused()  # who reads it here need not see it over the picture as well
-    notice_text(ui, notice.level, notice.text)
+    notice_text(ui, notice)
     hint(ui, f"{duration(now - shown.born)} ago")
     if notice.path is not None:
         path_line(ui, notice.path, f"{mark}.copy")

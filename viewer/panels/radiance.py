@@ -122,7 +122,7 @@ class RadiancePanel:
         yield from _point(ui, state, probe)
         if state.snapshot.ray is not None and state.snapshot.ray.depth_strongest is None:
             hint(ui, "The ray met nothing: this point is empty, and its colour is never seen.", ui.theme.warning)
-        _numbers(ui, state, pictures, viewer)
+        _numbers(ui, state, pictures)
         _sight(ui, pictures.evidence)
 
 
@@ -145,15 +145,14 @@ def _choices(ui: Ui, state: AppState) -> Iterator[Action]:
         yield SetDisc("normal" if normal else "viewer")
 
 
-def _numbers(ui: Ui, state: AppState, pictures: Pictures, viewer: np.ndarray) -> None:
+def _numbers(ui: Ui, state: AppState, pictures: Pictures) -> None:
     """How view-dependent the point is, and what of its colour everybody sees."""
     rows: list[Row] = [("view-dependence", number(pictures.probe.dependence, 3))]
     diffuse = diffuse_of(pictures.evidence) if pictures.evidence is not None else None
     if diffuse is not None:
-        towards = int(np.argmax(np.einsum("ki,i->k", pictures.probe.directions, viewer)))  # no BLAS: see `unseen`
-        rest = np.maximum(pictures.probe.rgb[towards] - diffuse, 0)
+        rest = np.maximum(pictures.probe.back_rgb - diffuse, 0)
         rows.append(("diffuse", triple(diffuse), partial(swatch, ui, diffuse)))
-        rows.append(("specular here", triple(rest), partial(swatch, ui, rest)))
+        rows.append(("specular in this ray", triple(rest), partial(swatch, ui, rest)))
     if state.frozen_ray:
         hint(ui, "These are of the point alone:")
     figures(ui, "numbers", rows)

@@ -11,7 +11,7 @@ from imgui_bundle import ImVec2, imgui
 
 from nerf_core.probe import RayProbe
 from viewer.panels import PANELS, Ui
-from viewer.ray_plots import DEPTHS, Glyph, Opened, RayPlots
+from viewer.ray_plots import DEPTHS, Glyph, LogChoice, Opened, RayPlots
 from viewer.ray_steps import Steps, steps_of
 from viewer.state import Action, AppState, SampleRef, SetPointDepth
 from viewer.widgets import Row, faded, figures, hint, number, packed, same_line_if_fits, sample_tooltip, swatch, triple
@@ -19,6 +19,11 @@ from viewer.widgets import Row, faded, figures, hint, number, packed, same_line_
 AXIS = "over t (world units)"
 BEYOND = 0.01  # weight past the end of the axis that is worth a word
 SIDE_EM, SIDE_NEEDS_EM = 17.0, 36.0  # the figures' column, and the width from which it stands beside the plots
+LOG_CHOICES: tuple[tuple[LogChoice, str], ...] = (
+    ("auto", "a log axis where a linear one would flatten most of this ray's density"),
+    ("on", "a log axis for every ray"),
+    ("off", "a linear axis for every ray"),
+)
 LOW_EM = 18.0  # height of the plots where the figures stand under them
 
 
@@ -127,10 +132,14 @@ class RayPanel:
         rows.append(("samples", " + ".join(f"{len(p.t):,}" for p in ray.passes)))
         rows.append(("at step", f"{ray.step:,}"))
         figures(ui, "ray figures", rows)
-        changed, self.plots.log_density = imgui.checkbox("log σ", self.plots.log_density)
-        ui.mark("ray.log")
-        if changed:
-            self.plots.scale_density(self._passes)
+        imgui.align_text_to_frame_padding()
+        imgui.text_colored(ui.theme.muted, "log σ")
+        for choice, tip in LOG_CHOICES:
+            imgui.same_line()
+            if imgui.radio_button(choice, self.plots.log_choice == choice):
+                self.plots.choose_log(choice, self._passes)
+            ui.mark(f"ray.log {choice}")
+            imgui.set_item_tooltip(tip)
 
 
 def _verdict(ui: Ui, state: AppState) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Literal
 
@@ -12,11 +13,24 @@ from nerf_core.colormaps import colored
 from nerf_core.probe import RayHistory
 from viewer.panels import PANELS, Ui
 from viewer.state import Action, AppState, PinnedRay
-from viewer.widgets import axis_name, hint, packed
+from viewer.widgets import axis_name, color_scale, faded, hint, packed, same_line_if_fits
 
 COLUMNS = 320  # of the map: more than records, so that each keeps its place
 STRIP_EM = 1.4
+WORTH = 0.01  # of the largest weight: what is less is dark in the map
 PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
+
+
+class Limits:
+    """An axis's, which follow what there is to see until the user moves them; a double click takes them back."""
+
+    def __init__(self) -> None:
+        self.low, self.high = implot.BoxedValue(0.0), implot.BoxedValue(1.0)
+        self._set = (0.0, 1.0)
+
+    def follow(self, low: float, high: float, fresh: bool) -> None:
+        if fresh or (self.low.value, self.high.value) == self._set:
+            self._set = self.low.value, self.high.value = low, high
 
 
 @PANELS.register("ray_history")
@@ -27,6 +41,9 @@ class RayHistoryPanel:
 
     def __init__(self) -> None:
         self._of: RayHistory | None = None
+        self._pin = -1
+        self._x, self._t = Limits(), Limits()
+        self._open = (0.0, 1.0)
         self._map = self._strip = np.zeros((1, 1, 4), np.uint8)
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
@@ -45,32 +62,41 @@ class RayHistoryPanel:
             return
         if history is not self._of:
             self._of, self._map, self._strip = history, _map(history), _strip(history)
+            self._open = where_weights_are(history)
         imgui.text_colored(ui.theme.pins[pin.color], pin.name)
         imgui.same_line()
-        imgui.text_colored(ui.theme.muted, f"{len(history.steps):,} records, steps {history.steps[0]:,} to "
-                           f"{history.steps[-1]:,}; brighter: more of the bin's weight")  # fmt: skip
-        self._draw(ui, history)
+        counted = f"{len(history.steps):,} records, steps {history.steps[0]:,} to {history.steps[-1]:,}"
+        imgui.text_colored(ui.theme.muted, counted)
+        _scale(ui)
+        self._draw(ui, history, fresh=pin.id != self._pin)
+        self._pin = pin.id
 
-    def _draw(self, ui: Ui, history: RayHistory) -> None:
+    def _draw(self, ui: Ui, history: RayHistory, fresh: bool) -> None:
         room = imgui.get_content_region_avail()
-        first, last = float(history.steps[0]), float(history.steps[-1])
+        first, last = int(history.steps[0]), int(history.steps[-1])
         x = np.log1p(history.steps - first)
         end = max(float(x[-1]), 1e-6)
-        implot.push_style_var(implot.StyleVar_.plot_padding, ImVec2(1.2 * ui.em, 0.4 * ui.em))
+        self._x.follow(0.0, end, fresh)
+        self._t.follow(*self._open, fresh)
+        implot.push_style_var(implot.StyleVar_.plot_padding, ImVec2(1.8 * ui.em, 0.4 * ui.em))  # half a step's number
         size = ImVec2(-1, max(room.y - (STRIP_EM + 0.4) * ui.em, 5 * ui.em))
         if implot.begin_plot("##ray history", size, PLOT):
-            implot.setup_axis(implot.ImAxis_.x1, None, 0)
-            implot.setup_axis(implot.ImAxis_.y1, None, 0)
-            low, high = float(history.edges[0]), float(history.edges[-1])
-            implot.setup_axes_limits(0, end, low, high, implot.Cond_.once)
-            ticks = _ticks(last - first)
-            implot.setup_axis_ticks(implot.ImAxis_.x1, np.log1p(ticks).tolist(), [f"{first + v:,.0f}" for v in ticks])
-            implot.plot_image("weights", ui.texture("ray history", self._map, smooth=False),
-                              implot.Point(0, low), implot.Point(end, high))  # fmt: skip
-            known = np.isfinite(history.depth)
-            line = implot.Spec(line_color=ui.theme.text, line_weight=0.1 * ui.em)
-            implot.plot_line("depth", x[known], history.depth[known].astype(np.float64), line)
+            for axis, limits in ((implot.ImAxis_.x1, self._x), (implot.ImAxis_.y1, self._t)):
+                implot.setup_axis(axis, None, 0)
+                implot.setup_axis_links(axis, limits.low, limits.high)
+            wide = imgui.calc_text_size(f"{last:,}").x + ui.em
+            steps = ticks(first, last, max(wide / max(room.x - 6 * ui.em, wide), 0.1))
+            places = np.log1p(np.array(steps) - first).tolist()
+            implot.setup_axis_ticks(implot.ImAxis_.x1, places, [f"{v:,}" for v in steps])
+            unfit = implot.Spec(flags=implot.ItemFlags_.no_fit)
+            low, high = implot.Point(0, float(history.edges[0])), implot.Point(end, float(history.edges[-1]))
+            implot.plot_image("weights", ui.texture("ray history", self._map, smooth=False), low, high, spec=unfit)
+            line = implot.Spec(line_color=ui.theme.text, line_weight=0.1 * ui.em, flags=implot.ItemFlags_.no_fit)
+            implot.plot_line("depth", x, history.depth.astype(np.float64), line)  # with gaps, where there is none
+            unseen = implot.Spec(line_color=faded(ui.theme.text, 0.0))
+            implot.plot_line("open", np.array([0.0, end]), np.array(self._open), unseen)  # what a double click fits
             axis_name(ui, "t; white: median depth")
+            axis_name(ui, "step, log scale since it was pinned", right=True, height=1.0)
             if implot.is_plot_hovered():
                 _tooltip(history, x, implot.get_plot_mouse_pos().x)
             left, width = implot.get_plot_pos().x, implot.get_plot_size().x
@@ -117,13 +143,50 @@ def _rgba(rgb: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray((np.nan_to_num(rgba) * 255 + 0.5).astype(np.uint8))
 
 
-def _ticks(span: float) -> np.ndarray:
-    """0, 1, 10, 100 … up to `span`."""
-    return np.array([0.0, *(10.0**k for k in range(7) if 10**k <= span)])
+def where_weights_are(history: RayHistory) -> tuple[float, float]:
+    """The part of the ray, with a margin, in which any record has weight worth a look."""
+    edges, heavy = history.edges, np.flatnonzero((history.weights > WORTH * history.weights.max()).any(0))
+    if not len(heavy):
+        return float(edges[0]), float(edges[-1])
+    low, high = float(edges[heavy[0]]), float(edges[heavy[-1] + 1])
+    margin = max(0.1 * (high - low), 3 * float(edges[1] - edges[0]))
+    return max(low - margin, float(edges[0])), min(high + margin, float(edges[-1]))
+
+
+def ticks(first: int, last: int, apart: float) -> list[int]:
+    """Steps to name on an axis even in log(1 + steps since the first): the last, the first, and the roundest between
+    that lie at least `apart` of the axis from each other."""
+    whole = max(math.log1p(last - first), 1e-6)
+    decades = [10**k for k in range(len(str(last)), -1, -1)]
+    candidates = [first]
+    for unit in (factor * decade for factor in (1, 5, 2) for decade in decades):
+        if unit >= 0.01 * first:  # finer ones are not round beside it
+            begin = (first // unit + 1) * unit
+            candidates += range(begin, min(begin + 10 * unit, last), unit)
+    found = {last: 1.0}
+    for step in candidates:
+        at = math.log1p(step - first) / whole
+        if all(abs(at - other) >= apart for other in found.values()):
+            found[step] = at
+    return sorted(found)
+
+
+def _scale(ui: Ui) -> None:
+    """What the map's colours mean."""
+    words, width = ("  weight in a bin  0", "1  (square root)"), 6 * ui.em
+    same_line_if_fits("".join(words), width)
+    imgui.text_colored(ui.theme.muted, words[0])
+    imgui.same_line()
+    at, high = imgui.get_cursor_screen_pos(), imgui.get_text_line_height()
+    low, far = ImVec2(at.x, at.y + 0.15 * high), ImVec2(at.x + width, at.y + 0.85 * high)
+    color_scale(imgui.get_window_draw_list(), low, far)
+    imgui.dummy(ImVec2(width, high))
+    imgui.same_line()
+    imgui.text_colored(ui.theme.muted, words[1])
 
 
 def _tooltip(history: RayHistory, x: np.ndarray, at: float) -> None:
-    k = int(np.clip(np.searchsorted(x, at), 0, len(x) - 1))
+    k = int(np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 1))  # the map shows it up to the next
     depth = history.depth[k]
     where = f"depth {depth:.4g}" if np.isfinite(depth) else "no depth"
     imgui.set_tooltip(f"step {history.steps[k]:,}: {where}, opacity {history.opacity[k]:.3f}")

@@ -11,6 +11,7 @@ from imgui_bundle import ImVec2, imgui
 from nerf_core.probe import PassProbe
 from viewer.panels import PANELS, Ui
 from viewer.state import Action, AppState, SampleRef
+from viewer.theme import CLEAR
 from viewer.widgets import faded, hint, mono, number, packed, swatch, triple
 
 COLUMNS = ("", "t", "δ", "σ", "α", "T", "w", "colour")
@@ -52,11 +53,17 @@ class SamplesPanel:
         for name, width in zip(COLUMNS, WIDTHS_EM, strict=True):
             imgui.table_setup_column(name, imgui.TableColumnFlags_.width_fixed, width * ui.em)
         imgui.table_headers_row()
+        style = imgui.get_style()  # a line's selectable fills it to its edges, and nothing of the next one's
+        imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(style.item_spacing.x, 2 * style.cell_padding.y))
+        for color in (imgui.Col_.header, imgui.Col_.header_hovered, imgui.Col_.header_active):
+            imgui.push_style_color(color, CLEAR)  # the line under the mouse is marked as the others mark it: with them
         clipper = imgui.ListClipper()  # a ray may have a thousand
         clipper.begin(len(one.t))
         while clipper.step():
             for i in range(clipper.display_start, clipper.display_end):
                 self._row(ui, state, one, i)
+        imgui.pop_style_color(3)
+        imgui.pop_style_var()
         self._show_pointed_at(state, clipper.items_height)
         imgui.end_table()
 

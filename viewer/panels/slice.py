@@ -35,6 +35,7 @@ class SlicePanel:
         field_width(ui, "azimuth")
         _, self.degrees = imgui.slider_float("azimuth", self.degrees, 0.0, 180.0, "%.0f°")
         ui.mark("slice.azimuth")
+        hint(ui, f"lines: model; dots: photos within {NEAR_DEGREES:g}° of the slice")
         azimuth = float(np.radians(self.degrees))
         angles, rgb = probe.slice(azimuth, state.frozen_ray)
         if not implot.begin_plot("##slice", ImVec2(-1, max(imgui.get_content_region_avail().y, 6 * ui.em)), PLOT):
@@ -51,11 +52,13 @@ class SlicePanel:
                     continue
                 for c, color in enumerate(CHANNELS):
                     dot = implot.Spec(
-                        marker=implot.Marker_.circle, marker_size=0.22 * ui.em, marker_line_color=color,
+                        marker=implot.Marker_.circle, marker_size=0.32 * ui.em, marker_line_color=color,
                         marker_fill_color=color_of(evidence.observed[k]),
                     )  # fmt: skip
                     place = np.array([np.degrees(angle)]), np.array([float(evidence.observed[k, c])])
                     implot.plot_scatter(f"photo {k} {c}", *place, dot)
-        axis_name(ui, "r, g, b; dots: photos", right=True)
+        axis_name(ui, "colour")
+        middle = "viewer" if probe.normal is None else probe.around
+        axis_name(ui, f"degrees from the {middle}", right=True, height=1.0)
         implot.end_plot()
         ui.mark("slice.plot")

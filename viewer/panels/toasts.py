@@ -62,6 +62,6 @@ def _toast(ui: Ui, shown: ShownNotice, mark: str) -> None:
     if button(ui, icons.ICON_FA_XMARK, f"{mark}.dismiss", tip="dismiss; Notices keeps it"):
         shown.dismissed = True
     imgui.same_line()
-    notice_text(ui, shown.notice.level, shown.notice.text)
+    notice_text(ui, shown.notice)
     if shown.notice.path is not None:
         path_line(ui, shown.notice.path, f"{mark}.copy")

@@ -252,6 +252,16 @@ def test_towards_the_viewer_the_point_emits_what_the_pixel_shows(scene: Scene) -
     assert centre[3] == 1
 
 
+def test_what_the_point_emits_back_along_its_ray_does_not_turn_with_the_disc(scene: Scene) -> None:
+    method, camera = model_of(scene, PlainBall((0.0, 0.0, 0.0), 0.7, (0.5, 0.5, 0.5), gloss=0.4)), scene.views[2].camera
+    ray = open_ray(method, scene, camera, (9, 6), 0)
+    facing, turned = (open_radiance(method, scene, ray, camera.c2w[:, 1], None, a) for a in ("viewer", "normal"))
+    np.testing.assert_allclose(facing.back_rgb, facing.disc_image()[DISC_SIZE // 2, DISC_SIZE // 2, :3], atol=1e-6)
+    assert turned.axes[2] @ facing.axes[2] < 0.999
+    np.testing.assert_allclose(turned.back_rgb, facing.back_rgb, atol=1e-6)
+    assert len(turned.rgb) == len(turned.directions)
+
+
 def test_the_point_is_the_median_else_the_strongest_sample_else_what_is_asked(scene: Scene) -> None:
     for density in (200.0, 0.1):
         ray, radiance = opened(scene, density=density)

@@ -47,6 +47,16 @@ def test_bins_hold_the_weight() -> None:
     assert not binned(replace(ray, passes=(none,)), edges).any()
 
 
+def test_the_depth_is_the_median_and_none_where_less_than_half_of_the_light_met_anything() -> None:
+    recorder = HistoryRecorder(0, 100)
+    recorder.add(make_ray(step=0))
+    recorder.add(replace(make_ray(step=1), opacity=0.4, depth_median=None))
+    history = recorder.view()
+    assert history is not None
+    assert history.depth[0] == make_ray().depth_median
+    assert np.isnan(history.depth[1])
+
+
 def test_what_training_went_back_over_is_forgotten() -> None:
     recorder = HistoryRecorder(0, 100)
     for step in (0, 1, 2, 5):
