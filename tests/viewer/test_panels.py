@@ -662,6 +662,12 @@ def test_the_history_opens_where_the_weights_are_and_follows_them(screen: Screen
         screen.frame(panel, state)
     assert shown(replace(history, weights=weights)) == pytest.approx((np.log1p(12_000), *around))
     assert shown(young) == pytest.approx((np.log1p(40), *around))
+    # another ray's begin anew
+    screen.frame(panel, state)
+    imgui.get_io().add_mouse_wheel_event(0, -2)
+    assert shown(young) != pytest.approx((np.log1p(40), *around))
+    other = replace(young, edges=edges + 1)
+    assert shown(other) == pytest.approx((np.log1p(40), around[0] + 1, around[1] + 1))
 
 
 def test_the_history_tells_of_the_record_that_it_shows(screen: Screen, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -41,7 +41,6 @@ class RayHistoryPanel:
 
     def __init__(self) -> None:
         self._of: RayHistory | None = None
-        self._pin = -1
         self._x, self._t = Limits(), Limits()
         self._open = (0.0, 1.0)
         self._map = self._strip = np.zeros((1, 1, 4), np.uint8)
@@ -60,6 +59,7 @@ class RayHistoryPanel:
         if pin is None or history is None:
             hint(ui, "Pin a ray (Ctrl+click): from then on, here is how its weights move while the model learns.")
             return
+        fresh = self._of is None or history.edges is not self._of.edges  # of another pin, or of a training begun anew
         if history is not self._of:
             self._of, self._map, self._strip = history, _map(history), _strip(history)
             self._open = where_weights_are(history)
@@ -68,8 +68,7 @@ class RayHistoryPanel:
         counted = f"{len(history.steps):,} records, steps {history.steps[0]:,} to {history.steps[-1]:,}"
         imgui.text_colored(ui.theme.muted, counted)
         _scale(ui)
-        self._draw(ui, history, fresh=pin.id != self._pin)
-        self._pin = pin.id
+        self._draw(ui, history, fresh)
 
     def _draw(self, ui: Ui, history: RayHistory, fresh: bool) -> None:
         room = imgui.get_content_region_avail()
