@@ -378,6 +378,19 @@ def test_a_tag_lies_whole_in_the_picture(canvas: tuple[Window, ImguiRenderer], e
     assert np.abs(lit - (y, x)).max(1).min() < 2 * 13.0
 
 
+def test_the_tag_of_a_ray_seen_from_its_camera_lies_to_the_right(canvas: tuple[Window, ImguiRenderer]) -> None:
+    camera, blue = make_camera(np.array([3.2, 0, 2.4])), ImVec4(0, 0, 1, 1)
+    start, end = (camera.c2w[:, 3] - t * camera.c2w[:, 2] for t in (2.0, 6.0))
+    side = 1e-9 * camera.c2w[:, 0]
+    for shift in (-side, side):
+
+        def draw(lists: imgui.ImDrawList, last: np.ndarray = end + shift) -> None:
+            Overlay(lists, camera, (0.0, 0.0), 1e-3).tag(start, last, "a", 13.0, blue, blue)
+
+        lit = np.argwhere((paint(canvas, draw) == [0, 0, 255]).all(-1))
+        assert lit[:, 1].min() > camera.cx + 13.0
+
+
 def test_a_tag_of_what_is_out_of_sight_is_not_drawn(canvas: tuple[Window, ImguiRenderer]) -> None:
     camera, blue = make_camera(np.array([3.2, 0, 2.4])), ImVec4(0, 0, 1, 1)
     behind = camera.c2w[:, 3] + camera.c2w[:, 2]

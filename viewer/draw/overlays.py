@@ -59,7 +59,8 @@ class Overlay:
             return
         size, pad, gap = imgui.calc_text_size(text), 0.3 * em, 1.4 * em  # clear of what marks a sample there
         x, y = ends[0]
-        x = x + gap if x >= starts[0, 0] else x - gap - size.x
+        leftwards = x < starts[0, 0] - em  # of a ray seen from its own camera only rounding would tell
+        x = x - gap - size.x if leftwards else x + gap
         x = max(min(x, self._camera.width - size.x - pad), pad)
         y = max(min(y - size.y / 2, self._camera.height - size.y), 0.0)
         at = ImVec2(float(int(self._origin[0] + x)), float(int(self._origin[1] + y)))
