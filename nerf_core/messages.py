@@ -262,7 +262,7 @@ class Snapshot:
     history: History = field(default_factory=History)
     preview: Preview | None = None
     opened: Opened | None = None  # the ray under the lens
-    opened_step: int = -1  # of which all of it is; −1: some of it is older, or not there yet
+    opened_step: int = -1  # of its ray, the rest is as new; −1: some of it is older, or not there yet
     pinned: tuple[Pinned, ...] = ()
     session: Mapping[str, Any] = field(default_factory=dict)  # what the newest loaded checkpoint brought back
     export: Export | None = None

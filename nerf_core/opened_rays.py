@@ -54,7 +54,8 @@ class _Pin:
 class OpenedRays:
     """Does one piece at a time: a ray, its verdict, its radiance, its walk. Owned by the worker thread.
 
-    `opened` has the newest of each of one ray; `opened_step` is the step of all of it, −1 while it is not whole.
+    `opened` has the newest of each of one ray; `opened_step` is the step at which its ray was opened, −1 while the rest
+    is not there or older. While training goes on, the rest may be some steps younger: panels do not wait for that.
     """
 
     def __init__(self) -> None:
@@ -71,6 +72,7 @@ class OpenedRays:
         self._asked = command
         self._pieces: Iterator[None] | None = None
         self._clock.reset()
+        self._pure = False  # whether all of what is opened is of one step
         self._waiting = command is not None
         if not same:
             self.opened: Opened | None = None
@@ -112,7 +114,7 @@ class OpenedRays:
 
     def whole(self, trainer: Trainer, names: Mapping[int, str]) -> list[Opened]:
         """The ray under the lens, then the pinned ones that have names; one that is both comes once. What is not whole
-        yet is opened whole now."""
+        yet, or of several steps, is opened whole now: a file is of one step a ray."""
         pins = [(self._pins[number], name) for number, name in names.items() if number in self._pins]
         found = [] if self._asked is None else [self._whole(self._asked, trainer)]
         rays = [] if self._asked is None else [self._asked]
@@ -126,7 +128,7 @@ class OpenedRays:
         return found
 
     def _whole(self, ray: Inspect, trainer: Trainer) -> Opened:
-        if ray is self._asked and self.opened is not None and self.opened_step >= 0:
+        if ray is self._asked and self.opened is not None and self.opened_step >= 0 and self._pure:
             return self.opened
         return open_pixel(
             trainer.method, trainer.scene, ray.camera, ray.pixel, trainer.step_count, ray.point_t, ray.around
@@ -184,7 +186,7 @@ class OpenedRays:
         except Exception:
             self._asked = self._pieces = None  # a ray that cannot be opened is reported once, not twice a second
             raise
-        self.opened_step, self._waiting = step, False
+        self.opened_step, self._waiting, self._pure = step, False, trainer.step_count == step
 
 
 def _with_older(new: Opened, old: Opened) -> Opened:

@@ -15,7 +15,7 @@ from nerf_core.probe.ray import MOST_RAYS, sample_ends
 from nerf_core.scene import Scene
 from nerf_core.types import Rays, Trace
 
-MOST_VIEWS = 256  # that are asked about one point: those that look at it most as the ray does
+MOST_VIEWS = 256  # that are asked about one point: half of them those that look at it most as the ray does
 FAR_DEGREES = 20.0  # from the nearest photo: what the model says there was never compared with anything
 SEEN = 0.5  # transmittance up to a point from which on a photo is said to see it
 
@@ -80,6 +80,19 @@ def unseen(directions: np.ndarray, evidence: Sightings | None) -> np.ndarray:
     return cosines.max(0) < np.cos(np.radians(FAR_DEGREES))
 
 
+def _spread(looks: np.ndarray, first: int, most: int) -> np.ndarray:
+    """Which of N unit looks (N, 3) to take, `most` of them: the `first`, then the one farthest from all that are taken,
+    again and again, so that no direction that somebody looked from is far from all of them. Ascending indices."""
+    if len(looks) <= most:
+        return np.arange(len(looks))
+    taken = list(range(first))
+    nearest = np.einsum("nc,kc->nk", looks, looks[:first]).max(-1)  # cosine to the nearest that is taken
+    while len(taken) < most:
+        taken.append(int(nearest.argmin()))
+        nearest = np.maximum(nearest, looks @ looks[taken[-1]])
+    return np.sort(taken)
+
+
 class Witnesses:
     """A scene's training photos, ready to be asked; made once a scene, for its cameras lie side by side."""
 
@@ -121,7 +134,8 @@ class Witnesses:
         looks = offsets / np.maximum(distance, 1e-12)[:, None]  # a camera in the point itself looks nowhere
         angle = np.arccos(np.clip(looks @ towards, -1, 1))
         index = np.flatnonzero(framed)
-        index = index[np.argsort(angle[index], kind="stable")[:MOST_VIEWS]]
+        index = index[np.argsort(angle[index], kind="stable")]
+        index = index[_spread(looks[index], MOST_VIEWS // 2, MOST_VIEWS)]
         light, share, predicted = self._traced(method, index, pixels[index], distance[index], margin)
         looking = torch.from_numpy(looks[index])
         emitted = method.radiance(torch.from_numpy(point)[None], looking)[0].cpu().numpy()

@@ -32,14 +32,14 @@ class HistoryRecorder:
 
     def __init__(self, first: int, last: int) -> None:
         """Of a ray that is watched from step `first` of a schedule that ends at `last`."""
-        self._due = iter((first + log_spaced(max(last - first, 1), RECORDS)).tolist())
-        self._next: int | None = next(self._due, None)
+        self._due = first + log_spaced(max(last - first, 1), RECORDS)
+        self._next = 0  # of those
         self._edges: np.ndarray | None = None
         self._rows: list[tuple[int, np.ndarray, np.ndarray, float, float]] = []
         self._view: RayHistory | None = None
 
     def due(self, step: int) -> bool:
-        return self._next is not None and step >= self._next
+        return self._next < len(self._due) and step >= int(self._due[self._next])
 
     def add(self, ray: RayProbe) -> None:
         """Keep this ray's record; whether one is due is for the caller to ask."""
@@ -50,12 +50,12 @@ class HistoryRecorder:
         depth = np.nan if ray.depth_median is None else ray.depth_median
         self._rows.append((ray.step, binned(ray, self._edges), ray.color, depth, ray.opacity))
         self._view = None
-        while self._next is not None and self._next <= ray.step:
-            self._next = next(self._due, None)
+        self._next = int(np.searchsorted(self._due, ray.step, "right"))
 
     def rewind(self, step: int) -> None:
-        """Forget what came after `step`, which training went back to."""
+        """Forget what came after `step`, which training went back to: its records are due again."""
         self._rows = [row for row in self._rows if row[0] <= step]
+        self._next = int(np.searchsorted(self._due, step, "right"))
         self._view = None
 
     def view(self) -> RayHistory | None:

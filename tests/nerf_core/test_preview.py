@@ -180,7 +180,8 @@ def test_a_level_that_training_overtakes_is_given_up_for_one_that_is_done_in_tim
         assert picture.advance(step, training=True)
         assert picture.stride == 1
         work(picture, begun, 1024)
-    assert picture.advance(now := begun + 201, training=True)  # half is done: all takes 402 steps, a quarter 100
+    now = begun + 201
+    assert picture.advance(now, training=True)  # half is done: all takes 402 steps, a quarter 100
     assert picture.stride == 2
     for step in (now, now + 50):
         assert picture.advance(step, training=True)

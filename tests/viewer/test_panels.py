@@ -526,8 +526,28 @@ def test_the_line_of_a_ray_in_a_photo_passes_through_its_points() -> None:
     for t in (2.5, 3.8, 5.5):
         (pixel,), _ = camera.project((ray.origin + t * ray.direction)[None])
         assert np.nanmin(np.linalg.norm(line - pixel, axis=1)) < 3
-    behind = epipolar(make_camera(ray.origin + 3.0 * ray.direction), ray)
-    assert np.isfinite(behind).any() or np.isnan(behind).all()
+    inside = make_camera(ray.origin + 3.0 * ray.direction)  # on the ray: a part of it lies behind
+    t = np.geomspace(ray.near, ray.far, 96)
+    depth = inside.project(ray.origin + t[:, None] * ray.direction)[1]
+    assert 0 < (depth > 0).sum() < 96
+    np.testing.assert_array_equal(np.isfinite(epipolar(inside, ray)).all(-1), depth > 0)
+
+
+def test_the_photos_angles_are_to_where_one_stands() -> None:
+    from viewer.panels.evidence import _angles, _summary
+
+    snapshot = make_snapshot()
+    evidence, scene = snapshot.evidence, snapshot.scene
+    assert evidence is not None
+    assert scene is not None
+    for k, view in enumerate(evidence.views[:3].tolist()):
+        angles = _angles(evidence, scene.views[view].camera.c2w[:, 3])
+        assert angles[k] == pytest.approx(0, abs=1e-3)
+        assert (np.delete(angles, k) > 0.01).all()
+    np.testing.assert_array_equal(_angles(evidence, evidence.point), evidence.angle)
+    cut = replace(evidence, asked=1000, framed=900)
+    assert f"Of {len(evidence.views)} training photos that were asked" in _summary(cut)
+    assert f"{900 - len(evidence.views)} more have it in their frame; 100 have it outside" in _summary(cut)
 
 
 def test_the_radiance_is_of_the_point_or_of_the_whole_ray(screen: Screen) -> None:

@@ -18,7 +18,7 @@ from viewer.state import Action, AppState, GoToView
 from viewer.widgets import hint, mono, packed, swatch
 
 PHOTO = 400  # pixels of the longer side of the photo that a hover shows, at most
-SHOWN = 48  # photos in the table, the clearest and nearest first
+SHOWN = 48  # photos in the table: of those that see the point, and then the others, the nearest to the ray's look
 THUMBNAIL = 33  # pixels of a photo a side, odd: the point's is in the middle
 COLUMNS = ("photo", "angle", "light", "photo's", "model's", "off", "")
 
@@ -42,8 +42,7 @@ class EvidencePanel:
             return
         if evidence is not self._of:
             self._of, self._sheet = evidence, _sheet(scene, evidence)
-        count, hidden = int(evidence.seen.sum()), int((~evidence.seen).sum())
-        hint(ui, f"{count:,} of {evidence.asked:,} training photos see the point; from {hidden:,} it is hidden.")
+        hint(ui, _summary(evidence))
         if not len(evidence.views):
             return
         flags = imgui.TableFlags_.scroll_y | imgui.TableFlags_.sizing_fixed_fit
@@ -52,8 +51,9 @@ class EvidencePanel:
             for name in COLUMNS:
                 imgui.table_setup_column(name)
             imgui.table_headers_row()
-            for k in range(min(len(evidence.views), SHOWN)):
-                yield from self._row(ui, scene, evidence, k, ray)
+            angles = _angles(evidence, state.camera.c2w()[:, 3])
+            for k in np.lexsort((angles, ~evidence.seen[:SHOWN])).tolist():
+                yield from self._row(ui, scene, evidence, k, float(angles[k]), ray)
             imgui.end_table()
 
     def _photo(self, ui: Ui, scene: Scene, evidence: Sightings, k: int, ray: RayProbe) -> None:
@@ -77,7 +77,9 @@ class EvidencePanel:
         line = epipolar(camera, ray) * scale
         for a, b in pairwise(line):
             if np.isfinite(a).all() and np.isfinite(b).all():
-                draw.add_line(ImVec2(at.x + a[0], at.y + a[1]), ImVec2(at.x + b[0], at.y + b[1]), color, 0.1 * ui.em)
+                ends = ImVec2(at.x + a[0], at.y + a[1]), ImVec2(at.x + b[0], at.y + b[1])
+                draw.add_line(*ends, packed(ui.theme.surface), 0.3 * ui.em)
+                draw.add_line(*ends, color, 0.1 * ui.em)
         x, y = evidence.pixels[k] * scale
         draw.add_circle(ImVec2(at.x + x, at.y + y), 0.5 * ui.em, packed(ui.theme.text), thickness=0.12 * ui.em)
         draw.pop_clip_rect()
@@ -85,7 +87,7 @@ class EvidencePanel:
         imgui.text_colored(ui.theme.muted, "the line is the ray; click to fly there")
         imgui.end_tooltip()
 
-    def _row(self, ui: Ui, scene: Scene, evidence: Sightings, k: int, ray: RayProbe) -> Iterator[Action]:
+    def _row(self, ui: Ui, scene: Scene, evidence: Sightings, k: int, angle: float, ray: RayProbe) -> Iterator[Action]:
         imgui.table_next_row()
         imgui.table_next_column()
         side, rows = 2.6 * ui.em, min(len(evidence.views), SHOWN)
@@ -104,7 +106,7 @@ class EvidencePanel:
         ui.mark(f"evidence.{k}")
         off = float(np.abs(evidence.observed[k] - evidence.predicted[k]).mean())
         with mono(ui):
-            for text in (f"{np.degrees(evidence.angle[k]):.0f}°", f"{evidence.transmittance[k]:.2f}"):
+            for text in (f"{np.degrees(angle):.0f}°", f"{evidence.transmittance[k]:.2f}"):
                 imgui.table_next_column()
                 imgui.text_unformatted(text)
             for rgb in (evidence.observed[k], evidence.predicted[k]):
@@ -115,6 +117,25 @@ class EvidencePanel:
             imgui.table_next_column()
             if not evidence.seen[k]:
                 imgui.text_colored(ui.theme.muted, "hidden")
+
+
+def _summary(evidence: Sightings) -> str:
+    seen, looked = int(evidence.seen.sum()), len(evidence.views)
+    words = [f"{seen:,} of {evidence.asked:,} training photos see the point", f"from {looked - seen:,} it is hidden"]
+    if evidence.framed > looked:
+        words[0] = f"Of {looked:,} training photos that were asked {seen:,} see the point"
+        words.append(f"{evidence.framed - looked:,} more have it in their frame")
+    outside = evidence.asked - evidence.framed
+    return "; ".join([*words, *([f"{outside:,} have it outside their frame"] if outside else [])]) + "."
+
+
+def _angles(evidence: Sightings, eye: np.ndarray) -> np.ndarray:
+    """Radians between the first SHOWN photos' looks at the point and the one from `eye` (3,)."""
+    towards = eye - evidence.point
+    distance = float(np.sqrt((towards * towards).sum()))
+    if distance == 0:  # an eye in the point looks nowhere
+        return evidence.angle[:SHOWN]
+    return np.arccos(np.clip((evidence.directions[:SHOWN] * towards).sum(-1) / distance, -1, 1))
 
 
 def epipolar(camera: Camera, ray: RayProbe) -> np.ndarray:

@@ -224,7 +224,7 @@ def test_under_ndc_density_is_per_length_of_ndc(scene: Scene) -> None:
 
 
 def test_what_has_no_end_is_behind_all_that_is_before_it(scene: Scene) -> None:
-    """The last sample of a ray in open space is 10¹⁰ long: the light that reaches it is still what the others let by."""
+    """The last sample of a ray in open space is 10¹⁰ long: the light that reaches it is what the others let by."""
     method = guided(run(replace(scene, synthetic=False), 60, least=0.0))
     method.networks = {"fine": _Fog()}  # pyright: ignore[reportAttributeAccessIssue]
     rays = first_rays(scene)

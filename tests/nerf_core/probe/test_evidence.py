@@ -12,6 +12,7 @@ from panel_states import make_scene
 
 from nerf_core.cameras import Camera
 from nerf_core.probe import Witnesses, diffuse_of
+from nerf_core.probe.evidence import unseen
 from nerf_core.scene import Scene
 
 BALL = Ball((0.0, 0.0, 0.0), 0.7, (0.5, 0.3, 0.2), gloss=0.2)
@@ -38,6 +39,19 @@ def test_photos_that_have_the_point_in_their_frame_are_told_from_the_others() ->
             if framed[k]:
                 np.testing.assert_allclose(pixels[k], pixel, atol=1e-9)
         assert np.isfinite(pixels).all()
+
+
+def test_of_very_many_photos_those_are_asked_that_look_from_everywhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As many as one likes: what one of them looked at from nearby is no extrapolation."""
+    monkeypatch.setattr("nerf_core.probe.evidence.MOST_VIEWS", 40)
+    scene = ring_scene(BALL, count=120, size=8)
+    look = -SIDE / np.linalg.norm(SIDE)
+    asked = Witnesses(scene).look(model_of(scene, BALL), np.array([0.0, 0.0, 0.72]), look, 0.05)
+    assert (asked.framed, len(asked.views), len(np.unique(asked.views))) == (120, 40, 40)
+    monkeypatch.setattr("nerf_core.probe.evidence.MOST_VIEWS", 120)
+    everybody = Witnesses(scene).look(model_of(scene, BALL), np.array([0.0, 0.0, 0.72]), look, 0.05)
+    assert set(everybody.views[np.argsort(everybody.angle)][:20]) <= set(asked.views)
+    assert not unseen(everybody.directions[everybody.seen], asked).any()
 
 
 def test_what_a_lens_folds_into_the_frame_is_not_in_it() -> None:

@@ -66,5 +66,11 @@ def test_what_training_went_back_over_is_forgotten() -> None:
     history = recorder.view()
     assert history is not None
     assert history.steps.tolist() == [0, 1, 2]
+    for step in range(3, 101):
+        if recorder.due(step):
+            recorder.add(make_ray(step=step))
+    history = recorder.view()
+    assert history is not None
+    assert history.steps.tolist() == list(range(101))  # all of a schedule as short as this, twice trained or not
     empty = HistoryRecorder(0, 100)
     assert empty.view() is None
