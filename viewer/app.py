@@ -150,14 +150,15 @@ class App:
         return True
 
     def _focus_behind(self) -> None:
-        """A double click on a floater lands on the surface behind it, as soon as the verdict says that it is one."""
+        """A double click lands where the verdict has the surface, as soon as there is one: behind a floater, and not
+        between two surfaces, where the picture's mean depth is."""
         state, opened = self.state, self.state.snapshot.opened
         if state.focus is None or opened is None or opened.verdict is None:
             return
         if opened.camera is not state.focus.camera or opened.ray.pixel != state.focus.pixel:
             return
-        state.focus = None
-        if opened.verdict.kind == "floater" and opened.verdict.surface_t is not None:
+        stood, state.focus = state.focus.camera.c2w[:, 3], None
+        if opened.verdict.surface_t is not None and np.allclose(state.camera.c2w()[:, 3], stood):  # else they went on
             state.camera.focus(opened.ray.origin + opened.verdict.surface_t * opened.ray.direction)
 
     def _request_view(self, now: float) -> None:

@@ -53,7 +53,7 @@ class ViewportInput:
             state.camera.zoom(io.mouse_wheel, x, y, width, height)
             state.current_view = None
         if active and self._press is None:
-            self._begin(state, x, y)
+            self._begin(state, x, y, em)
         press = self._press
         if press is None:
             return
@@ -65,7 +65,7 @@ class ViewportInput:
         if press.button == LEFT and near and not (press.dragging or press.focused):
             self._inspect(state, int(np.floor(press.x)), int(np.floor(press.y)))
 
-    def _begin(self, state: AppState, x: float, y: float) -> None:
+    def _begin(self, state: AppState, x: float, y: float, em: float) -> None:
         button = next((b for b in (LEFT, RIGHT, MIDDLE) if imgui.is_mouse_down(b)), None)
         if button is None:
             return
@@ -76,9 +76,11 @@ class ViewportInput:
             point = point_under(state, column, row)
             if point is not None:
                 self.actions.append(FocusOn(point))
-                asked = state.inspect  # of the double click's first press
-                same = asked is not None and asked.pixel == (column, row)
-                state.focus = asked if same else None
+            asked = state.inspect  # of the double click's first press, if that was one and has not moved since
+            camera = state.camera.camera(*state.viewport)
+            if asked is None or not same_view(asked.camera, camera) or _apart(asked.pixel, (x, y)) > _reach(em):
+                asked = self._inspect(state, column, row)
+            state.focus = asked
 
     def _follow(self, state: AppState, press: _Press, x: float, y: float, em: float) -> None:
         press.dragging |= max(abs(x - press.x), abs(y - press.y)) > _reach(em)
@@ -93,13 +95,16 @@ class ViewportInput:
             state.camera.pan(dx, dy, height)
         state.current_view = None
 
-    def _inspect(self, state: AppState, x: int, y: int) -> None:
+    def _inspect(self, state: AppState, x: int, y: int) -> Inspect | None:
+        """Open the ray of a pixel; None outside the picture."""
         width, height = state.viewport
-        if state.snapshot.scene is not None and 0 <= x < width and 0 <= y < height:
-            ray = Inspect(state.camera.camera(width, height), (x, y))
-            self.actions.append(ray)
-            if imgui.get_io().key_ctrl:
-                self.actions.append(PinRay(ray))
+        if state.snapshot.scene is None or not (0 <= x < width and 0 <= y < height):
+            return None
+        ray = Inspect(state.camera.camera(width, height), (x, y))
+        self.actions.append(ray)
+        if imgui.get_io().key_ctrl:
+            self.actions.append(PinRay(ray))
+        return ray
 
     # ---- keys -------------------------------------------------------------------------------------------------
 
@@ -237,6 +242,10 @@ def _close_menus() -> bool:
         return False
     imgui.internal.close_popup_to_level(0, True)
     return True
+
+
+def _apart(pixel: tuple[int, int], place: tuple[float, float]) -> float:
+    return max(abs(pixel[0] + 0.5 - place[0]), abs(pixel[1] + 0.5 - place[1]))
 
 
 def _reach(em: float) -> float:

@@ -686,7 +686,36 @@ def test_a_checkpoint_carries_the_pins(start: Start) -> None:
     assert "cannot be read" in app.state.notices[-1].notice.text
 
 
-def test_a_double_click_on_a_floater_lands_behind_it(start: Start) -> None:
+def test_the_presses_of_a_double_click_may_be_some_pixels_apart(start: Start) -> None:
+    app, worker = start()
+    rest(app)
+    app._focus_behind = lambda: None  # pyright: ignore[reportAttributeAccessIssue]  the verdict is still to come
+    x, y = middle(app)
+    app.hand.click(x, y)
+    app.hand.click(x + 2, y - 1)
+    assert sum(isinstance(command, Inspect) for command in worker.sent) == 1
+    assert app.state.focus is not None
+    assert app.state.focus is app.state.inspect
+
+
+def test_a_double_click_opens_a_ray_where_its_first_press_did_not(start: Start) -> None:
+    """That press closed a menu, say."""
+    app, worker = start()
+    rest(app)
+    app._focus_behind = lambda: None  # pyright: ignore[reportAttributeAccessIssue]
+    x, y = middle(app)
+    app.hand.click(x, y)
+    app.state.inspect = None
+    app.hand.click(x, y)
+    assert sum(isinstance(command, Inspect) for command in worker.sent) == 2
+    assert app.state.focus is not None
+    assert app.state.focus is app.state.inspect
+
+
+@pytest.mark.parametrize("kind", ["floater", "several surfaces"])
+def test_a_double_click_lands_where_the_verdict_has_the_surface(
+    start: Start, kind: Literal["floater", "several surfaces"]
+) -> None:
     app, worker = start()
     x, y = middle(app)
     app.hand.double_click(x, y)
@@ -695,11 +724,15 @@ def test_a_double_click_on_a_floater_lands_behind_it(start: Start) -> None:
     assert opened is not None
     assert app.state.focus is None  # the verdict, a surface, has come already
     app.state.focus = app.state.inspect
-    worker.current = replace(
-        worker.current, opened=replace(opened, verdict=Verdict("floater", ("one layer",), 7.5, ()))
-    )
+    worker.current = replace(worker.current, opened=replace(opened, verdict=Verdict(kind, ("one layer",), 7.5, ())))
     app.settle(40)  # the camera eases there
     np.testing.assert_allclose(app.state.camera.pivot, opened.ray.origin + 7.5 * opened.ray.direction, atol=1e-4)
+    app.state.focus = app.state.inspect
+    app.state.camera.orbit(80, 10, 600)  # who goes on meanwhile is not called back
+    pivot = app.state.camera.pivot.copy()
+    app.settle(40)
+    assert app.state.focus is None
+    np.testing.assert_array_equal(app.state.camera.pivot, pivot)
 
 
 def test_a_render_mode_is_asked_for_with_a_key(start: Start) -> None:
