@@ -98,20 +98,30 @@ class MlpModel:
 
     @torch.no_grad()
     def code_station(self, rays: Rays, samples: Samples) -> Station:
-        """γ at the heaviest of the first ray's samples."""
+        """γ at the heaviest of the first ray's samples: what the network is given of it."""
         strongest = int(samples.weights[0].argmax())
         point = (rays.origins + samples.t[:1, strongest, None].to(rays.origins) * rays.directions).to(self.device)
         x, field = self._seen(point), self.final
         position = field.encode_positions(x)[0].float().cpu().numpy()
         direction = self.parametrise(rays.to(self.device)).encoded[0].float().cpu().numpy()
-        peak = max(float(np.abs(position).max()), float(np.abs(direction).max()))
+        codes = {"γ(x)": position, "γ(d)": direction} if self.config.view_directions else {"γ(x)": position}
+        what = "The network is given bare coordinates, without sines and cosines: near points look alike to it. "
+        if self.config.position_frequencies:
+            what = ("The network is not given bare coordinates: γ adds sines and cosines of doubling frequency, so "
+                    "that near points look different to it. ")  # fmt: skip
         return Station(
             "Encoding",
-            "The network is not given bare coordinates: γ adds sines and cosines of doubling frequency, so that near "
-            "points look different to it. Here the heaviest sample's place x, and the direction d.",
-            (BarCode(("γ(x)", "γ(d)"), (position, direction), peak),),
-            (("x", triple(x[0].cpu().numpy())), ("numbers", f"{len(position)} + {len(direction)}")),
+            what
+            + "Here the heaviest sample's place x"
+            + (", and the direction d." if self.config.view_directions else "; of the direction it is told nothing."),
+            (BarCode(tuple(codes), tuple(codes.values()), max(float(np.abs(code).max()) for code in codes.values())),),
+            (("x", triple(x[0].cpu().numpy())), ("numbers", " + ".join(str(len(code)) for code in codes.values()))),
         )
+
+    @property
+    def towards(self) -> str:
+        """Whom the network's colours are for."""
+        return "towards the camera" if self.config.view_directions else "to all sides"
 
     def frozen(self) -> Self:
         copy = object.__new__(type(self))

@@ -71,6 +71,11 @@ def triple(values: np.ndarray) -> str:
     return "  ".join(f"{float(v):.3f}" for v in values)
 
 
+def nothing_station() -> Station:
+    """Of a ray without samples."""
+    return Station("No samples", "Nothing along this ray is worth a look: what comes back is the background alone.")
+
+
 def field_station(samples: Samples, sentence: str, title: str = "Density and colour") -> Station:
     """Density and colour along the first ray of `samples`."""
     t, sigma, rgb = (v[0].float().cpu().numpy() for v in (samples.t, samples.sigma, samples.rgb))

@@ -33,7 +33,16 @@ from nerf_core.kernels.voxel_kernels import Adam, March, Traced
 from nerf_core.packing import to_trace
 from nerf_core.scene import Scene
 from nerf_core.spaces import Space, pixel_size
-from nerf_core.stations import BarCode, Colors, Station, absorption_station, field_station, number, skipped_station
+from nerf_core.stations import (
+    BarCode,
+    Colors,
+    Station,
+    absorption_station,
+    field_station,
+    nothing_station,
+    number,
+    skipped_station,
+)  # fmt: skip
 from nerf_core.types import Rays, Rendering, Trace
 from nerf_core.voxel_config import VoxelConfig
 
@@ -251,6 +260,10 @@ class VoxelModel:
     @torch.no_grad()
     def explain(self, rays: Rays) -> tuple[Station, ...]:
         samples = self.trace(rays).passes[0]
+        count = 0 if samples.count is None else int(samples.count[0])
+        skipped = skipped_station(samples, self.grid, self.config.step)
+        if not count:
+            return skipped, nothing_station()
         strongest = int(samples.weights[0].argmax())
         point = rays.origins + samples.t[:, strongest, None] * rays.directions
         cell, within = self.grid.cells_of(self.space.points(point))
@@ -261,9 +274,8 @@ class VoxelModel:
         row, d = self.shown.interpolate(cell, within)[0], rays.directions
         basis = self._basis(d)[0].numpy()
         coefficients = row[:DENSITY].view(3, 4).numpy()
-        count = 0 if samples.count is None else int(samples.count[0])
         return (
-            skipped_station(samples, self.grid, self.config.step),
+            skipped,
             Station(
                 "Grid",
                 "The heaviest sample lies in a cell whose 8 corners each hold a raw density s and coefficients of "
@@ -279,7 +291,9 @@ class VoxelModel:
                 (BarCode(("Y(d)", "red", "green", "blue"), (basis, *coefficients), float(np.abs(coefficients).max())),
                  Colors(("towards this camera",), torch.sigmoid(torch.from_numpy(coefficients @ basis))[None].numpy())),
             ),
-            field_station(samples, f"{count} samples, a line of rows each: there is no network to ask."),
+            field_station(
+                samples, f"At each of its {count} samples the grid is looked up like this: there is no network to ask."
+            ),
             absorption_station(samples),
         )  # fmt: skip
 

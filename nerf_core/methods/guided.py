@@ -24,7 +24,7 @@ from nerf_core.methods import METHODS
 from nerf_core.mlp_model import MlpModel, Parametrised
 from nerf_core.packing import Packed, opened
 from nerf_core.scene import Scene
-from nerf_core.stations import Marks, Station, Stems, absorption_station, field_station
+from nerf_core.stations import Marks, Station, Stems, absorption_station, field_station, nothing_station
 from nerf_core.types import Rays, Rendering, Trace
 from nerf_core.voxel_model import VoxelModel
 
@@ -198,7 +198,7 @@ class GuidedNerf(MlpModel):
         guide, fine = self.trace(rays).passes
         t, weights = (v[0].cpu().numpy() for v in (guide.t, guide.weights))
         count = 0 if fine.count is None else int(fine.count[0])
-        return (
+        found = (
             Station(
                 "The guide",
                 "A voxel grid that was trained first knows where the ray meets something: its samples' weights.",
@@ -210,10 +210,13 @@ class GuidedNerf(MlpModel):
                 "the network, where the paper's method would ask at 256.",
                 (Marks(fine.t[0, :count].cpu().numpy(), np.zeros(0, np.float32)),),
             ),
+        )
+        if not count:
+            return (*found, nothing_station())
+        return (
+            *found,
             self.code_station(rays, fine),
-            field_station(
-                fine, "The paper's network is asked at each: how dense, and which colour towards the camera?"
-            ),
+            field_station(fine, f"The paper's network is asked at each: how dense, and which colour {self.towards}?"),
             absorption_station(fine),
         )
 

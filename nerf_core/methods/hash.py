@@ -32,7 +32,7 @@ from nerf_core.optimizers import adam_state, load_adam
 from nerf_core.packing import to_trace
 from nerf_core.scene import Scene
 from nerf_core.spaces import Space, pixel_size
-from nerf_core.stations import BarCode, Station, absorption_station, field_station, skipped_station
+from nerf_core.stations import BarCode, Station, absorption_station, field_station, nothing_station, skipped_station
 from nerf_core.types import Rays, Rendering, Trace
 
 TILE = 2048  # rays drawn at once on a CPU: some 10 ms
@@ -254,6 +254,9 @@ class Hash:
     @torch.no_grad()
     def explain(self, rays: Rays) -> tuple[Station, ...]:
         samples = self.trace(rays).passes[0]
+        skipped = skipped_station(samples, self.occupancy.cells, self.step_cells)
+        if samples.count is not None and not int(samples.count[0]):
+            return skipped, nothing_station()
         strongest = int(samples.weights[0].argmax())
         rays = rays.to(self.device)
         point = rays.origins + samples.t[:, strongest, None] * rays.directions
@@ -264,7 +267,7 @@ class Hash:
         vector, harmonics = geometry[0].cpu().numpy(), spherical_harmonics(rays.directions)[0].cpu().numpy()
         peak = max(float(np.abs(vector).max()), float(np.abs(harmonics).max()))
         return (
-            skipped_station(samples, self.occupancy.cells, self.step_cells),
+            skipped,
             Station(
                 "Hash grid",
                 f"{len(levels)} grids, each finer than the last, hold {levels.shape[1]} numbers a corner; the finer "

@@ -19,7 +19,7 @@ from nerf_core.mlp_model import MlpModel, Parametrised
 from nerf_core.nerf_config import NerfConfig
 from nerf_core.sampling import cumulative, inverse_transform, spaced, stratified
 from nerf_core.scene import Scene
-from nerf_core.stations import Marks, Station, Transfer, absorption_station, field_station
+from nerf_core.stations import Marks, Station, Stems, Transfer, absorption_station, field_station
 from nerf_core.types import Rays, Rendering, Samples, Trace
 from nerf_core.volume import absorb, composite, expected_depth
 
@@ -234,25 +234,28 @@ class Nerf(MlpModel):
             Station(
                 "Stratified samples",
                 f"{u.shape[1]} depths, evenly spaced in {spacing}. In training each is drawn anew from its bin, so "
-                "that in the long run every depth is looked at; for a picture it stays in the middle.",
+                "that in the long run every depth is looked at; for a picture they stay where they are here.",
                 (Marks(world(u), world(edges)),),
             ),
             self.code_station(rays, passes[0]),
             field_station(passes[0], "A network is asked at every sample: how dense is it there, and which colour "
-                          "does it emit towards the camera?"),
+                          f"does it emit {self.towards}?"),
             absorption_station(passes[0]),
         ]  # fmt: skip
         if len(passes) > 1:
             middle, weights = (u[:, 1:] + u[:, :-1]) / 2, passes[0].weights[:, 1:-1]
-            count = self.config.fine_samples
+            count, cdf = self.config.fine_samples, cumulative(weights)[0].cpu().numpy()
             draws = inverse_transform(middle, weights, count, None)
             levels = np.linspace(0, 1, count, dtype=np.float32)
             stations += [
                 Station(
                     "Resampling",
-                    f"The coarse weights, made a density, say where {count} more samples are worth it: evenly spaced "
-                    "levels (random ones in training), sent through the inverse of its sum, fall where it climbs.",
-                    (Transfer(world(middle), cumulative(weights)[0].cpu().numpy(), levels, world(draws)),),
+                    f"The coarse weights, made a PDF, say where {count} more samples are worth it: evenly spaced "
+                    "levels (random ones in training), sent through the inverse of its sum, fall where that climbs.",
+                    (
+                        Stems("PDF, a bin's share", world((middle[:, 1:] + middle[:, :-1]) / 2), np.diff(cdf)),
+                        Transfer(world(middle), cdf, levels, world(draws)),
+                    ),
                 ),
                 field_station(
                     passes[1], "The fine network is asked at all samples, old and new.", "Fine density, colour"

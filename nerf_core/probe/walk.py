@@ -62,13 +62,13 @@ def _camera_station(camera: Camera, ray: RayProbe) -> Station:
     undone = (("with the lens undone", triple(straight / -straight[2])),) if any(lens) else ()
     return Station(
         "Camera and pixel",
-        "The pixel's centre, less the principal point and over the focal length, is a direction before the camera"
-        + (", once it is undone how the lens bends." if undone else "."),
+        "The pixel's centre (i + ½, j + ½), less the principal point and over the focal length, is a direction before "
+        "the camera" + (", once it is undone how the lens bends." if undone else "."),
         rows=(
             ("picture", f"{camera.width:,} × {camera.height:,}"),
             ("pixel", f"{column:,}, {row:,}"),
-            ("focal length", f"{number(camera.fx)}, {number(camera.fy)} pixels"),
-            ("(i − cx)/fx, −(j − cy)/fy, −1", triple(np.array([x, -y, -1.0]))),
+            ("fx, fy", f"{number(camera.fx)}, {number(camera.fy)} px"),
+            ("before the camera", triple(np.array([x, -y, -1.0]))),
             *undone,
         ),
     )
@@ -124,7 +124,7 @@ def _photo_stations(scene: Scene, camera: Camera, ray: RayProbe) -> tuple[Statio
         Station(
             "Loss",
             "The squared difference, averaged over the channels, is this pixel's part of the loss; its gradient flows "
-            "back along the same path to every sample's density and colour."
+            "back to every sample's density and colour, but not to where the samples lie."
             + (" Both networks are supervised: their losses are added." if len(off) > 1 else ""),
             rows=tuple((name, number(value)) for name, value in off),
         ),

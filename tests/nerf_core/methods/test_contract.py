@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from nerf_core.cameras import camera_rays
 from nerf_core.methods import METHODS, Method, guided
 from nerf_core.methods import hash as hash_method
 from nerf_core.scene import Scene
+from nerf_core.stations import BarCode, Stems, Transfer
 from nerf_core.types import Rays
 
 CPU = torch.device("cpu")
@@ -169,6 +171,41 @@ def test_a_walk_has_stations_with_finite_values(make: MakeMethod, scene: Scene) 
                 for value in chart:
                     if isinstance(value, np.ndarray):
                         assert np.isfinite(value).all(), station.title
+
+
+def test_the_walk_of_a_ray_that_meets_nothing_says_so(make: MakeMethod, scene: Scene) -> None:
+    method, (rays, _) = trained(make(), scene), some_rays(scene, 1)
+    away = replace(rays, origins=rays.origins + 100, near=rays.near * 0 + 1, far=rays.far * 0 + 2)
+    last = method.trace(away).passes[-1]
+    titles = [station.title for station in method.explain(away)]
+    if last.count is None:  # the paper's method takes its samples wherever it looks
+        assert "α, T and w" in titles
+    else:
+        assert int(last.count[0]) == 0
+        assert titles[-1] == "No samples"
+        assert "α, T and w" not in titles
+
+
+@pytest.mark.parametrize(
+    ("preset", "bare", "told"),
+    [("complete", False, True), ("no-pe", True, True), ("no-viewdirs", False, False)],
+)
+def test_the_walk_says_what_the_network_is_given(scene: Scene, preset: str, bare: bool, told: bool) -> None:
+    kind = METHODS.get("nerf")
+    method = kind(scene, kind.configure(scene, preset, SMALL["nerf"], CPU), CPU, 0)
+    stations = {station.title: station for station in method.explain(some_rays(scene, 1)[0])}
+    code = stations["Encoding"]
+    assert ("is given bare coordinates" in code.sentence) == bare
+    assert isinstance(code.charts[0], BarCode)
+    assert ("γ(d)" in code.charts[0].names) == told
+    assert len(code.charts[0].values[0]) == (3 if bare else 63)
+    assert ("towards the camera" in stations["Density and colour"].sentence) == told
+    pdf, transfer = stations["Resampling"].charts
+    assert isinstance(pdf, Stems)
+    assert isinstance(transfer, Transfer)
+    assert pdf.y.sum() == pytest.approx(1, abs=1e-5)
+    np.testing.assert_allclose(transfer.cdf[1:], pdf.y.cumsum(), atol=1e-5)
+    np.testing.assert_allclose(np.interp(transfer.draws, transfer.edges, transfer.cdf), transfer.u, atol=1e-3)
 
 
 @pytest.mark.parametrize("name", ["nerf", "nerf-guided"])
