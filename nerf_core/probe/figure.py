@@ -11,39 +11,51 @@ from typing import Any
 import numpy as np
 
 from nerf_core.probe.evidence import unseen
+from nerf_core.probe.layers import grain_at
 from nerf_core.probe.opened import Opened
-from nerf_core.probe.radiance import disc_grid
+from nerf_core.probe.radiance import DISC_SIZE, disc_grid
 from nerf_core.probe.ray import PassProbe
+from nerf_core.probe.verdict import NOTHING
 
-FINE, COARSE, LIGHT, ALPHA, DENSITY = "#0072b2", "#e69f00", "#cc79a7", "#56b4e9", "#009e73"  # Okabe and Ito's
-WIDTH, HEIGHT = 7.0, 3.7  # inches: a column of text, and a ray
+FINE, COARSE, LIGHT, ALPHA, DENSITY = "#0072b2", "#e69f00", "#cc79a7", "#d55e00", "#009e73"  # Okabe and Ito's
+WIDTH, HEIGHT = 7.0, 3.9  # inches: a column of text, and a ray
 DOTS = 200  # an inch
+LEFT = 0.02  # where a ray's words begin, and as far from the right edge they end
+TAIL = 0.001  # of a pass's weight, at either end: what is drawn need not hold it
+MARGIN = 0.15  # of what is drawn, on either side
+FEWEST = 4.0  # grains: no shorter part of a ray is drawn
+STYLE: dict[Any, Any] = {
+    "font.size": 8,
+    "svg.fonttype": "none",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "svg.hashsalt": "ray",
+    "hatch.linewidth": 0.4,
+}
 
 
 def figure(opened: Sequence[Opened], kind: str) -> bytes:
     """PNG or SVG; a row for each ray."""
     import matplotlib as mpl
+
+    data = io.BytesIO()
+    with mpl.rc_context(STYLE):
+        page(opened).savefig(data, format=kind, metadata={"Date": None} if kind == "svg" else None)
+    return data.getvalue()
+
+
+def page(opened: Sequence[Opened]) -> Any:
+    """matplotlib's Figure of it."""
+    import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(
-        {
-            "font.size": 8,
-            "svg.fonttype": "none",
-            "axes.spines.top": False,
-            "axes.spines.right": False,
-            "svg.hashsalt": "ray",
-            "hatch.linewidth": 0.5,
-            "hatch.color": "#777777",
-        }
-    ):
-        page = Figure(figsize=(WIDTH, HEIGHT * len(opened)), dpi=DOTS)
-        FigureCanvasAgg(page)
+    with mpl.rc_context(STYLE):
+        found = Figure(figsize=(WIDTH, HEIGHT * len(opened)), dpi=DOTS)
+        FigureCanvasAgg(found)
         for k, one in enumerate(opened):
-            _draw(_Row(page, k, len(opened)), one)
-        data = io.BytesIO()
-        page.savefig(data, format=kind, metadata={"Date": None} if kind == "svg" else None)
-    return data.getvalue()
+            _draw(_Row(found, k, len(opened)), one)
+    return found
 
 
 class _Row:
@@ -57,62 +69,143 @@ class _Row:
         return self._page.add_axes(at, **given)
 
     def title(self, text: str, under: str) -> None:
-        left = {"ha": "left", "va": "top", "parse_math": False}
-        self._page.text(0.02, self._bottom + 0.985 * self._height, text, fontsize=9, **left)
-        self._page.text(0.02, self._bottom + 0.93 * self._height, under, fontsize=6.5, color="0.3", **left)
+        """Four lines in all."""
+        lines, below = self._write(text, 2, 0.98, fontsize=9)
+        self._write(under, 4 - lines, below - 0.015, fontsize=6.5, color="0.3")
+
+    def _write(self, text: str, lines: int, top: float, **given: Any) -> tuple[int, float]:
+        """In `lines` at most, as long as there is room, the last one cut short; returns how many, and their end."""
+        top = self._bottom + top * self._height
+        found = self._page.text(LEFT, top, text, ha="left", va="top", parse_math=False, **given)
+        room = (1 - 2 * LEFT) * self._page.bbox.width
+        letters = int(2 * len(text) * min(1.0, room / found.get_window_extent().width))  # more than there is room for
+        while True:
+            found.set_text(textwrap.fill(text, letters, max_lines=lines, placeholder=" …"))
+            box = found.get_window_extent()
+            if box.width <= room or letters == 1:
+                break
+            letters -= 1
+        below = (box.y0 / self._page.bbox.height - self._bottom) / self._height
+        return found.get_text().count("\n") + 1, below
 
 
 def _draw(row: _Row, one: Opened) -> None:
     ray = one.ray
-    top = row.axes(0.1, 0.51, 0.58, 0.29)
-    middle, strip = row.axes(0.1, 0.22, 0.58, 0.25, sharex=top), row.axes(0.1, 0.145, 0.58, 0.04, sharex=top)
+    top = row.axes(0.125, 0.44, 0.555, 0.25)
+    marks, middle, strip = (row.axes(0.125, at, 0.555, height, sharex=top)
+                            for at, height in ((0.7, 0.085), (0.21, 0.2), (0.145, 0.038)))  # fmt: skip
     for axes in (top, middle):
         axes.tick_params(labelbottom=False)
     passes = [_finite(p) for p in ray.passes]
     last = passes[-1]
+    low, high = _shown(one, passes)
     for p in passes:
         if not len(p.t):
             continue
-        color = FINE if p is last else COARSE
         t, until = _stretches(p, ray.far)
-        peak = float(p.weights.max()) or 1.0  # a pass's own: many narrow samples share what a few wide ones have
+        # a pass's own: many narrow samples share what a few wide ones have; next to nothing is not made large
+        scale = float(p.weights.max()) if p.weights.sum() >= NOTHING else 1.0
+        x, w = _steps(t, until, p.weights / scale)
         if p is last:
-            top.bar(t, p.weights / peak, until - t, align="edge", color=color, alpha=0.35, lw=0)
-        for axes, values, tint in ((top, p.weights / peak, color), (middle, p.sigma, DENSITY if p is last else COARSE)):
-            x, y = _steps(t, until, values)
-            label = f"{p.name} w / {peak:.2g}" if axes is top else None
-            axes.plot(x, y, color=tint, lw=1.0, label=label)
+            top.fill_between(x, w, color=FINE, alpha=0.35, lw=0)
+        color, tint = (FINE, DENSITY) if p is last else (COARSE, COARSE)
+        top.plot(x, w, color=color, lw=1.0, label=f"{p.name} w" + (f" / {scale:.2g}" if scale != 1 else ""))
+        middle.plot(*_steps(t, until, p.sigma), color=tint, lw=1.0)
     t, until = _stretches(last, ray.far)
     if len(t):
-        top.plot(*_steps(t, until, last.alpha), color=ALPHA, lw=0.7, label="α")
-    left_over = last.transmittance[-1:] * (1 - last.alpha[-1:])
-    light = np.concatenate([[1.0], last.transmittance, left_over if len(t) else [1.0]])
-    top.plot(np.concatenate([[ray.near], t, [max([ray.far, *t[-1:]])]]), light, color=LIGHT, lw=1.2, label="T")
-    strip.bar(t, 1, until - t, align="edge", color=np.clip(last.rgb, 0, 1), lw=0)
-    for name, mark in (("expected", "v"), ("median", "D"), ("strongest", "o")):
-        depth = getattr(ray, f"depth_{name}")
-        if depth is not None:
-            top.plot([depth], [1.06], mark, color="black", ms=3.5, fillstyle="none", clip_on=False, label=name)
-    top.set(ylim=(0, 1.1), ylabel="w / largest, T, α", xlim=(ray.near, max(ray.far, ray.near + 1e-6)))
-    top.legend(frameon=False, fontsize=6, loc="lower left", ncols=8, bbox_to_anchor=(-0.02, 1.03), borderaxespad=0,
-               columnspacing=1.2, handlelength=1.5)  # fmt: skip
+        top.plot(*_steps(t, until, last.alpha), color=ALPHA, lw=0.8, ls=(0, (3, 1.2)), label="α")
+    passed = np.stack([last.transmittance, last.transmittance * (1 - last.alpha)], 1).ravel()  # before, behind
+    light = np.concatenate([[1.0], passed, passed[-1:] if len(t) else [1.0]])
+    ends = np.concatenate([[ray.near], np.stack([t, until], 1).ravel(), [max([ray.far, *until[-1:]])]])
+    top.plot(ends, light, color=LIGHT, lw=1.2, label="T")
+    # each reaches on under the next that it touches: where two edges met, the paper would shine through
+    under = np.where(_touching(t, until), until[1:], until[:-1])
+    strip.bar(t, 1, np.append(under, until[-1:]) - t, align="edge", color=np.clip(last.rgb, 0, 1), lw=0)
+    _draw_marks(marks, one)
+    if one.radiance is not None:
+        strip.axvline(one.radiance.t, color="white", lw=1.6)
+        for axes in (top, middle, strip):
+            axes.axvline(one.radiance.t, color="black", lw=0.6, label="point" if axes is top else None)
+    if last.weights.sum() < NOTHING:
+        known = np.isfinite(ray.passes[-1].weights).all()
+        _say(top, "the ray met nothing" if known else "the ray's weights are no numbers")
+    top.set(xlim=(low, high), ylim=(0, 1.1), ylabel="w / largest, T, α")
+    top.legend(frameon=False, fontsize=6, loc="lower left", ncols=8, bbox_to_anchor=(0, 1.02), borderaxespad=0,
+               bbox_transform=marks.transAxes, borderpad=0, columnspacing=1.5, handlelength=2)  # fmt: skip
     middle.set(ylabel="σ (1/unit)" if one.scene.ndc is None else "σ (1/NDC unit)")
-    middle.set_ylim(bottom=0)
-    strip.set(yticks=[], xlabel="t (world units)", ylabel="colour")
+    middle.locator_params(axis="y", nbins=4)
+    middle.set_ylim(0, 1.1 * max((_largest(p, ray.far, low, high) for p in passes), default=0.0) or 1.0)
+    if not any(len(p.t) for p in passes):
+        middle.set_yticks([])
+        _say(middle, "no samples")
+    whole = low <= ray.near and high >= ray.far
+    part = "" if whole else f", part of near {ray.near:.3g} … far {ray.far:.3g}"
+    strip.set(yticks=[], ylim=(0, 1), xlabel=f"t (world units){part}", ylabel="colour")
     strip.yaxis.label.set(rotation=0, ha="right", va="center")
+    top.get_figure().align_ylabels([top, middle])
     row.title(*_words(one))
-    _draw_disc(row.axes(0.735, 0.22, 0.25, 0.58), one)
+    _draw_disc(row.axes(0.73, 0.215, 0.25, 0.5), one)
+
+
+def _say(axes: Any, text: str) -> None:
+    paper = {"facecolor": "white", "edgecolor": "none", "pad": 3}
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color="0.3", bbox=paper)
+
+
+def _shown(one: Opened, passes: Sequence[PassProbe]) -> tuple[float, float]:
+    """The part of the ray that is drawn: with its weight, its depths and its point; all of it where it met nothing."""
+    ray = one.ray
+    places = [ray.depth_expected, ray.depth_median, ray.depth_strongest, one.radiance and one.radiance.t]
+    places = [t for t in places if t is not None and np.isfinite(t)]
+    for p in passes:
+        total = np.cumsum(p.weights)
+        if total[-1:].sum() >= NOTHING:
+            t, until = _stretches(p, ray.far)
+            first, last = np.searchsorted(total, total[-1] * np.array([TAIL, 1 - TAIL]))
+            places += [float(t[first]), float(until[last])]
+    if passes[-1].weights.sum() < NOTHING:
+        places += [ray.near, ray.far]
+    low, high = min(places), max(places)
+    least = FEWEST * grain_at(high, one.scene.radius)
+    room = max(MARGIN * (high - low), (least - (high - low)) / 2)
+    low, high = max(low - room, min(low, ray.near)), min(high + room, max(high, ray.far))
+    return low, max(high, low + 1e-6)
+
+
+def _largest(p: PassProbe, far: float, low: float, high: float) -> float:
+    """The largest density between `low` and `high`."""
+    t, until = _stretches(p, far)
+    return float(p.sigma[(until >= low) & (t <= high)].max(initial=0.0))
+
+
+def _draw_marks(axes: Any, one: Opened) -> None:
+    """The three depths, a row each: on a clean surface they are one place."""
+    marks = (("expected depth", one.ray.depth_expected, "v"), ("median depth", one.ray.depth_median, "D"),
+             ("strongest w", one.ray.depth_strongest, "o"))  # fmt: skip
+    known = [(2 - k, *mark) for k, mark in enumerate(marks) if mark[1] is not None]
+    axes.set(ylim=(-0.6, 2.6), yticks=[y for y, *_ in known], yticklabels=[name for _, name, *_ in known])
+    axes.tick_params(axis="y", length=0, labelsize=6)
+    axes.xaxis.set_visible(False)
+    axes.spines[:].set_visible(False)
+    if one.radiance is not None and known:
+        axes.axvline(one.radiance.t, color="black", lw=0.6)
+    for y, name, depth, mark in known:
+        axes.axhline(y, color="0.85", lw=0.5, zorder=0)
+        axes.plot([depth], [y], mark, color="black", mfc="white", ms=3.2, mew=0.7, clip_on=False, label=name, zorder=3)
 
 
 def _words(one: Opened) -> tuple[str, str]:
-    """What it is, and why."""
-    (x, y), camera = one.ray.pixel, one.camera
-    what = f"pixel {x}, {y} of {camera.width} × {camera.height}"
-    about = ", ".join(filter(None, (one.scene.name, one.method, f"step {one.ray.step:,}")))
-    verdict = one.verdict
-    title = ": ".join(filter(None, (one.name, verdict.kind if verdict is not None else "")))
-    reasons = "; ".join(verdict.reasons) if verdict is not None else ""
-    return f"{title or 'a ray'}  —  {what}, {about}", textwrap.fill(reasons, 150, max_lines=2, placeholder=" …")
+    """What it is, and why. A name is left as it was typed."""
+    (x, y), camera, verdict = one.ray.pixel, one.camera, one.verdict
+    what = f"Pixel {x}, {y} of {camera.width} × {camera.height}"
+    about = ", ".join(filter(None, (what, one.scene.name, one.method, f"step {one.ray.step:,}")))
+    title = ": ".join(filter(None, (one.name, verdict.kind if verdict is not None else ""))) or "a ray"
+    reasons = _sentence("; ".join(verdict.reasons)) if verdict is not None else ""
+    return title if one.name else _sentence(title), ". ".join(filter(None, (about, reasons)))
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _finite(p: PassProbe) -> PassProbe:
@@ -129,33 +222,54 @@ def _stretches(p: PassProbe, far: float) -> tuple[np.ndarray, np.ndarray]:
     return t, np.clip(p.until.astype(np.float64), t, np.append(t[1:], max(far, t[-1])))
 
 
+def _touching(t: np.ndarray, until: np.ndarray) -> np.ndarray:
+    """Of each stretch but the last: whether the next begins where it ends."""
+    return t[1:] - until[:-1] <= 1e-3 * (until - t)[:-1]
+
+
 def _steps(t: np.ndarray, until: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A line that is `values` over each stretch, and 0 between two that do not touch."""
     x = np.stack([t, t, until, until], 1).ravel()
-    touches = np.append(t[1:] - until[:-1] <= 1e-3 * (until - t)[:-1], False)
+    touches = np.append(_touching(t, until), False)
     after = np.where(touches, np.append(values[1:], 0), 0)
     before = np.concatenate([[0.0], np.where(touches[:-1], values[:-1], 0)])
     return x, np.stack([before, values, values, after], 1).ravel()
 
 
 def _draw_disc(axes: Any, one: Opened) -> None:
+    import matplotlib as mpl
+    from matplotlib.patches import Circle
+
     axes.set(xlim=(-1.05, 1.05), ylim=(-1.05, 1.05), xticks=[], yticks=[], aspect="equal", frame_on=False)
     radiance = one.radiance
     if radiance is None:
         return
-    axes.imshow(radiance.disc_image(), extent=(-1, 1, -1, 1), interpolation="bilinear")
-    angle = np.linspace(0, 2 * np.pi, 200)
-    axes.plot(np.cos(angle), np.sin(angle), color="black", lw=0.6)
+    rim = axes.add_patch(Circle((0, 0), 1, fill=False, lw=0.6))
     x, y, inside = disc_grid()
+    rgb = np.nan_to_num(_over_the_rim(radiance.disc_image()[..., :3])).clip(0, 1)
+    axes.imshow(rgb, extent=(-1, 1, -1, 1), interpolation="bilinear", zorder=0).set_clip_path(rim)
+    ink = "black" if rgb[inside].mean() > 0.4 else "white"
     far = np.zeros(inside.shape)
     far[inside] = unseen(radiance.directions[-int(inside.sum()) :], one.evidence)
     if far.any():
-        axes.contourf(x, y, far, levels=[0.5, 1.5], colors="none", hatches=["/////"])
+        with mpl.rc_context({"hatch.color": ink}):
+            hatched = axes.contourf(x, y, _over_the_rim(far), levels=[0.5, 1.5], colors="none", hatches=["/////"])
+        hatched.set_clip_path(rim)
+    drawn = False
     if one.evidence is not None:
         seen = one.evidence.directions[one.evidence.seen]
         places = radiance.disc_position(seen)  # NaN is not drawn
+        drawn = bool(np.isfinite(places).any())
         axes.plot(places[:, 0], places[:, 1], "o", ms=2.5, mfc="white", mec="black", mew=0.5)
-    axes.plot(*radiance.disc_position(-one.ray.direction), "+", color="black", ms=7, mew=1)
-    axes.set_title(f"radiance at t = {radiance.t:.3g}", fontsize=8)
-    note = "\nhatched: no photo looked from there" if far.any() else ""
-    axes.set_xlabel(f"view-dependence {radiance.dependence:.3f}{note}", fontsize=7)
+    axes.plot(*radiance.disc_position(-one.ray.direction), "+", color=ink, ms=7, mew=1)
+    axes.set_title(f"radiance at the point, t = {radiance.t:.3g}", fontsize=8)
+    notes = [f"view-dependence {radiance.dependence:.3f}", "+ this ray" + (", ○ photos" if drawn else "")]
+    axes.set_xlabel("\n".join(notes + ["hatched: no photo looked from there"] * bool(far.any())), fontsize=7)
+
+
+def _over_the_rim(values: np.ndarray) -> np.ndarray:
+    """The disc's pixels (DISC_SIZE, DISC_SIZE, ...), each outside the circle as the nearest inside."""
+    x, y, inside = disc_grid()
+    out = np.where(inside, 1, np.hypot(x, y) / (1 - 1.5 / DISC_SIZE))
+    row, column = (np.rint((v / out * DISC_SIZE + DISC_SIZE - 1) / 2).astype(int) for v in (-y, x))
+    return values[row, column]

@@ -51,7 +51,7 @@ def arrays(opened: Opened) -> dict[str, Any]:
     if verdict is not None:
         found["verdict"] = {
             "kind": verdict.kind,
-            "reasons": list(verdict.reasons),
+            "reasons": np.array(verdict.reasons, str),
             "surface_t": verdict.surface_t,
             "layers": [
                 {
@@ -74,7 +74,7 @@ def arrays(opened: Opened) -> dict[str, Any]:
         names = ("point", "t", "directions", "rgb", "frozen_rgb", "axes", "normal", "dependence")
         found["radiance"] = {name: getattr(radiance, name) for name in names}
     if opened.evidence is not None:
-        photos = [opened.scene.views[k].name for k in opened.evidence.views]
+        photos = np.array([opened.scene.views[k].name for k in opened.evidence.views], str)
         found["evidence"] = {"photos": photos, **_plain(opened.evidence)}
     if opened.name:
         found["name"] = opened.name
@@ -127,7 +127,7 @@ def _flatten(value: Any, name: str, into: dict[str, np.ndarray]) -> None:
     if isinstance(value, Mapping):
         for key, inner in value.items():
             _flatten(inner, f"{name}{key}/", into)
-    elif isinstance(value, list) and value and isinstance(value[0], (Mapping, str)):
+    elif isinstance(value, list) and value and isinstance(value[0], Mapping):
         for k, inner in enumerate(value):
             _flatten(inner, f"{name}{k}/", into)
     else:

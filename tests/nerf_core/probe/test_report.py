@@ -6,7 +6,9 @@ import csv
 import io
 import json
 from dataclasses import fields, replace
+from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,12 +16,14 @@ import torch
 from balls import Ball, looking, model_of, ring_scene
 from hypothesis import given
 from hypothesis import strategies as st
-from panel_states import odd_opened
+from panel_states import make_opened, make_ray, odd_opened
 
 from nerf_core.camera_files import camera_of, camera_values, picked_camera
 from nerf_core.cameras import Cameras
 from nerf_core.errors import UserError
-from nerf_core.probe import Opened, RayHistory, open_pixel, write_inspection
+from nerf_core.probe import Opened, PassProbe, RayHistory, open_pixel, write_inspection
+from nerf_core.probe.figure import FEWEST, page
+from nerf_core.probe.layers import grain_at
 from nerf_core.scene import Scene, View
 
 RED = Ball((0.0, 0.0, 0.0), 0.7, (0.8, 0.2, 0.15))
@@ -45,6 +49,21 @@ def test_json_and_npz_hold_the_same_arrays(opened: Opened, tmp_path: Path) -> No
     assert opened.evidence is not None
     np.testing.assert_allclose(text["radiance"]["frozen_rgb"], opened.radiance.frozen_rgb, atol=1e-7)
     np.testing.assert_array_equal(arrays["evidence/views"], opened.evidence.views)
+    for name in ("evidence/photos", "verdict/reasons"):
+        group, key = name.split("/")
+        assert arrays[name].dtype.kind == "U"
+        assert arrays[name].tolist() == text[group][key] != []
+
+
+def test_npz_holds_lists_without_texts(opened: Opened, tmp_path: Path) -> None:
+    assert opened.verdict is not None
+    assert opened.evidence is not None
+    none = opened.evidence.at(np.zeros(0, np.int64))
+    write_inspection([replace(opened, verdict=replace(opened.verdict, reasons=()), evidence=none)], tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as arrays:
+        for name in ("evidence/photos", "verdict/reasons"):
+            assert arrays[name].shape == (0,)
+            assert arrays[name].dtype.kind == "U"
 
 
 def test_csv_has_a_line_a_sample(opened: Opened, tmp_path: Path) -> None:
@@ -72,6 +91,166 @@ def met_nothing(opened: Opened) -> Opened:
     empty = replace(one, **{f.name: getattr(one, f.name)[:0] for f in fields(one) if f.name != "name"})
     depths = dict.fromkeys(("depth_expected", "depth_median", "depth_strongest"))
     return replace(opened, ray=replace(opened.ray, passes=(empty,), opacity=0.0, **depths), verdict=None)
+
+
+# ---- the figure ---------------------------------------------------------------------------------------------------
+
+
+def axes_of(some: Opened) -> dict[str, Any]:
+    axes = page([some]).axes
+    return dict(zip(("top", "marks", "middle", "strip", "disc"), axes, strict=True))
+
+
+def with_pass(some: Opened, t: list[float], until: list[float], weights: list[float]) -> Opened:
+    """One pass of given samples; no depths, and so no marks."""
+    arrays = [np.array(v, np.float32) for v in (t, until, weights)]
+    share = 1 - np.cumsum(arrays[2]) + arrays[2]
+    one = PassProbe("made", arrays[0], arrays[1], arrays[1] - arrays[0], arrays[2], arrays[2] / share, share, arrays[2],
+                    np.full((len(t), 3), 0.5, np.float32))  # fmt: skip
+    depths = dict.fromkeys(("depth_expected", "depth_median", "depth_strongest"))
+    ray = replace(some.ray, near=2.0, far=6.0, passes=(one,), opacity=float(np.sum(weights)), **depths)
+    return replace(some, ray=ray, radiance=None, evidence=None)
+
+
+def test_a_figure_shows_the_part_with_the_weight(opened: Opened) -> None:
+    ray, radiance = opened.ray, opened.radiance
+    assert radiance is not None
+    axes = axes_of(opened)
+    low, high = axes["top"].get_xlim()
+    assert ray.near <= low < high <= ray.far
+    assert high - low < 0.5 * (ray.far - ray.near)
+    assert axes["strip"].get_xlabel().endswith(f"part of near {ray.near:.3g} … far {ray.far:.3g}")
+    last = ray.passes[-1]
+    assert last.weights[(last.t >= low) & (last.until <= high)].sum() > 0.99 * last.weights.sum()
+    for t in (ray.depth_expected, ray.depth_median, ray.depth_strongest, radiance.t):
+        assert t is not None
+        assert low < t < high
+    low, high = axes_of(with_pass(opened, [3.0], [3.0001], [0.9]))["top"].get_xlim()
+    assert low < 3 < high
+    assert high - low == pytest.approx(FEWEST * grain_at(3.0, opened.scene.radius), rel=1e-3)
+    t = ray.near + 0.1
+    assert axes_of(replace(opened, radiance=replace(radiance, t=t)))["top"].get_xlim()[0] < t
+
+
+@pytest.mark.parametrize(
+    ("t", "weights", "whole"),
+    [
+        ([2.0, 3.0, 4.0, 5.0], [0.2, 0.2, 0.2, 0.2], True),
+        ([2.0, 3.0, 4.0, 5.0], [1e-4, 0.9, 1e-4, 1e-4], False),
+        ([2.0, 3.0, 4.0, 5.0], [0.0, 0.04, 0.0, 0.0], True),
+    ],
+)
+def test_a_figure_shows_the_whole_ray_where_it_matters(
+    opened: Opened, t: list[float], weights: list[float], whole: bool
+) -> None:
+    axes = axes_of(with_pass(opened, t, [v + 1 for v in t], weights))
+    low, high = axes["top"].get_xlim()
+    assert (low, high) == (2, 6) if whole else (2 < low < 3 and 4 < high < 6)
+    assert ("part of" in axes["strip"].get_xlabel()) == (not whole)
+
+
+def test_an_empty_ray_says_so(opened: Opened) -> None:
+    for some, said in (
+        (met_nothing(opened), {"the ray met nothing", "no samples"}),
+        (with_pass(opened, [3.0], [3.1], [0.01]), {"the ray met nothing"}),
+        (with_pass(opened, [3.0], [3.1], [0.06]), set()),
+        (odd_opened(), {"the ray's weights are no numbers"}),
+    ):
+        axes = axes_of(some)
+        assert {text.get_text() for part in (axes["top"], axes["middle"]) for text in part.texts} == said
+        low, high = axes["top"].get_xlim()
+        assert (low <= some.ray.near and high >= some.ray.far) == bool(said)
+
+
+def test_next_to_no_weight_is_not_drawn_large(opened: Opened) -> None:
+    for weight, height in ((0.01, 0.01), (0.06, 1.0)):
+        line = axes_of(with_pass(opened, [3.0], [3.1], [weight]))["top"].lines[0]
+        assert max(line.get_ydata()) == pytest.approx(height)
+
+
+def test_depths_that_are_one_place_have_a_row_each(opened: Opened) -> None:
+    depths = dict.fromkeys(("depth_expected", "depth_median", "depth_strongest"), 3.5)
+    marks = axes_of(replace(opened, ray=replace(opened.ray, **depths)))["marks"]
+    rows = dict(zip((text.get_text() for text in marks.get_yticklabels()), marks.get_yticks(), strict=True))
+    assert list(rows) == ["expected depth", "median depth", "strongest w"]
+    drawn = [line for line in marks.lines if line.get_label() in rows]
+    assert [(line.get_xdata()[0], line.get_ydata()[0]) for line in drawn] == [(3.5, y) for y in rows.values()]
+    size = 200 / 72 * max(line.get_markersize() + line.get_markeredgewidth() for line in drawn)
+    heights = np.sort([line.get_transform().transform((3.5, line.get_ydata()[0]))[1] for line in drawn])
+    assert np.diff(heights).min() > size
+    marks = axes_of(replace(opened, ray=replace(opened.ray, depth_median=None)))["marks"]
+    assert [text.get_text() for text in marks.get_yticklabels()] == ["expected depth", "strongest w"]
+
+
+def test_the_point_is_marked_over_t(opened: Opened) -> None:
+    assert opened.radiance is not None
+    t = opened.radiance.t
+    for some, marked in ((opened, True), (replace(opened, radiance=None, evidence=None), False)):
+        axes = axes_of(some)
+        for part in ("top", "middle", "strip"):
+            assert any(list(line.get_xdata()) == [t, t] for line in axes[part].lines) == marked
+        legend = [text.get_text() for text in axes["top"].get_legend().get_texts()]
+        assert ("point" in legend) == marked
+
+
+def test_the_disc_ends_at_its_circle(opened: Opened) -> None:
+    disc = axes_of(opened)["disc"]
+    path = disc.images[0].get_clip_path()
+    corners = disc.transData.transform([(-1, -1), (1, 1)])
+    np.testing.assert_allclose(path.get_fully_transformed_path().get_extents().get_points(), corners, atol=0.1)
+    assert disc.images[0].get_array().min() > 0  # coloured up to the circle: nothing black, nothing empty
+
+
+def test_colours_that_touch_have_no_seam_and_gaps_stay(opened: Opened) -> None:
+    strip = axes_of(with_pass(opened, [2.0, 2.5, 3.5], [2.5, 3.0, 4.0], [0.1, 0.1, 0.1]))["strip"]
+    bars = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in strip.patches]
+    assert bars == [(2, 3), (2.5, 3), (3.5, 4)]
+
+
+def long_name(some: Opened, name: str) -> Opened:
+    return replace(some, name=name, scene=replace(some.scene, name=70 * "m"))
+
+
+def test_a_title_begins_with_a_capital_or_with_its_name(opened: Opened) -> None:
+    for some, title in ((opened, "Surface"), (replace(opened, name="the ball"), "the ball: surface"),
+                        (replace(opened, verdict=None), "A ray")):  # fmt: skip
+        words, under = (text.get_text() for text in page([some]).texts)
+        assert words == title
+        assert under.startswith("Pixel 6, 6 of 13 × 13, balls, nerf, step 7")
+
+
+def words_of(axes: Any) -> list[Any]:
+    """The texts that are drawn: labels of ticks in view alone."""
+    found = [axes.title, axes.xaxis.label, axes.yaxis.label, *axes.texts]
+    for axis in (axes.xaxis, axes.yaxis):
+        low, high = axis.get_view_interval()
+        ticks = axis.get_major_ticks() if axis.get_visible() else []
+        found += [tick.label1 for tick in ticks if low <= tick.get_loc() <= high]
+    legend = axes.get_legend()
+    found += legend.get_texts() if legend is not None else []
+    return [text for text in found if text.get_visible() and text.get_text().strip()]
+
+
+def test_words_stay_on_the_page_and_apart(opened: Opened) -> None:
+    named = long_name(opened, "the rim of the glossy ball, against the highlight of the left window")
+    assert page([named]).texts[0].get_text().replace("\n", " ") == f"{named.name}: surface"
+    letters = [long_name(opened, name) for name in (200 * "W", 60 * "il ", 20 * "white wall ")]
+    assert all("…" in page([one]).texts[0].get_text() for one in letters[::2])
+    for some in ([opened], [named], [make_opened(make_ray())], [met_nothing(opened)], letters):
+        whole = page(some)
+        whole.canvas.draw()
+        for top, marks in zip(whole.axes[::5], whole.axes[1::5], strict=True):
+            assert top.get_legend().get_window_extent().y0 >= marks.bbox.y1
+        texts = [*whole.texts, *(text for axes in whole.axes for text in words_of(axes))]
+        boxes = [(text.get_text(), text.get_window_extent()) for text in texts]
+        assert len(boxes) > 10
+        for name, box in boxes:
+            assert box.x0 >= 0, name
+            assert box.y0 >= 0, name
+            assert box.x1 <= whole.bbox.x1, name
+            assert box.y1 <= whole.bbox.y1, name
+        for (one, box), (other, there) in combinations(boxes, 2):
+            assert not box.overlaps(there), (one, other)
 
 
 def test_a_file_says_what_it_is_of(opened: Opened, tmp_path: Path) -> None:
