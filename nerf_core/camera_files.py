@@ -59,6 +59,8 @@ def picked_camera(scene: Scene, text: str) -> Camera:
     an opened ray's. Raises UserError."""
     if text.lower().endswith(".json"):
         values = read_json(Path(text), CAMERA_FILE).values
+        if isinstance(rays := values.get("rays"), list) and rays and isinstance(rays[0], Mapping):
+            values = rays[0]  # of a file of several: what was opened comes before what was pinned
         try:
             return camera_of(values.get("camera", values))
         except (TypeError, ValueError, OverflowError) as error:

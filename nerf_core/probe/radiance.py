@@ -34,7 +34,8 @@ class RadianceProbe:
     pixel if every sample of the ray kept its weight and showed the colour that it emits towards v: Σ w_i c(x_i, −v) and
     background.
     axes: (3, 3) rows right, up, towards the viewer or along the normal: what the disc is drawn in. up: the sphere map's
-    pole; its azimuth 0 is `azimuth0`, growing towards cross(up, azimuth0). normal: −∇σ, unit; None where σ is flat.
+    pole; its azimuth 0 is `azimuth0`, growing towards cross(up, azimuth0). normal: ±∇σ, unit, on the viewer's side;
+    None where σ is flat.
     dependence: see `view_dependence`.
     """
 
@@ -152,9 +153,10 @@ def view_dependence(method: Method, points: Tensor, towards: Tensor) -> Tensor:
 
 
 def density_normal(method: Method, point: np.ndarray, length: float, towards: np.ndarray) -> np.ndarray | None:
-    """−∇σ/‖∇σ‖ at a world point (3,) by central differences over `length` on each side, (3,) float64; None: flat.
+    """±∇σ/‖∇σ‖ at a world point (3,) by central differences over `length` on each side, (3,) float64; None: flat.
 
-    Of a sheet whose two sides fall alike it has no sign: then it is the one that leans towards `towards` (3,).
+    The sign is the one that leans towards `towards` (3,): what is looked at is seen from outside, and of a sheet whose
+    two sides fall alike −∇σ has no sign of its own.
     """
     offsets = length * np.concatenate([np.eye(3), -np.eye(3)])
     sigma = method.density(torch.from_numpy(point + offsets)).double().cpu().numpy()

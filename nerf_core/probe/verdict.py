@@ -253,22 +253,22 @@ def _floater_reason(s: Standing) -> str:
     said = ((s.against, "contradict it"), (s.blank, "do not show it"), (s.missing, "would miss it"))
     *rest, last = [f"{count} {what}" for count, what in said if count]
     votes = f"{', '.join(rest)} and {last}" if rest else last
-    better = s.error is not None and s.without is not None and s.without < s.error
+    better = s.error is not None and s.without is not None and s.without < s.error - max(ALIKE, NOISE * s.error)
     error = f": error {s.error:.3f}, without it {s.without:.3f}" if better else ""
     layer = f"a layer at {s.layer.t:.3g} makes {s.layer.weight:.0%} of the pixel"
     return f"{layer}, but of {s.voters} photos that see it {votes}{error}"
 
 
 def _fog_reasons(heavy: list[Standing], share: float) -> tuple[str, ...]:
-    lines = [f"only {share:.0%} of what is seen lies in thin layers, or in ones that the photos agree with"]
-    if heavy:
-        thickest = max(heavy, key=lambda s: s.layer.thickness)
-        error = "" if thickest.error is None else f", with an error of {thickest.error:.3f}"
-        lines.append(
-            f"its thickest layer, at {thickest.layer.t:.3g}, is {thickest.layer.thickness:.3g} deep{error}: "
-            f"a surface would be under {thickest.most_grains * thickest.layer.grain:.3g}"
-        )
-    return tuple(lines)
+    if not heavy:
+        return (f"nothing on the ray makes a pixel: no layer weighs {COUNTS:g}",)
+    thickest = max(heavy, key=lambda s: s.layer.thickness)
+    error = "" if thickest.error is None else f", with an error of {thickest.error:.3f}"
+    return (
+        f"only {share:.0%} of what is seen lies in thin layers, or in ones that the photos agree with",
+        f"its thickest layer, at {thickest.layer.t:.3g}, is {thickest.layer.thickness:.3g} deep{error}: "
+        f"a surface would be under {thickest.most_grains * thickest.layer.grain:.3g}",
+    )
 
 
 def _unobserved_reason(s: Standing) -> str:
@@ -296,6 +296,8 @@ def _inner_reason(s: Standing) -> str:
 
 def _surface_reason(s: Standing) -> str:
     error = "" if s.error is None else f", with an error of {s.error:.3f}"
+    if s.error is not None and s.error >= WRONG:
+        error += ": there is something, but its colour is wrong"
     return (
         f"one layer at {s.layer.t:.3g}, {s.layer.thickness:.2g} thick, makes {s.layer.weight:.0%} of the pixel; "
         f"{s.witnesses} training photos see it from this side{error}"

@@ -15,7 +15,7 @@ from viewer.state import Action, AppState
 from viewer.widgets import axis_name, color_of, faded, figures, hint, packed, swatch
 
 WIDTH_EM = 19.0
-CHART_EM = 5.0
+CHART_EM = 2.7, 9.0  # a plot's height, at least and at most: between those, plots share what a station leaves
 PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
 QUIET = implot.AxisFlags_.no_highlight
 
@@ -56,10 +56,22 @@ def _draw_station(ui: Ui, number: int, station: Station) -> None:
     imgui.text_unformatted(station.title)
     ui.mark(f"walk.{station.title}")
     hint(ui, station.sentence)
+    high = _plot_height(ui, station)
     for k, chart in enumerate(station.charts):
-        CHARTS[type(chart)](ui, f"##{number} {k}", chart)
+        CHARTS[type(chart)](ui, f"##{number} {k}", chart, high)
     if station.rows:
         figures(ui, "rows", station.rows)
+
+
+def _plot_height(ui: Ui, station: Station) -> float:
+    """Of each plot: what the figures below and the gaps between leave, shared."""
+    plots = sum(isinstance(chart, (Stems, Marks, Transfer)) for chart in station.charts)
+    if not plots:
+        return 0.0
+    line, gap = imgui.get_text_line_height_with_spacing(), imgui.get_style().item_spacing.y
+    room = imgui.get_content_region_avail().y - len(station.rows) * (line + gap) - gap
+    least, most = CHART_EM
+    return min(max(room / plots - gap, least * ui.em), most * ui.em)
 
 
 def _arrow(ui: Ui) -> None:
@@ -72,11 +84,11 @@ def _arrow(ui: Ui) -> None:
     )
 
 
-def _begin(ui: Ui, name: str, t: np.ndarray, top: float) -> bool:
+def _begin(ui: Ui, name: str, t: np.ndarray, top: float, high: float) -> bool:
     pad = 0.25 * ui.em
     implot.push_style_var(implot.StyleVar_.plot_padding, ImVec2(0.9 * ui.em, pad))
     implot.push_style_var(implot.StyleVar_.plot_min_size, ImVec2(ui.em, ui.em))
-    begun = implot.begin_plot(name, ImVec2(-1, CHART_EM * ui.em), PLOT)
+    begun = implot.begin_plot(name, ImVec2(-1, high), PLOT)
     implot.pop_style_var(2)
     if begun:
         implot.setup_axis(implot.ImAxis_.x1, None, QUIET)
@@ -88,20 +100,20 @@ def _begin(ui: Ui, name: str, t: np.ndarray, top: float) -> bool:
     return begun
 
 
-def _stems(ui: Ui, name: str, chart: Stems) -> None:
+def _stems(ui: Ui, name: str, chart: Stems, high: float) -> None:
     t, y = (np.nan_to_num(v.astype(np.float64)) for v in (chart.t, chart.y))
     top = float(y.max()) if len(y) else 1.0
-    if _begin(ui, name, t, top):
+    if _begin(ui, name, t, top, high):
         if len(t):
             implot.plot_stems("stems", t, y, 0, implot.Spec(line_color=ui.theme.fine, marker=implot.Marker_.none))
         axis_name(ui, f"{chart.name}, up to {top:.3g}, over t", right=True)
         implot.end_plot()
 
 
-def _marks(ui: Ui, name: str, chart: Marks) -> None:
+def _marks(ui: Ui, name: str, chart: Marks, high: float) -> None:
     t = np.nan_to_num(chart.t.astype(np.float64))
     edges = np.nan_to_num(chart.edges.astype(np.float64))
-    if _begin(ui, name, np.concatenate([t, edges]), 1.0):
+    if _begin(ui, name, np.concatenate([t, edges]), 1.0, high):
         if len(edges):
             line = implot.Spec(line_color=faded(ui.theme.muted, 0.5))
             implot.plot_inf_lines("bins", edges, line)
@@ -112,7 +124,7 @@ def _marks(ui: Ui, name: str, chart: Marks) -> None:
         implot.end_plot()
 
 
-def _bar_code(ui: Ui, name: str, chart: BarCode) -> None:
+def _bar_code(ui: Ui, name: str, chart: BarCode, _: float) -> None:
     """A row of bars for each name; positive and negative in a map of two arms, which is drawn beneath."""
     label = max(imgui.calc_text_size(n).x for n in chart.names) + 0.5 * ui.em
     room = imgui.get_content_region_avail().x
@@ -135,25 +147,26 @@ def _bar_code(ui: Ui, name: str, chart: BarCode) -> None:
     hint(ui, f"−{peak:.3g} violet … {peak:.3g} orange")
 
 
-def _transfer(ui: Ui, name: str, chart: Transfer) -> None:
+def _transfer(ui: Ui, name: str, chart: Transfer, high: float) -> None:
     edges, cdf, u, draws = (np.nan_to_num(v.astype(np.float64)) for v in chart)
-    if _begin(ui, name, edges, 1.0):
+    line = imgui.get_text_line_height_with_spacing()  # above it: the curve needs all of the plot
+    imgui.text_colored(ui.theme.muted, "levels through the inverse CDF, over t")
+    if _begin(ui, name, edges, 1.0, max(high - line, CHART_EM[0] * ui.em)):
         some = np.linspace(0, len(u) - 1, min(len(u), 24)).astype(int)
         for k in some.tolist():  # from its level to the curve, and down to where it falls
-            way = implot.Spec(line_color=faded(ui.theme.coarse, 0.5))
+            way = implot.Spec(line_color=faded(ui.theme.coarse, 0.35))
             implot.plot_line("way", np.array([edges[0], draws[k], draws[k]]), np.array([u[k], u[k], 0.0]), way)
         implot.plot_line("cdf", edges, cdf, implot.Spec(line_color=ui.theme.fine, line_weight=0.12 * ui.em))
-        axis_name(ui, "levels through the inverse CDF, over t", right=True)
         implot.end_plot()
 
 
-def _colors(ui: Ui, name: str, chart: Colors) -> None:
+def _colors(ui: Ui, name: str, chart: Colors, _: float) -> None:
     for text, rgb in zip(chart.names, chart.rgb, strict=True):
         swatch(ui, rgb)
         imgui.same_line(0, 0.4 * ui.em)
         imgui.text_colored(ui.theme.muted, text)
 
 
-CHARTS: dict[type[Chart], Callable[[Ui, str, Any], None]] = {
+CHARTS: dict[type[Chart], Callable[[Ui, str, Any, float], None]] = {
     Stems: _stems, Marks: _marks, BarCode: _bar_code, Transfer: _transfer, Colors: _colors,
 }  # fmt: skip

@@ -378,3 +378,7 @@ def test_a_photo_is_picked_by_its_name_or_its_end(opened: Opened, tmp_path: Path
     write_inspection([opened], tmp_path / "ray.json")
     again = picked_camera(scene, str(tmp_path / "ray.json"))
     np.testing.assert_array_equal(again.c2w, opened.camera.c2w)
+    other = replace(opened, camera=scene.views[0].camera)
+    write_inspection([opened, other], tmp_path / "rays.json")
+    first = picked_camera(scene, str(tmp_path / "rays.json"))  # of several that of the one that was opened
+    np.testing.assert_array_equal(first.c2w, opened.camera.c2w)

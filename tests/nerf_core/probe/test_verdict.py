@@ -11,6 +11,7 @@ from balls import Ball, looking, model_of, ring_scene
 
 from nerf_core.methods import Method
 from nerf_core.probe import Verdict, Witnesses, judge, open_pixel, open_ray
+from nerf_core.probe.verdict import conclude
 from nerf_core.scene import Scene
 
 RED = Ball((0.0, 0.0, 0.0), 0.7, (0.8, 0.2, 0.15))
@@ -44,6 +45,16 @@ def test_a_ball_is_a_surface(scene: Scene) -> None:
     assert standing.witnesses >= 8
     assert standing.error is not None
     assert standing.error < 0.02
+
+
+def test_a_surface_whose_colour_is_wrong_is_told(scene: Scene) -> None:
+    method = model_of(scene, RED)
+    verdict = said(method, scene)
+    assert "colour is wrong" not in verdict.reasons[0]
+    off = tuple(replace(s, error=0.14, opaque=0.14) for s in verdict.standings)
+    wrong = conclude(open_ray(method, scene, CAMERA, MIDDLE, 0), off)
+    assert wrong.kind == "surface"
+    assert "with an error of 0.140: there is something, but its colour is wrong" in wrong.reasons[0]
 
 
 def test_past_the_ball_there_is_background(scene: Scene) -> None:
