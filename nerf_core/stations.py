@@ -94,11 +94,7 @@ def absorption_station(samples: Samples, title: str = "α, T and w") -> Station:
         "Each sample absorbs α = 1 − exp(−σδ) of the light that reaches it; T is what is left of the light before it, "
         "the product of all (1 − α) in front; its weight in the pixel is w = T α."
     )
-    rows = (
-        ("largest w", number(float(weights.max()))),
-        ("Σ w", number(total)),
-        ("left for what is behind", number(1 - total)),
-    )
+    rows = (("Σ w", number(total)), ("left for what is behind", number(1 - total)))
     return Station(title, sentence, (Stems("α", t, alpha), Stems("T", t, light), Stems("w", t, weights)), rows)
 
 

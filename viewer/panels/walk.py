@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
@@ -15,9 +15,16 @@ from viewer.state import Action, AppState
 from viewer.widgets import axis_name, color_of, faded, figures, hint, packed, swatch
 
 WIDTH_EM = 19.0
-CHART_EM = 2.7, 9.0  # a plot's height, at least and at most: between those, plots share what a station leaves
+CHART_EM = 2.0, 9.0  # a plot's height, at least and at most: between those, plots share what a station leaves
 PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
 QUIET = implot.AxisFlags_.no_highlight
+
+
+class Room(NamedTuple):
+    """What a plot gets: the height, without t's numbers; and whether these go below it, for itself and those above."""
+
+    high: float
+    numbered: bool
 
 
 @PANELS.register("walk")
@@ -56,20 +63,20 @@ def _draw_station(ui: Ui, number: int, station: Station) -> None:
     imgui.text_unformatted(station.title)
     ui.mark(f"walk.{station.title}")
     hint(ui, station.sentence)
-    high = _plot_height(ui, station)
+    high, lowest = _plot_height(ui, station), len(station.charts) - 1
     for k, chart in enumerate(station.charts):
-        CHARTS[type(chart)](ui, f"##{number} {k}", chart, high)
+        CHARTS[type(chart)](ui, f"##{number} {k}", chart, Room(high, k == lowest))
     if station.rows:
         figures(ui, "rows", station.rows)
 
 
 def _plot_height(ui: Ui, station: Station) -> float:
-    """Of each plot: what the figures below and the gaps between leave, shared."""
+    """Of each plot: what t's numbers, the figures below and the gaps between leave, shared."""
     plots = sum(isinstance(chart, (Stems, Marks, Transfer)) for chart in station.charts)
     if not plots:
         return 0.0
     line, gap = imgui.get_text_line_height_with_spacing(), imgui.get_style().item_spacing.y
-    room = imgui.get_content_region_avail().y - len(station.rows) * (line + gap) - gap
+    room = imgui.get_content_region_avail().y - len(station.rows) * (line + gap) - gap - line
     least, most = CHART_EM
     return min(max(room / plots - gap, least * ui.em), most * ui.em)
 
@@ -84,14 +91,15 @@ def _arrow(ui: Ui) -> None:
     )
 
 
-def _begin(ui: Ui, name: str, t: np.ndarray, top: float, high: float) -> bool:
+def _begin(ui: Ui, name: str, t: np.ndarray, top: float, room: Room) -> bool:
     pad = 0.25 * ui.em
     implot.push_style_var(implot.StyleVar_.plot_padding, ImVec2(0.9 * ui.em, pad))
     implot.push_style_var(implot.StyleVar_.plot_min_size, ImVec2(ui.em, ui.em))
+    high = room.high + (imgui.get_text_line_height_with_spacing() if room.numbered else 0.0)
     begun = implot.begin_plot(name, ImVec2(-1, high), PLOT)
     implot.pop_style_var(2)
     if begun:
-        implot.setup_axis(implot.ImAxis_.x1, None, QUIET)
+        implot.setup_axis(implot.ImAxis_.x1, None, QUIET | (0 if room.numbered else implot.AxisFlags_.no_tick_labels))
         implot.setup_axis(implot.ImAxis_.y1, None, QUIET | implot.AxisFlags_.no_tick_labels)
         low, high = (float(t.min()), float(t.max())) if len(t) else (0.0, 1.0)
         span = max(high - low, 1e-6)
@@ -100,20 +108,20 @@ def _begin(ui: Ui, name: str, t: np.ndarray, top: float, high: float) -> bool:
     return begun
 
 
-def _stems(ui: Ui, name: str, chart: Stems, high: float) -> None:
+def _stems(ui: Ui, name: str, chart: Stems, room: Room) -> None:
     t, y = (np.nan_to_num(v.astype(np.float64)) for v in (chart.t, chart.y))
     top = float(y.max()) if len(y) else 1.0
-    if _begin(ui, name, t, top, high):
+    if _begin(ui, name, t, top, room):
         if len(t):
             implot.plot_stems("stems", t, y, 0, implot.Spec(line_color=ui.theme.fine, marker=implot.Marker_.none))
-        axis_name(ui, f"{chart.name}, up to {top:.3g}, over t", right=True)
+        axis_name(ui, f"{chart.name}, up to {top:.3g}{', over t' if room.numbered else ''}", right=True)
         implot.end_plot()
 
 
-def _marks(ui: Ui, name: str, chart: Marks, high: float) -> None:
+def _marks(ui: Ui, name: str, chart: Marks, room: Room) -> None:
     t = np.nan_to_num(chart.t.astype(np.float64))
     edges = np.nan_to_num(chart.edges.astype(np.float64))
-    if _begin(ui, name, np.concatenate([t, edges]), 1.0, high):
+    if _begin(ui, name, np.concatenate([t, edges]), 1.0, room):
         if len(edges):
             line = implot.Spec(line_color=faded(ui.theme.muted, 0.5))
             implot.plot_inf_lines("bins", edges, line)
@@ -124,7 +132,7 @@ def _marks(ui: Ui, name: str, chart: Marks, high: float) -> None:
         implot.end_plot()
 
 
-def _bar_code(ui: Ui, name: str, chart: BarCode, _: float) -> None:
+def _bar_code(ui: Ui, name: str, chart: BarCode, _: Room) -> None:
     """A row of bars for each name; positive and negative in a map of two arms, which is drawn beneath."""
     label = max(imgui.calc_text_size(n).x for n in chart.names) + 0.5 * ui.em
     room = imgui.get_content_region_avail().x
@@ -147,11 +155,11 @@ def _bar_code(ui: Ui, name: str, chart: BarCode, _: float) -> None:
     hint(ui, f"−{peak:.3g} violet … {peak:.3g} orange")
 
 
-def _transfer(ui: Ui, name: str, chart: Transfer, high: float) -> None:
+def _transfer(ui: Ui, name: str, chart: Transfer, room: Room) -> None:
     edges, cdf, u, draws = (np.nan_to_num(v.astype(np.float64)) for v in chart)
     line = imgui.get_text_line_height_with_spacing()  # above it: the curve needs all of the plot
     imgui.text_colored(ui.theme.muted, "levels through the inverse CDF, over t")
-    if _begin(ui, name, edges, 1.0, max(high - line, CHART_EM[0] * ui.em)):
+    if _begin(ui, name, edges, 1.0, room._replace(high=max(room.high - line, CHART_EM[0] * ui.em))):
         some = np.linspace(0, len(u) - 1, min(len(u), 24)).astype(int)
         for k in some.tolist():  # from its level to the curve, and down to where it falls
             way = implot.Spec(line_color=faded(ui.theme.coarse, 0.35))
@@ -160,13 +168,13 @@ def _transfer(ui: Ui, name: str, chart: Transfer, high: float) -> None:
         implot.end_plot()
 
 
-def _colors(ui: Ui, name: str, chart: Colors, _: float) -> None:
+def _colors(ui: Ui, name: str, chart: Colors, _: Room) -> None:
     for text, rgb in zip(chart.names, chart.rgb, strict=True):
         swatch(ui, rgb)
         imgui.same_line(0, 0.4 * ui.em)
         imgui.text_colored(ui.theme.muted, text)
 
 
-CHARTS: dict[type[Chart], Callable[[Ui, str, Any, float], None]] = {
+CHARTS: dict[type[Chart], Callable[[Ui, str, Any, Room], None]] = {
     Stems: _stems, Marks: _marks, BarCode: _bar_code, Transfer: _transfer, Colors: _colors,
 }  # fmt: skip
