@@ -11,7 +11,16 @@ from typing import Literal
 import numpy as np
 import pytest
 from imgui_bundle import ImVec2, imgui, implot
-from panel_states import make_camera, make_opened, make_ray, make_ray_history, make_snapshot, make_state, states
+from panel_states import (
+    make_camera,
+    make_opened,
+    make_ray,
+    make_ray_history,
+    make_scene,
+    make_snapshot,
+    make_state,
+    states,
+)
 
 from nerf_core.datasets import LoadOptions
 from nerf_core.messages import (
@@ -30,7 +39,7 @@ from nerf_core.messages import (
     UseMethod,
 )
 from nerf_core.methods import METHODS
-from nerf_core.probe import RayHistory
+from nerf_core.probe import RayHistory, Witnesses
 from nerf_core.settings import RunSettings
 from viewer.panels import PANELS, Panel
 from viewer.state import (
@@ -65,6 +74,7 @@ class Screen:
         self.theme.load_fonts()
         self.theme.apply(1.0)
         self.widgets: dict[str, tuple[float, float, float, float]] = {}
+        self.pictures: dict[str, np.ndarray] = {}
         self.size = (420.0, 700.0)
 
     @property
@@ -79,6 +89,7 @@ class Screen:
         assert rgba.dtype == np.uint8
         assert rgba.ndim == 3
         assert rgba.shape[2] == 4
+        self.pictures[key] = rgba
         return imgui.ImTextureRef(7)
 
     def mark(self, name: str) -> None:
@@ -518,6 +529,49 @@ def test_a_photo_of_the_evidence_is_flown_to(screen: Screen) -> None:
     assert screen.click(panel, state, "evidence.2") == [GoToView(int(evidence.views[2]))]
 
 
+@pytest.mark.parametrize("point", [(0.1, 0.2, 0.3), (0.0, 1.2, 0.9), (-1.0, -0.9, -0.6)])
+def test_a_thumbnail_is_of_the_photo_around_the_point(
+    screen: Screen, point: tuple[float, float, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Through a lens, and at the rim, where the outermost pixels go on."""
+    rng, scene = np.random.default_rng(5), make_scene()
+    views = tuple(replace(view, camera=replace(view.camera, k1=-0.2)) for view in scene.views)
+    images = tuple(rng.integers(0, 65536, (150, 200, 3), np.uint16) for _ in views)
+    scene = replace(scene, views=views, images=images)
+    witnesses = Witnesses(scene)
+    pixels, framed = witnesses.project(np.array(point))
+    index = rng.permutation(np.flatnonzero(framed))[:12]
+    assert len(index) > 3
+    snapshot = make_snapshot()
+    assert snapshot.opened is not None
+    assert snapshot.evidence is not None
+    some = snapshot.evidence.at(np.arange(len(index)))
+    some = replace(some, point=np.array(point), views=witnesses.views[index], pixels=pixels[index])
+    snapshot = replace(snapshot, scene=scene, opened=replace(snapshot.opened, evidence=some))
+    parts: list[tuple[float, float]] = []
+    draw = imgui.image
+
+    def image(texture: imgui.ImTextureRef, size: ImVec2, low: ImVec2, high: ImVec2) -> None:
+        assert (low.x, high.x) == (0, 1)
+        parts.append((low.y, high.y))
+        draw(texture, size, low, high)
+
+    monkeypatch.setattr(imgui, "image", image)
+    screen.frame(PANELS.get("evidence")(), make_state(snapshot))
+    sheet, half, rims = screen.pictures["evidence"], 16, []
+    assert {f"evidence.{k}" for k in range(len(index))} == set(screen.widgets)
+    for name, part in zip(screen.widgets, parts, strict=True):
+        view = int(some.views[int(name.split(".")[1])])
+        first, end = np.rint(np.array(part) * len(sheet)).astype(int)
+        (at,), _ = views[view].camera.project(np.array([point]))
+        x, y = np.floor(at).astype(int)
+        photo = np.pad(images[view] >> 8, ((half, half), (half, half), (0, 0)), "edge")
+        np.testing.assert_array_equal(sheet[first:end, :, :3], photo[y : y + 2 * half + 1, x : x + 2 * half + 1])
+        assert (sheet[first + half, half, :3] == images[view][y, x] >> 8).all()
+        rims.append(min(x, y, 199 - x, 149 - y))
+    assert (min(rims) < half) == (point != (0.1, 0.2, 0.3))
+
+
 def test_the_line_of_a_ray_in_a_photo_passes_through_its_points() -> None:
     from viewer.panels.evidence import epipolar
 
@@ -596,6 +650,49 @@ def test_specular_is_what_the_ray_saw_beyond_the_diffuse(
     screen.frame(PANELS.get("radiance")(), state)
     expected = np.maximum(radiance.back_rgb - evidence.emitted[evidence.seen].min(0), 0)
     assert shown["specular in this ray"] == triple(expected)
+
+
+def test_a_slice_is_the_models_colours_and_those_of_the_photos_beside_it(
+    screen: Screen, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Photos by the angle at which they look, in the slice and out of it; the field is rgb = 0.5 − 0.5 v."""
+    from viewer.panels.slice import SlicePanel
+
+    lines: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    dots: dict[str, tuple[float, float]] = {}
+    monkeypatch.setattr(implot, "plot_line", lambda name, x, y, _: lines.update({name: (x, y)}))
+    monkeypatch.setattr(implot, "plot_scatter", lambda name, x, y, _: dots.update({name: (x.item(), y.item())}))
+    panel, state = SlicePanel(), make_state(make_snapshot())
+    panel.degrees = 40.0
+    opened, radiance, evidence = state.snapshot.opened, state.snapshot.radiance, state.snapshot.evidence
+    assert opened is not None
+    assert radiance is not None
+    assert evidence is not None
+    turn = np.radians(panel.degrees)
+    along = np.array([np.cos(turn), np.sin(turn), 0]) @ radiance.axes
+    beside = np.array([-np.sin(turn), np.cos(turn), 0]) @ radiance.axes
+
+    def look(angle: float, out: float = 0.0) -> np.ndarray:
+        a, b = np.radians([angle, out])
+        return np.cos(b) * (np.sin(a) * along + np.cos(a) * radiance.axes[2]) + np.sin(b) * beside
+
+    looks = ((-70, 0), (0, 0), (35, 10), (35, -14), (20, 0), (120, 0))
+    some = replace(
+        evidence.at(np.arange(len(looks))),
+        directions=np.array([look(*angles) for angles in looks]),
+        transmittance=np.array([1, 1, 1, 1, 0.1, 1]),
+    )
+    state.snapshot = replace(state.snapshot, opened=replace(opened, evidence=some))
+    screen.frame(panel, state)
+    shown = {f"photo {k} {c}": (looks[k][0], some.observed[k, c]) for k in range(3) for c in range(3)}
+    assert set(dots) == set(shown)
+    for name, place in dots.items():
+        assert place == pytest.approx(shown[name], abs=1e-4)
+    for c in range(3):
+        angles, values = lines[f"channel {c}"]
+        assert (angles.min(), angles.max()) == pytest.approx((-80, 80), abs=2)
+        expected = 0.5 - 0.5 * np.array([look(angle)[c] for angle in angles])
+        np.testing.assert_allclose(values, expected, atol=0.03)  # of pixels, which are coarse at the rim
 
 
 def test_every_station_is_drawn(screen: Screen) -> None:
@@ -688,6 +785,35 @@ def test_the_history_opens_where_the_weights_are_and_follows_them(screen: Screen
     assert shown(young) != pytest.approx((np.log1p(40), *around))
     other = replace(young, edges=edges + 1)
     assert shown(other) == pytest.approx((np.log1p(40), around[0] + 1, around[1] + 1))
+
+
+def test_the_historys_map_shows_at_each_step_the_record_in_force(screen: Screen) -> None:
+    """Each record has all of its weight in a bin of its own, and a grey of its own."""
+    panel, state, history = PANELS.get("ray_history")(), make_state(make_snapshot()), make_ray_history()
+    count, bins = history.weights.shape
+    weights = np.zeros_like(history.weights)
+    peaks = (np.arange(count) * 37 + 5) % bins
+    weights[np.arange(count), peaks] = 1
+    greys = np.linspace(0, 1, count)
+    history = replace(history, steps=history.steps + 381, weights=weights, color=np.tile(greys[:, None], (1, 3)))
+    for records in (count - 2, count):  # and it follows as the history grows
+        part = slice(0, records)
+        some = replace(
+            history, steps=history.steps[part], weights=weights[part], color=history.color[part],
+            depth=history.depth[part], opacity=history.opacity[part],
+        )  # fmt: skip
+        state.snapshot = replace(state.snapshot, pinned=(Pinned(1, state.snapshot.ray, some),))
+        screen.frame(panel, state)
+        drawn, strip = screen.pictures["ray history"], screen.pictures["ray colours"]
+        columns = drawn.shape[1]
+        assert (drawn.shape[0], strip.shape[:2]) == (bins, (1, columns))
+        for x in range(columns):
+            step = 381 + np.expm1(x / (columns - 1) * np.log1p(some.steps[-1] - 381))
+            k = max(i for i, since in enumerate(some.steps) if since <= step + 1e-3)
+            green = drawn[:, x, 1].astype(int)  # which grows with the weight, all along the map's colours
+            assert bins - 1 - green.argmax() == peaks[k]
+            assert (green > green.min()).sum() == 1
+            assert strip[0, x, :3] == pytest.approx(255 * greys[k], abs=0.6)
 
 
 def test_the_history_tells_of_the_record_that_it_shows(screen: Screen, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,7 +21,7 @@ from panel_states import make_opened, make_ray, odd_opened
 from nerf_core.camera_files import camera_of, camera_values, picked_camera
 from nerf_core.cameras import Cameras
 from nerf_core.errors import UserError
-from nerf_core.probe import Opened, PassProbe, RayHistory, open_pixel, write_inspection
+from nerf_core.probe import FAR_DEGREES, Opened, PassProbe, RayHistory, open_pixel, write_inspection
 from nerf_core.probe.figure import FEWEST, page
 from nerf_core.probe.layers import grain_at
 from nerf_core.scene import Scene, View
@@ -199,6 +199,31 @@ def test_the_disc_ends_at_its_circle(opened: Opened) -> None:
     corners = disc.transData.transform([(-1, -1), (1, 1)])
     np.testing.assert_allclose(path.get_fully_transformed_path().get_extents().get_points(), corners, atol=0.1)
     assert disc.images[0].get_array().min() > 0  # coloured up to the circle: nothing black, nothing empty
+
+
+def test_the_disc_is_hatched_where_no_photo_looked_from(opened: Opened) -> None:
+    """On the page, pixel by pixel: the ball is of one colour, and what is not is a stripe, or one of the marks."""
+    radiance, evidence = opened.radiance, opened.evidence
+    assert radiance is not None
+    assert evidence is not None
+    whole = page([opened])
+    whole.canvas.draw()
+    disc, picture = whole.axes[4], np.asarray(whole.canvas.buffer_rgba())[::-1, :, :3] / 255
+    (left, low), (right, high) = np.rint(disc.transData.transform([(-1, -1), (1, 1)])).astype(int)
+    columns, rows = np.meshgrid(np.arange(left, right), np.arange(low, high))
+    places = disc.transData.inverted().transform(np.stack([columns + 0.5, rows + 0.5], -1).reshape(-1, 2))
+    seen = evidence.directions[evidence.seen]
+    marks = radiance.disc_position(np.concatenate([seen, -opened.ray.direction[None]]))
+    apart = np.linalg.norm(places[:, None] - marks[np.isfinite(marks).all(-1)], axis=-1).min(-1)
+    clean = (apart > 0.1) & (np.linalg.norm(places, axis=-1) < 0.95)
+    places, other = places[clean], np.abs(picture[rows, columns] - RED.color).max(-1).ravel()[clean] > 0.1
+    directions = np.column_stack([places, np.sqrt(1 - (places**2).sum(-1))]) @ radiance.axes
+    nearest = np.degrees(np.arccos((directions @ seen.T).max(-1)))
+    assert not other[nearest < FAR_DEGREES - 3].any()
+    far = nearest > FAR_DEGREES + 3
+    for side in (places[:, 0] < 0, places[:, 0] >= 0):
+        assert 0.03 < other[far & side].mean() < 0.5
+    assert "hatched: no photo looked from there" in disc.get_xlabel()
 
 
 def test_colours_that_touch_have_no_seam_and_gaps_stay(opened: Opened) -> None:
