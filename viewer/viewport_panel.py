@@ -109,17 +109,16 @@ class ViewportPanel:
             return
         shown = {pin.id: pin for pin in state.pins if not pin.hidden}
         pinned = [(shown[one.id], one.ray) for one in state.snapshot.pinned if one.ray is not None and one.id in shown]
-        for pin, ray in pinned:
-            _draw_ray(ui, overlay, ray, theme.pins[pin.color])
-        for pin, ray in pinned:
-            overlay.tag(*_ends(ray), pin.name, ui.em, theme.pins[pin.color], theme.ground)
+        colors, names = [theme.pins[pin.color] for pin, _ in pinned], [pin.name for pin, _ in pinned]
+        _draw_rays(ui, overlay, [ray for _, ray in pinned], colors)
+        overlay.tags(*_ends([ray for _, ray in pinned]), names, ui.em, colors, theme.ground)
         ray = state.snapshot.ray
         if ray is None:
             return
         pin = next(
             (pin for pin in state.pins if pin.ray.camera is _camera_of(state) and pin.ray.pixel == ray.pixel), None
         )
-        _draw_ray(ui, overlay, ray, theme.ray if pin is None else theme.pins[pin.color])
+        _draw_rays(ui, overlay, [ray], [theme.ray if pin is None else theme.pins[pin.color]])
         if state.sample is not None and state.sample.one < len(ray.passes):
             one = ray.passes[state.sample.one]
             if state.sample.at < len(one.t):
@@ -168,16 +167,19 @@ def _point_at(ui: PanelUi, state: AppState, overlay: Overlay, ray: RayProbe) -> 
         sample_tooltip(ui, ray.passes[-1], k)
 
 
-def _draw_ray(ui: PanelUi, overlay: Overlay, ray: RayProbe, color: ImVec4) -> None:
+def _draw_rays(ui: PanelUi, overlay: Overlay, rays: list[RayProbe], colors: list[ImVec4]) -> None:
     thin = max(1.0, ui.em / 14)
-    start, end = _ends(ray)
-    overlay.lines(start[None], end[None], (SHADE, 3 * thin), (color, 1.2 * thin))
-    if ray.passes:
-        overlay.samples(ray, ui.em, (SHADE, 2.2 * thin), (color, 1.4 * thin))
+    overlay.lines(*_ends(rays), (SHADE, 3 * thin), (colors, 1.2 * thin))
+    for ray, color in zip(rays, colors, strict=True):
+        if ray.passes:
+            overlay.samples(ray, ui.em, (SHADE, 2.2 * thin), (color, 1.4 * thin))
 
 
-def _ends(ray: RayProbe) -> tuple[np.ndarray, np.ndarray]:
-    return ray.origin + ray.near * ray.direction, ray.origin + ray.far * ray.direction
+def _ends(rays: list[RayProbe]) -> tuple[np.ndarray, np.ndarray]:
+    """Where the rays begin and end in the world, (N, 3) each."""
+    places = [(ray.origin + ray.near * ray.direction, ray.origin + ray.far * ray.direction) for ray in rays]
+    starts, ends = np.array(places, np.float64).reshape(-1, 2, 3).transpose(1, 0, 2)
+    return starts, ends
 
 
 def _why_empty(state: AppState) -> tuple[str, str]:

@@ -14,7 +14,7 @@ from panel_states import make_camera, make_ray
 from nerf_core.cameras import Camera
 from nerf_core.messages import Preview, ViewRequest
 from viewer.draw.imgui_renderer import ImguiRenderer
-from viewer.draw.overlays import Overlay, axis_directions, clip_segments, frusta
+from viewer.draw.overlays import Overlay, axis_directions, clip_segments, frusta, uncovered
 from viewer.draw.textures import TextureCache
 from viewer.draw.viewport import ViewportPicture, warp_mesh
 from viewer.window import Window
@@ -361,6 +361,22 @@ def test_rims_lie_around_the_samples_and_over_none_of_them(canvas: tuple[Window,
     assert new.sum() > 50
 
 
+def test_discs_that_later_ones_cover_are_not_drawn() -> None:
+    """What is left out could not be seen: each lies within one that is drawn after it."""
+    rng = np.random.default_rng(0)
+    for spread in (0.0, 2.0, 30.0):
+        places, radii = spread * rng.normal(size=(120, 2)), rng.uniform(2.0, 7.0, 120)
+        kept = uncovered(places, radii)
+        for k in np.flatnonzero(~kept):
+            later = [j for j in np.flatnonzero(kept) if j > k]
+            assert any(np.linalg.norm(places[j] - places[k]) + radii[k] <= radii[j] + 0.12 for j in later)
+        for k in np.flatnonzero(kept):
+            reach = radii - np.linalg.norm(places - places[k], axis=-1)
+            assert (reach[k + 1 :] < radii[k]).all()
+    assert uncovered(np.zeros((50, 2)), np.full(50, 3.0)).tolist() == [False] * 49 + [True]
+    assert uncovered(np.zeros((0, 2)), np.zeros(0)).tolist() == []
+
+
 @pytest.mark.parametrize("eye", [(0.5, 3.2, 1.0), (3.2, 0.0, 2.4), (0.4, -1.5, 0.3)])
 def test_a_tag_lies_whole_in_the_picture(canvas: tuple[Window, ImguiRenderer], eye: tuple[float, ...]) -> None:
     """Also where one looks along the ray, and where the ray leaves the picture."""
@@ -368,7 +384,7 @@ def test_a_tag_lies_whole_in_the_picture(canvas: tuple[Window, ImguiRenderer], e
     start, end = (ray.origin + t * ray.direction for t in (ray.near, ray.far))
 
     def draw(lists: imgui.ImDrawList) -> None:
-        Overlay(lists, camera, (0.0, 0.0), 1e-3).tag(start, end, "ray 4", 13.0, blue, blue)
+        Overlay(lists, camera, (0.0, 0.0), 1e-3).tags(start[None], end[None], ["ray 4"], 13.0, [blue], blue)
 
     lit = np.argwhere((paint(canvas, draw) == [0, 0, 255]).all(-1))
     high, wide = lit.max(0) - lit.min(0)
@@ -385,7 +401,7 @@ def test_the_tag_of_a_ray_seen_from_its_camera_lies_to_the_right(canvas: tuple[W
     for shift in (-side, side):
 
         def draw(lists: imgui.ImDrawList, last: np.ndarray = end + shift) -> None:
-            Overlay(lists, camera, (0.0, 0.0), 1e-3).tag(start, last, "a", 13.0, blue, blue)
+            Overlay(lists, camera, (0.0, 0.0), 1e-3).tags(start[None], last[None], ["a"], 13.0, [blue], blue)
 
         lit = np.argwhere((paint(canvas, draw) == [0, 0, 255]).all(-1))
         assert lit[:, 1].min() > camera.cx + 13.0
@@ -396,6 +412,6 @@ def test_a_tag_of_what_is_out_of_sight_is_not_drawn(canvas: tuple[Window, ImguiR
     behind = camera.c2w[:, 3] + camera.c2w[:, 2]
 
     def draw(lists: imgui.ImDrawList) -> None:
-        Overlay(lists, camera, (0.0, 0.0), 1e-3).tag(behind, 2 * behind, "a", 13.0, blue, blue)
+        Overlay(lists, camera, (0.0, 0.0), 1e-3).tags(behind[None], 2 * behind[None], ["a"], 13.0, [blue], blue)
 
     assert not paint(canvas, draw).any()

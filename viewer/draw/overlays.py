@@ -11,6 +11,7 @@ from viewer.widgets import packed, tints
 
 NEAR = 1e-3  # of the distance to the orbit's centre: what lies nearer to the eye is cut off
 FAINT = 1e-3  # a sample of less weight cannot change an 8-bit pixel: it is not drawn
+MANY = 300  # discs: to compare more, each with each, would take longer than to draw them
 REACH_EM = 0.3  # from a sample's rim at which the mouse still means it
 
 
@@ -26,15 +27,16 @@ class Overlay:
         self._origin = np.asarray(origin, dtype=np.float64)
         self._near = near
 
-    def lines(self, starts: np.ndarray, ends: np.ndarray, *strokes: tuple[ImVec4, float]) -> None:
-        """Segments between world points (N, 3) and (N, 3), drawn over in every colour and thickness of `strokes`."""
+    def lines(self, starts: np.ndarray, ends: np.ndarray, *strokes: tuple[ImVec4 | list[ImVec4], float]) -> None:
+        """Segments between world points (N, 3) and (N, 3), drawn over in every colour, or one each, and thickness of
+        `strokes`."""
         a, b, visible = clip_segments(self._camera, starts, ends, self._near)
-        shown = [
-            (ImVec2(*p), ImVec2(*q)) for p, q in zip(a[visible] + self._origin, b[visible] + self._origin, strict=True)
-        ]
+        index = np.flatnonzero(visible).tolist()
+        a, b = a[index] + self._origin, b[index] + self._origin
+        shown = [(ImVec2(*p), ImVec2(*q)) for p, q in zip(a, b, strict=True)]
         for color, thickness in strokes:
-            tint = packed(color)
-            for p, q in shown:
+            tints = [packed(color[k]) for k in index] if isinstance(color, list) else [packed(color)] * len(index)
+            for (p, q), tint in zip(shown, tints, strict=True):
                 self._draw.add_line(p, q, tint, thickness)
 
     def samples(self, ray: RayProbe, em: float, *rims: tuple[ImVec4, float]) -> None:
@@ -44,6 +46,8 @@ class Overlay:
         would hide each other's colours under their rims.
         """
         drawn, places, radii = self._discs(ray, em)
+        kept = uncovered(places, radii)  # most are not, where one looks along a ray
+        drawn, places, radii = drawn[kept], places[kept], radii[kept]
         discs = [(ImVec2(*place), radius) for place, radius in zip(places.tolist(), radii.tolist(), strict=True)]
         for color, reach in rims:
             tint = packed(color)
@@ -52,14 +56,18 @@ class Overlay:
         for fill, (place, radius) in zip(tints(ray.passes[-1].rgb[drawn]), discs, strict=True):
             self._draw.add_circle_filled(place, radius, fill)
 
-    def tag(self, start: np.ndarray, end: np.ndarray, text: str, em: float, color: ImVec4, ink: ImVec4) -> None:
-        """A name, in `ink` on `color`, past the visible end of a world segment and within the picture."""
-        starts, ends, visible = clip_segments(self._camera, start[None], end[None], self._near)
-        if not visible[0]:
-            return
+    def tags(
+        self, starts: np.ndarray, ends: np.ndarray, texts: list[str], em: float, colors: list[ImVec4], ink: ImVec4
+    ) -> None:
+        """Names, in `ink` on `colors`, past the visible ends of world segments (N, 3) and within the picture."""
+        a, b, visible = clip_segments(self._camera, starts, ends, self._near)
+        for k in np.flatnonzero(visible).tolist():
+            self._tag(a[k], b[k], texts[k], em, colors[k], ink)
+
+    def _tag(self, start: np.ndarray, end: np.ndarray, text: str, em: float, color: ImVec4, ink: ImVec4) -> None:
         size, pad, gap = imgui.calc_text_size(text), 0.3 * em, 1.4 * em  # clear of what marks a sample there
-        x, y = ends[0]
-        leftwards = x < starts[0, 0] - em  # of a ray seen from its own camera only rounding would tell
+        x, y = end
+        leftwards = x < start[0] - em  # of a ray seen from its own camera only rounding would tell
         x = x - gap - size.x if leftwards else x + gap
         x = max(min(x, self._camera.width - size.x - pad), pad)
         y = max(min(y - size.y / 2, self._camera.height - size.y), 0.0)
@@ -108,6 +116,15 @@ class Overlay:
         for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
             start, end = ImVec2(x + 0.25 * em * dx, y + 0.25 * em * dy), ImVec2(x + 0.7 * em * dx, y + 0.7 * em * dy)
             self._draw.add_line(start, end, tint, max(1.0, 0.1 * em))
+
+
+def uncovered(places: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """Which discs (K,) of places (K, 2) and radii (K,), drawn in this order, no later one covers whole."""
+    if len(radii) > MANY:
+        return np.ones(len(radii), bool)
+    apart = np.hypot(*(places[:, None] - places).transpose(2, 0, 1))
+    covers = apart + radii[:, None] <= radii + 1e-3  # pixels: places come from float32
+    return ~np.triu(covers, 1).any(1)
 
 
 def clip_segments(
