@@ -657,7 +657,7 @@ def test_ctrl_click_pins_a_ray_which_stays_while_the_camera_moves(start: Start) 
 
 def test_pins_that_are_shown_are_named_in_the_picture(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
     named: list[str] = []
-    monkeypatch.setattr("viewer.draw.overlays.Overlay.tag", lambda self, start, end, text, *style: named.append(text))
+    monkeypatch.setattr("viewer.draw.overlays.Overlay._tag", lambda self, start, end, text, *style: named.append(text))
     app, _ = start()
     app.perform(PinRay(Inspect(app.state.camera.camera(80, 60), (40, 30))))
     app.perform(PinRay(Inspect(app.state.camera.camera(80, 60), (20, 30))))
