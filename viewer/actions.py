@@ -104,6 +104,9 @@ class Actions:
         state = self._state
         match action:
             case PinRay(ray):
+                if len(state.pins) >= pins.MOST:
+                    for landmark in pins.spare(state.pins)[:1]:
+                        self._pin(UnpinRay(landmark.id))
                 pin = pins.new_pin(state.pins, ray)
                 state.pins.append(pin)
                 self._link.send(Pin(pin.id, ray.camera, ray.pixel))

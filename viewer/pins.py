@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from nerf_core.camera_files import camera_of, camera_values
+from nerf_core.datasets.demo import LANDMARKS
 from nerf_core.errors import UserError
 from nerf_core.messages import Inspect
 from viewer.state import PinnedRay
@@ -21,6 +22,12 @@ def new_pin(pins: list[PinnedRay], ray: Inspect) -> PinnedRay:
     number = max((pin.id for pin in pins), default=0) + 1
     free = next(k for k in range(MOST) if k not in {pin.color for pin in pins})
     return PinnedRay(number, f"ray {number}", free, ray)
+
+
+def spare(pins: list[PinnedRay]) -> list[PinnedRay]:
+    """The demo's own that are still out of sight, the last first: they give way to those that somebody asks for."""
+    names = {name for name, _, _ in LANDMARKS}
+    return [pin for pin in reversed(pins) if pin.hidden and pin.name in names]
 
 
 def to_json(pins: list[PinnedRay]) -> dict[str, Any]:

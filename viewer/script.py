@@ -12,7 +12,6 @@ from pathlib import Path
 from nerf_core.camera_files import picked_camera
 from nerf_core.checkpoint import describe
 from nerf_core.console import Display, duration
-from nerf_core.datasets.demo import LANDMARKS
 from nerf_core.errors import UserError, shorten
 from nerf_core.messages import (
     CancelExport,
@@ -35,8 +34,8 @@ from nerf_core.render_modes import COLOR, MODES
 from nerf_core.settings import RunSettings
 from nerf_core.worker import Worker
 from viewer.app import App
-from viewer.pins import MOST
-from viewer.state import PinRay, StartOrbitExport, UnpinRay
+from viewer.pins import MOST, spare
+from viewer.state import PinRay, StartOrbitExport
 
 FRAME_SECONDS = 0.25  # how often an offscreen interface is drawn while it waits: drawing takes time from training
 SHARPEN_SECONDS = 180.0  # how long a screenshot waits for the preview to reach full resolution
@@ -210,23 +209,19 @@ class Script:
             state.camera.go_to(picked_camera(scene, self.wishes.camera))
             self._wait(lambda _: not state.camera.flying)
         self._uncover()
-        self._make_room()
+        self._check_room()
         for x, y in self.wishes.pins:
             _, _, column, row = self._place("pin", x, y)
             camera = state.camera.camera(*state.viewport)
             self.app.perform(PinRay(Inspect(camera, (column, row))))
 
-    def _make_room(self) -> None:
-        """The demo's own pins, out of sight, give way to --pin; those of a hand do not. Raises UserError."""
+    def _check_room(self) -> None:
+        """Whether --pin has it: the demo's own pins give way, those of a hand do not. Raises UserError."""
         pins, asked = self.app.state.pins, len(self.wishes.pins)
-        over = max(len(pins) + asked - MOST, 0)
-        landmarks = [pin for pin in pins if pin.hidden and pin.name in {name for name, _, _ in LANDMARKS}]
-        if over > len(landmarks):
-            room = asked - over + len(landmarks)
+        room = MOST - len(pins) + len(spare(pins))
+        if asked > room:
             beside = f"beside the rays that are pinned in {self.wishes.load} there is room for {room}"
             raise UserError(f"--pin: given {asked} times; {beside}: leave the others out")
-        for pin in landmarks[::-1][:over]:
-            self.app.perform(UnpinRay(pin.id))
 
     def _place(self, option: str, x: str, y: str) -> tuple[float, float, int, int]:
         """Where the viewport begins, and the pixel of it that a command line means. Raises UserError."""

@@ -71,7 +71,7 @@ def arrays(opened: Opened) -> dict[str, Any]:
             ],
         }
     if radiance is not None:
-        names = ("point", "t", "directions", "rgb", "frozen_rgb", "axes", "normal", "dependence")
+        names = ("point", "t", "directions", "rgb", "back_rgb", "frozen_rgb", "axes", "normal", "dependence")
         found["radiance"] = {name: getattr(radiance, name) for name in names}
     if opened.evidence is not None:
         photos = np.array([opened.scene.views[k].name for k in opened.evidence.views], str)

@@ -668,6 +668,21 @@ def test_pins_that_are_shown_are_named_in_the_picture(start: Start, monkeypatch:
     assert named == ["ray 1"]
 
 
+def test_what_the_demo_pins_out_of_sight_gives_way_to_a_hand(start: Start) -> None:
+    app, worker = start()
+    ray = Inspect(app.state.camera.camera(80, 60), (40, 30))
+    for name, hidden in (("vase", True), ("glossy ball", False), ("past the ball", True)):
+        app.perform(PinRay(ray))
+        app.state.pins[-1].name, app.state.pins[-1].hidden = name, hidden
+    for _ in range(7):
+        app.perform(PinRay(ray))
+    assert [pin.name for pin in app.state.pins] == ["glossy ball", *(f"ray {k}" for k in range(4, 11))]
+    assert [command.id for command in worker.sent if isinstance(command, Unpin)] == [3, 1]
+    app.perform(PinRay(ray))
+    assert len(app.state.pins) == 8
+    assert "8 rays are pinned already" in app.state.notices[-1].notice.text
+
+
 def test_a_checkpoint_carries_the_pins(start: Start) -> None:
     app, worker = start()
     app.perform(PinRay(Inspect(app.state.camera.camera(100, 80), (40, 30))))
