@@ -78,7 +78,7 @@ class _Row:
         top = self._bottom + top * self._height
         found = self._page.text(LEFT, top, text, ha="left", va="top", parse_math=False, **given)
         room = (1 - 2 * LEFT) * self._page.bbox.width
-        letters = int(2 * len(text) * min(1.0, room / found.get_window_extent().width))  # more than there is room for
+        letters = int(2 * len(text) * min(1.0, room / max(found.get_window_extent().width, 1.0)))  # more than fit
         while True:
             found.set_text(textwrap.fill(text, letters, max_lines=lines, placeholder=" …"))
             box = found.get_window_extent()
