@@ -42,7 +42,7 @@ from nerf_core.stations import (
     nothing_station,
     number,
     skipped_station,
-)  # fmt: skip
+)
 from nerf_core.types import Rays, Rendering, Trace
 from nerf_core.voxel_config import VoxelConfig
 

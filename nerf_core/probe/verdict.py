@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -35,7 +35,7 @@ INSIDE = 0.3  # of the photos that see a layer: what fewer see behind it is its 
 FRONT = 1 / 3  # of the weight of a front and of what shows through it: a lighter one is no front
 WRONG = 0.05  # mean error of a channel in the photos that see a layer, from which on something is wrong
 LEAKING = 0.8  # times the error: what no background from a layer on must bring it down to
-ALIKE, NOISE = 0.01, 0.25  # mean error of a channel, and share of a photo's own: what differs by less is as good
+ALIKE, NOISE = 0.01, 0.25  # mean error of a channel, and share of a photo's own: the larger is no difference
 AGAINST = 1 / 4  # of the photos that see a layer: what so many contradict, and no more would miss, is not there
 COUNTS = 0.1  # weight of a layer that is worth a verdict, in this pixel and in a photo's
 HARDLY = 1 / 8  # of the photos that see a layer: so few may themselves be wrong, as by their poses
@@ -156,7 +156,7 @@ def stand(method: Method, witnesses: Witnesses, ray: RayProbe, layer: Layer) -> 
     reaches = margin + REACHES * layer.grain
     without, opaque, bare = witnesses.otherwise(method, asked, reaches)
     error, shown = _off(asked.predicted, asked.observed), asked.share >= COUNTS
-    slack = np.maximum(ALIKE, NOISE * error)
+    slack = _slack(error)
     needless = _off(bare, asked.observed) <= error + slack if witnesses.scene.synthetic else np.zeros(len(error), bool)
 
     def median(off: np.ndarray) -> float | None:
@@ -249,11 +249,16 @@ def _off(colors: np.ndarray, photos: np.ndarray) -> np.ndarray:
     return np.abs(colors - photos).mean(-1)
 
 
+def _slack(error: Any) -> Any:
+    """What differs from an error (or each of an array) by less is as good."""
+    return np.maximum(ALIKE, NOISE * error)
+
+
 def _floater_reason(s: Standing) -> str:
     said = ((s.against, "contradict it"), (s.blank, "do not show it"), (s.missing, "would miss it"))
     *rest, last = [f"{count} {what}" for count, what in said if count]
     votes = f"{', '.join(rest)} and {last}" if rest else last
-    better = s.error is not None and s.without is not None and s.without < s.error - max(ALIKE, NOISE * s.error)
+    better = s.error is not None and s.without is not None and s.without < s.error - _slack(s.error)
     error = f": error {s.error:.3f}, without it {s.without:.3f}" if better else ""
     layer = f"a layer at {s.layer.t:.3g} makes {s.layer.weight:.0%} of the pixel"
     return f"{layer}, but of {s.voters} photos that see it {votes}{error}"
