@@ -9,7 +9,7 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 
 from nerf_core.messages import Snapshot
-from viewer.widgets import axis_name
+from viewer.widgets import Limits, axis_name
 
 if TYPE_CHECKING:
     from viewer.panels import Ui
@@ -40,15 +40,17 @@ class HistoryPlots:
     """Both plots share the steps axis. It doubles when training runs out of it, unless the user has moved it."""
 
     def __init__(self) -> None:
-        self._low, self._high = implot.BoxedValue(0.0), implot.BoxedValue(FIRST_STEPS)
-        self._set = (0.0, float(FIRST_STEPS))  # the limits that were chosen here last
+        self._steps = Limits()
         self._loaded = -1
 
     def draw(self, ui: Ui, snapshot: Snapshot) -> None:
         history = snapshot.history
         fresh = snapshot.loaded != self._loaded
         self._loaded = snapshot.loaded
-        self._follow(int(history.step[-1]) if len(history.step) else 0, fresh)
+        top = float(FIRST_STEPS)
+        while len(history.step) and top < history.step[-1]:
+            top *= 2
+        self._steps.follow(0.0, top, fresh)
         implot.push_style_var(implot.StyleVar_.plot_min_size, ImVec2(ui.em, ui.em))
         implot.push_style_var(implot.StyleVar_.plot_padding, ImVec2(0.9 * ui.em, 0.3 * ui.em))  # half a tick label
         if implot.begin_aligned_plots("history"):
@@ -57,21 +59,11 @@ class HistoryPlots:
             implot.end_aligned_plots()
         implot.pop_style_var(2)
 
-    def _follow(self, last: int, fresh: bool) -> None:
-        untouched = (self._low.value, self._high.value) == self._set
-        if not (fresh or (untouched and last > self._set[1])):
-            return
-        top = float(FIRST_STEPS)
-        while top < last:
-            top *= 2
-        self._set = (0.0, top)
-        self._low.value, self._high.value = self._set
-
     def _plot(self, ui: Ui, curve: Curve, steps: np.ndarray, values: np.ndarray, fresh: bool) -> None:
         if not implot.begin_plot(f"##{curve.mark}", ImVec2(-1, HEIGHT_EM * ui.em), PLOT):
             return
         implot.setup_axis(X1, None, implot.AxisFlags_.no_tick_labels if curve.log else 0)
-        implot.setup_axis_links(X1, self._low, self._high)
+        implot.setup_axis_links(X1, self._steps.low, self._steps.high)
         implot.setup_axis(Y1, None)
         implot.setup_axis_scale(Y1, implot.Scale_.log10 if curve.log else implot.Scale_.linear)
         implot.setup_axis_limits(Y1, *curve.limits, implot.Cond_.always if fresh else implot.Cond_.once)

@@ -269,6 +269,19 @@ def axis_name(ui: Ui, text: str, *, right: bool = False, height: float = 0.0) ->
     implot.pop_plot_clip_rect()
 
 
+class Limits:
+    """An axis's, which follow what there is to see until the user moves them."""
+
+    def __init__(self) -> None:
+        self.low, self.high = implot.BoxedValue(0.0), implot.BoxedValue(1.0)
+        self._set = (0.0, 1.0)
+
+    def follow(self, low: float, high: float, fresh: bool) -> None:
+        """fresh: what was there before is gone, and with it what the user made of its limits."""
+        if fresh or (self.low.value, self.high.value) == self._set:
+            self._set = self.low.value, self.high.value = low, high
+
+
 class Confirmation:
     """Asks in place, without a dialog, before something that cannot be undone."""
 

@@ -13,24 +13,12 @@ from nerf_core.colormaps import colored
 from nerf_core.probe import RayHistory
 from viewer.panels import PANELS, Ui
 from viewer.state import Action, AppState, PinnedRay
-from viewer.widgets import axis_name, color_scale, faded, hint, packed, same_line_if_fits
+from viewer.widgets import Limits, axis_name, color_scale, faded, hint, packed, same_line_if_fits
 
 COLUMNS = 320  # of the map: more than records, so that each keeps its place
 STRIP_EM = 1.4
 WORTH = 0.01  # of the largest weight: what is less is dark in the map
 PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
-
-
-class Limits:
-    """An axis's, which follow what there is to see until the user moves them; a double click takes them back."""
-
-    def __init__(self) -> None:
-        self.low, self.high = implot.BoxedValue(0.0), implot.BoxedValue(1.0)
-        self._set = (0.0, 1.0)
-
-    def follow(self, low: float, high: float, fresh: bool) -> None:
-        if fresh or (self.low.value, self.high.value) == self._set:
-            self._set = self.low.value, self.high.value = low, high
 
 
 @PANELS.register("ray_history")
