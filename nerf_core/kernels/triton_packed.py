@@ -20,6 +20,9 @@ from nerf_core.spaces import BoxRays
 
 loops: Any = triton_loops  # what Triton types as a call is a launch, with other arguments
 POINTS, RAYS, ROWS = 128, 64, 256  # one program's share
+# No a·b + c rounded once: the march that counts samples and the one that writes them are compiled apart, and where one
+# fuses what the other does not, a ray finds another number of them.
+EXACTLY = {"enable_fp_fusion": False}
 
 
 class TritonPacked:
@@ -36,7 +39,7 @@ class TritonPacked:
         def launch(ends: Tensor, counts: Tensor, found: Samples, write: bool) -> None:
             loops.march[(triton.cdiv(count, RAYS),)](
                 *given, *held, ends, counts, found.x, found.t, found.width, count, len(found.t), step, *box,
-                *cells.size, CONTRACTED=cells.contracted, WRITE=write, BLOCK=RAYS,
+                *cells.size, CONTRACTED=cells.contracted, WRITE=write, BLOCK=RAYS, **EXACTLY,
             )  # fmt: skip
 
         counts = torch.zeros(count, dtype=torch.long, device=device)
@@ -53,7 +56,7 @@ class TritonPacked:
             grid = (triton.cdiv(len(x), POINTS), count)
             loops.encode[grid](
                 x.contiguous(), table, _resolutions(levels, x.device), features, len(x), rows, count, WIDTH=width,
-                BLOCK=POINTS,
+                BLOCK=POINTS, **EXACTLY,
             )  # fmt: skip
         return features
 
@@ -63,14 +66,14 @@ class TritonPacked:
             grid = (triton.cdiv(len(x), POINTS), count)
             loops.encode_gradient[grid](
                 x.contiguous(), gradient.contiguous(), _resolutions(levels, x.device), into, len(x), rows, count,
-                WIDTH=width, BLOCK=POINTS,
+                WIDTH=width, BLOCK=POINTS, **EXACTLY,
             )  # fmt: skip
 
     def composite(self, tau: Tensor, rgb: Tensor, samples: Packed, background: Tensor) -> Tensor:
         count = len(samples.ends) - 1
         pixel = torch.empty(count, 5, device=tau.device)
         given = (v.contiguous() for v in (tau, rgb, samples.t, samples.ends, background))
-        loops.composite[(triton.cdiv(count, RAYS),)](*given, pixel, count, BLOCK=RAYS)
+        loops.composite[(triton.cdiv(count, RAYS),)](*given, pixel, count, BLOCK=RAYS, **EXACTLY)
         return pixel
 
     def composite_gradient(
@@ -79,13 +82,14 @@ class TritonPacked:
         count = len(samples.ends) - 1
         by_tau, by_rgb = torch.zeros_like(tau), torch.zeros_like(rgb)  # samples behind the last ray have no gradient
         given = (v.contiguous() for v in (gradient, tau, rgb, samples.ends, background))
-        loops.composite_gradient[(triton.cdiv(count, RAYS),)](*given, by_tau, by_rgb, count, BLOCK=RAYS)
+        loops.composite_gradient[(triton.cdiv(count, RAYS),)](*given, by_tau, by_rgb, count, BLOCK=RAYS, **EXACTLY)
         return by_tau, by_rgb
 
     def adam(self, table: Tensor, gradient: Tensor, moments: tuple[Tensor, Tensor], numbers: Tensor) -> None:
         count, width = table.numel() // table.shape[-1], table.shape[-1]
         loops.adam[(triton.cdiv(count, ROWS),)](
             table, gradient, *moments, count, numbers, EPSILON, BETA1=BETA1, BETA2=BETA2, WIDTH=width, BLOCK=ROWS,
+            **EXACTLY,
         )  # fmt: skip
 
 

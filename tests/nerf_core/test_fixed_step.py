@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 
 import pytest
 import torch
 from packed_implementations import fast
+from pretended_cuda import FarTensor, Graph, Launches, pretended_cuda
 
+from nerf_core import fixed_step
 from nerf_core.cameras import camera_rays
 from nerf_core.cells import Cells
 from nerf_core.fixed_step import FixedStep
 from nerf_core.kernels.packed_kernels import PackedKernels
 from nerf_core.methods.hash import Hash
 from nerf_core.scene import Scene
+from nerf_core.settings import RunSettings
+from nerf_core.trainer import Trainer
 from nerf_core.types import Rays
 
 CPU = torch.device("cpu")
@@ -133,3 +138,44 @@ def test_out_of_memory_a_step_asks_for_half(scene: Scene) -> None:
     assert large.halve()
     assert large.draw(0).rays == asked // 2
     assert large.config.samples == 8192
+
+
+def on_a_pretended_gpu(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch, eager: int
+) -> tuple[list[float], dict[str, torch.Tensor], int]:
+    """Losses, state and number of recordings of six steps, of which the first `eager` are not recorded."""
+    from nerf_core.kernels import triton_loops, triton_packed
+
+    recordings: list[Graph] = []
+
+    class Counted(Graph):
+        def __init__(self) -> None:
+            super().__init__()
+            recordings.append(self)
+
+    monkeypatch.setattr(triton_packed, "loops", Launches(triton_loops))
+    monkeypatch.setattr(fixed_step, "EAGER", eager)
+    with pretended_cuda():
+        monkeypatch.setattr(torch.cuda, "CUDAGraph", Counted)
+        changes = SMALL | {
+            "samples": "300",
+            "levels": "2",
+            "log2_rows": "6",
+            "cells": "8",
+            "update_every": "2",
+            "empty": "0.9",
+        }
+        trainer = Trainer(scene, RunSettings(method="hash", device="cuda", changes=changes))
+        losses = [trainer.step().loss for _ in range(6)]
+        state = {name: v.here if isinstance(v, FarTensor) else v for name, v in trainer.state().items()}
+    return losses, {name: v.clone() for name, v in state.items()}, len(recordings)
+
+
+@pytest.mark.skipif(os.environ.get("TRITON_INTERPRET") != "1", reason="test_triton.py runs it, interpreted")
+def test_recorded_triton_kernels_do_what_they_did_step_by_step(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    losses, state, recordings = on_a_pretended_gpu(scene, monkeypatch, 1)
+    wanted_losses, wanted, none = on_a_pretended_gpu(scene, monkeypatch, 1000)
+    assert recordings
+    assert not none
+    assert losses == wanted_losses
+    assert [name for name in wanted if not torch.equal(state[name], wanted[name])] == []

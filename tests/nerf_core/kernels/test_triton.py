@@ -6,14 +6,23 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 HERE = Path(__file__).parent
+GENERATIONS = (75, 80, 90, 120)  # compute capabilities: Turing, Ampere, Hopper, Blackwell
+TYPES = {
+    "*u8": "occupied leap",
+    "*i64": "ends counts",
+    "*i32": "resolutions",
+    "i32": "rays room count rows levels nx ny nz",
+    "fp32": "step bx by bz sx sy sz epsilon",
+}  # fmt: skip  of the kernels' arguments; others point to fp32
 
 
 @pytest.mark.parametrize(
-    ("checks", "fewest"), [(HERE / "test_packed_kernels.py", 18), (HERE.parent / "test_fixed_step.py", 4)]
+    ("checks", "fewest"), [(HERE / "test_packed_kernels.py", 18), (HERE.parent / "test_fixed_step.py", 5)]
 )
 def test_the_interpreted_kernels_pass_what_the_others_pass(checks: Path, fewest: int) -> None:
     pytest.importorskip("triton")
@@ -23,3 +32,45 @@ def test_the_interpreted_kernels_pass_what_the_others_pass(checks: Path, fewest:
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count(" PASSED") >= fewest
     assert " SKIPPED" not in done.stdout
+
+
+def machine_code(name: str, capability: int, **constants: Any) -> Any:
+    """What Triton's compiler, which needs no GPU, makes of a kernel: its texts by their suffixes."""
+    triton = pytest.importorskip("triton")
+    from triton.backends.compiler import GPUTarget
+    from triton.compiler import ASTSource
+
+    from nerf_core.kernels import triton_loops
+    from nerf_core.kernels.triton_packed import EXACTLY
+
+    kernel = getattr(triton_loops, name)
+    types = {word: kind for kind, words in TYPES.items() for word in words.split()}
+    types |= dict.fromkeys(constants, "constexpr")
+    source = ASTSource(
+        kernel,
+        {word: types.get(word, "*fp32") for word in kernel.arg_names},
+        {(kernel.arg_names.index(word),): value for word, value in constants.items()},
+    )
+    return triton.compile(source, target=GPUTarget("cuda", capability, 32), options=dict(EXACTLY)).asm
+
+
+@pytest.mark.parametrize("capability", GENERATIONS)
+def test_the_kernels_compile_for_every_generation_of_gpus(
+    capability: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TRITON_CACHE_DIR", str(tmp_path))
+    grid, block = {"WIDTH": 2, "BLOCK": 128}, {"BLOCK": 64}
+    built = [
+        machine_code("encode", capability, **grid),
+        machine_code("encode_gradient", capability, **grid),
+        machine_code("composite", capability, **block),
+        machine_code("composite_gradient", capability, **block),
+        machine_code("adam", capability, BETA1=0.9, BETA2=0.99, **grid),
+    ]
+    assert all(len(code["cubin"]) > 1000 for code in built)
+    for contracted in (False, True):
+        marches = [
+            machine_code("march", capability, CONTRACTED=contracted, WRITE=write, **block) for write in (False, True)
+        ]
+        # the one that counts and the one that writes must round alike, or a ray's samples run into the next ray's
+        assert all(len(march["cubin"]) > 1000 and "fma" not in march["ptx"] for march in marches)
