@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
-from nerf_core.messages import History
+import numpy as np
+import torch
+from torch import Tensor
 
 LIMIT = 2000
+
+
+@dataclass(frozen=True)
+class History:
+    """Training so far, thinned to at most about 2,000 points: step, loss, PSNR of the training batch in dB."""
+
+    step: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    loss: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
+    psnr: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
 
 
 class HistoryLog:
@@ -33,11 +45,23 @@ class HistoryLog:
             self._losses = [(a + b) / 2 for a, b in zip(self._losses[::2], self._losses[1::2], strict=True)]
             self.every *= 2
 
-    def rewind(self, step: int) -> None:
-        """Forget what came after `step`: training went back to it."""
-        kept = sum(s <= step for s in self._steps)
-        self._steps, self._losses, self._pending = self._steps[:kept], self._losses[:kept], []
-        self._changed = True
+    def state(self) -> dict[str, Tensor]:
+        """What a log that goes on from here needs, by name."""
+        every, steps = torch.tensor(self.every), torch.tensor(self._steps, dtype=torch.int64)
+        losses, pending = (torch.tensor(v, dtype=torch.float64) for v in (self._losses, self._pending))
+        return {"every": every, "steps": steps, "losses": losses, "pending": pending}
+
+    def load_state(self, state: Mapping[str, Tensor]) -> None:
+        """Be where `state()` was taken; empty, where a checkpoint of before has none. Raises KeyError, ValueError."""
+        if not state:
+            state = HistoryLog().state()
+        every, steps, losses, pending = (state[name].cpu() for name in ("every", "steps", "losses", "pending"))
+        curve = steps.ndim == 1 and steps.shape == losses.shape and len(steps) < LIMIT and steps.dtype == torch.int64
+        rest = every.ndim == 0 and pending.ndim == 1 and len(pending) < int(every)
+        if not (curve and rest and (steps.diff() > 0).all() and losses.isfinite().all() and pending.isfinite().all()):
+            raise ValueError("its losses are no curve")
+        self.every, self._steps = int(every), steps.tolist()
+        self._losses, self._pending, self._changed = losses.tolist(), pending.tolist(), True
 
     def view(self) -> History:
         if self._changed:

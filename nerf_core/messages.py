@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from nerf_core.cameras import Camera
+from nerf_core.history import History
 from nerf_core.probe import Opened, RadianceProbe, RayHistory, RayProbe, Sightings
 from nerf_core.probe.radiance import Around
 from nerf_core.render_modes import COLOR
@@ -211,15 +212,6 @@ class Export:
     total: int
     seconds_left: float | None
     state: Literal["running", "done", "cancelled", "failed"] = "running"
-
-
-@dataclass(frozen=True)
-class History:
-    """Training so far, thinned to at most about 2,000 points: step, loss, PSNR of the training batch in dB."""
-
-    step: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
-    loss: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
-    psnr: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
 from nerf_core.messages import Inspect, Pin, Pinned
-from nerf_core.probe import Opened, RayProbe, Witnesses, open_pixel, open_ray
+from nerf_core.probe import Opened, RayHistory, RayProbe, Witnesses, open_pixel, open_ray
 from nerf_core.probe.history import HistoryRecorder
 from nerf_core.probe.opened import pieces
 from nerf_core.trainer import Trainer
@@ -60,6 +60,7 @@ class OpenedRays:
 
     def __init__(self) -> None:
         self._pins: dict[int, _Pin] = {}
+        self._known: Sequence[tuple[Inspect, RayHistory]] = ()
         self._witnesses: Witnesses | None = None
         self._clock = _Clock()
         self.inspect(None)
@@ -86,7 +87,13 @@ class OpenedRays:
         return self._asked is not None and self._waiting
 
     def pin(self, command: Pin, trainer: Trainer) -> None:
-        self._pins[command.id] = _Pin(command, HistoryRecorder(trainer.step_count, trainer.total_steps))
+        recorder = HistoryRecorder(trainer.step_count, trainer.total_steps)
+        ray = Inspect(command.camera, command.pixel)
+        for known, history in self._known:
+            if _looks_alike(ray, known):
+                recorder = HistoryRecorder.of(history, trainer.total_steps)
+                recorder.rewind(trainer.step_count)
+        self._pins[command.id] = _Pin(command, recorder)
 
     def unpin(self, number: int) -> None:
         self._pins.pop(number, None)
@@ -101,6 +108,7 @@ class OpenedRays:
     def restart(self, trainer: Trainer) -> None:
         """Another model, or another course of training: its history begins now."""
         self.forget()
+        self._known = ()
         for pin in self._pins.values():
             pin.recorder = HistoryRecorder(trainer.step_count, trainer.total_steps)
 
@@ -108,6 +116,15 @@ class OpenedRays:
         self.forget()
         for pin in self._pins.values():
             pin.recorder.rewind(step)
+
+    def know(self, rays: Sequence[tuple[Inspect, RayHistory]]) -> None:
+        """These rays of the model were watched before: once pinned, their histories go on."""
+        self._known = rays
+
+    def histories(self) -> list[tuple[Inspect, RayHistory]]:
+        """The pinned rays that have one."""
+        pins = [(pin.command, pin.recorder.view()) for pin in self._pins.values()]
+        return [(Inspect(pin.camera, pin.pixel), history) for pin, history in pins if history is not None]
 
     def pinned(self) -> tuple[Pinned, ...]:
         return tuple(Pinned(number, pin.ray, pin.recorder.view()) for number, pin in self._pins.items())

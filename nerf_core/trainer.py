@@ -14,6 +14,7 @@ from torch import Tensor
 from nerf_core.batches import PixelSampler
 from nerf_core.device import pick_device, usable_cores
 from nerf_core.errors import UserError, shorten
+from nerf_core.history import HistoryLog
 from nerf_core.methods import METHODS, Method
 from nerf_core.scene import Scene
 from nerf_core.settings import RunSettings
@@ -90,6 +91,7 @@ class Trainer:
         self.method: Method = METHODS.get(name)(scene, config, self.device, seed)
         self.device = self.method.device
         self.batches = PixelSampler(scene, config.train_images, self.device, seed)
+        self.history = HistoryLog()
         self.step_count = 0
         self.seconds = 0.0
 
@@ -137,6 +139,7 @@ class Trainer:
             raise Diverged(
                 f"step {self.step_count}: the loss is {loss}; lower the learning rate (--set learning_rate=…)"
             )
+        self.history.add(self.step_count, loss)
         return Report(self.step_count, loss, psnr_of(loss), len(rays), seconds, note)
 
     def frozen_method(self) -> Method:
@@ -160,7 +163,7 @@ class Trainer:
 
     def state(self) -> dict[str, Tensor]:
         """All tensors that a resumed run needs, by name."""
-        parts = {"method": self.method.state(), "batches": self.batches.state()}
+        parts = {"method": self.method.state(), "batches": self.batches.state(), "history": self.history.state()}
         return {f"{part}.{key}": value for part, tensors in parts.items() for key, value in tensors.items()}
 
     def notes(self, description: Mapping[str, Any]) -> tuple[str, ...]:
@@ -178,7 +181,7 @@ class Trainer:
         self.step_count, self.seconds = description["step"], description["seconds"]
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
-        for part, owner in (("method.", self.method), ("batches.", self.batches)):
+        for part, owner in (("method.", self.method), ("batches.", self.batches), ("history.", self.history)):
             owner.load_state({key.removeprefix(part): v for key, v in state.items() if key.startswith(part)})
 
 

@@ -17,14 +17,13 @@ from typing import Any
 
 import torch
 
-from nerf_core import checkpoint, messages
+from nerf_core import checkpoint, messages, watched
 from nerf_core.artist import Artist
 from nerf_core.budget import Budget
 from nerf_core.datasets import load_scene
 from nerf_core.device import describe, memory_held
 from nerf_core.errors import UserError
 from nerf_core.export import FilmJob, Job, StillJob
-from nerf_core.history import HistoryLog
 from nerf_core.kernels import choice as kernels
 from nerf_core.messages import Command, Notice, Snapshot, ViewRequest
 from nerf_core.probe import check_format, write_inspection
@@ -84,7 +83,6 @@ class Worker:
         self._rays_a_step = 0
         self._good: LastGood | None = None
         self._accounted = 0.0  # up to when the step under way is in the budget
-        self._history = HistoryLog()
         self._budget = Budget(share)
         self._artist = Artist()
         self._export: Job | None = None
@@ -242,7 +240,6 @@ class Worker:
         self._good = LastGood(trainer)  # raises where the weights are broken: what is open then stays
         self._trainer, self._training_until, self._failed, self._skipped = trainer, None, False, None
         self._saved_step = 0
-        self._history = HistoryLog()
         self._artist.forget_pictures()
         self._artist.rays.restart(trainer)
         self._artist.rays.record(trainer)
@@ -269,6 +266,10 @@ class Worker:
             raise UserError(f"{path}: {scene.difference(description)}")
         trainer = Trainer.resume(scene, description, state, self.settings.device)
         self._adopt(trainer)
+        try:
+            self._artist.rays.know(watched.restored(description, state))
+        except UserError as error:
+            self._notices.put(Notice("warning", str(error)))
         for note in trainer.notes(description):
             self._notices.put(Notice("warning", note))
         self._saved_step = description["step"]
@@ -281,7 +282,9 @@ class Worker:
 
     def _save(self, path: Path, session: Mapping[str, Any]) -> None:
         trainer = self._need_trainer()
-        checkpoint.save(path, trainer.describe() | {"session": dict(session)}, trainer.state())
+        seen = self._artist.rays.histories()
+        description = trainer.describe() | {"session": dict(session)} | watched.described(seen)
+        checkpoint.save(path, description, trainer.state() | watched.state(seen))
         self._saved_step = trainer.step_count
         self._notices.put(Notice("info", f"saved step {trainer.step_count:,} to {path}", path))
 
@@ -329,7 +332,6 @@ class Worker:
             ) from None
         self._account_for_training(report.rays)
         self._rays_a_step = report.rays
-        self._history.add(report.step, report.loss)
         begin = time.perf_counter()
         if self._artist.rays.record(trainer):
             self._budget.drew(time.perf_counter() - begin)
@@ -349,7 +351,6 @@ class Worker:
         self._training_until, self._failed = None, True
         if self._good is not None:
             self._good.restore(trainer)
-            self._history.rewind(trainer.step_count)
             self._artist.rays.rewind(trainer.step_count)
             self._saved_step = min(self._saved_step, trainer.step_count)
         self._artist.forget_pictures()
@@ -493,7 +494,7 @@ class Worker:
                 seconds_left=left,
                 train_share=self._budget.train_share(),
                 memory_bytes=memory_held(trainer.device),
-                history=self._history.view(),
+                history=trainer.history.view(),
                 preview=self._artist.preview(common.preview),
                 opened=rays.opened,
                 opened_step=rays.opened_step,

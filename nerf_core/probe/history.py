@@ -10,6 +10,7 @@ from nerf_core.probe.ray import RayProbe
 
 BINS = 96  # over t
 RECORDS = 240  # of a whole schedule: as many as one wants to look at, spaced evenly in log(step)
+MOST_RECORDS = 100_000  # of one ray; a ray that is watched through many schedules has some thousands
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,16 @@ class HistoryRecorder:
         self._edges: np.ndarray | None = None
         self._rows: list[tuple[int, np.ndarray, np.ndarray, float, float]] = []
         self._view: RayHistory | None = None
+
+    @staticmethod
+    def of(history: RayHistory, last: int) -> HistoryRecorder:
+        """One that goes on from what was recorded."""
+        recorder = HistoryRecorder(int(history.steps[0]), last)
+        recorder._edges = history.edges
+        steps, depth, opacity = history.steps.tolist(), history.depth.tolist(), history.opacity.tolist()
+        recorder._rows = list(zip(steps, history.weights, history.color, depth, opacity, strict=True))
+        recorder._next = int(np.searchsorted(recorder._due, steps[-1], "right"))
+        return recorder
 
     def due(self, step: int) -> bool:
         return self._next < len(self._due) and step >= int(self._due[self._next])

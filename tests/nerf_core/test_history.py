@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
 from nerf_core.history import LIMIT, HistoryLog
 
@@ -35,11 +36,43 @@ def test_a_view_is_made_once_for_what_it_shows() -> None:
     assert log.view().psnr[1] == pytest.approx(100)  # not infinity
 
 
-def test_rewinding_forgets_what_came_after() -> None:
+@pytest.mark.parametrize("steps", [0, 3, LIMIT + 5, 5 * LIMIT + 3])
+def test_a_log_goes_on_from_its_state(steps: int) -> None:
+    losses = np.random.default_rng(0).uniform(0.01, 1, steps + 700).tolist()
+    whole, first, second = HistoryLog(), HistoryLog(), HistoryLog()
+    second.add(1, 0.3)  # of another run: forgotten
+    for step, loss in enumerate(losses, 1):
+        whole.add(step, loss)
+        (first if step <= steps else second).add(step, loss)
+        if step == steps:
+            second.load_state(first.state())
+    if not steps:
+        second.load_state({})
+        for step, loss in enumerate(losses, 1):
+            second.add(step, loss)
+    for name in ("step", "loss", "psnr"):
+        np.testing.assert_array_equal(getattr(second.view(), name), getattr(whole.view(), name))
+
+
+BROKEN = {
+    "no losses": {"losses": None},
+    "another length": {"losses": torch.zeros(2)},
+    "steps that go back": {"steps": torch.tensor([2, 1, 3])},
+    "steps that are fractions": {"steps": torch.tensor([1.0, 2, 3])},
+    "a loss that is no number": {"losses": torch.tensor([1, torch.nan, 1])},
+    "more than it holds": {"steps": torch.arange(LIMIT), "losses": torch.zeros(LIMIT)},
+    "never a mean": {"every": torch.tensor(0)},
+    "means of several kinds": {"every": torch.ones(2)},
+    "a mean that is due": {"pending": torch.ones(1)},
+    "an infinite one that waits": {"every": torch.tensor(4), "pending": torch.tensor([torch.inf])},
+}
+
+
+@pytest.mark.parametrize("changes", BROKEN.values(), ids=BROKEN.keys())
+def test_a_state_that_none_was_in_is_refused(changes: dict[str, torch.Tensor | None]) -> None:
     log = HistoryLog()
-    for step in range(1, 11):
-        log.add(step, 1 / step)
-    log.rewind(4)
-    log.add(5, 7.0)
-    assert log.view().step.tolist() == [1, 2, 3, 4, 5]
-    assert log.view().loss[-1] == 7
+    for step in (1, 2, 3):
+        log.add(step, 0.5)
+    state = {name: v for name, v in (log.state() | changes).items() if v is not None}
+    with pytest.raises((KeyError, ValueError)):
+        HistoryLog().load_state(state)

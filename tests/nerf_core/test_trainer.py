@@ -41,6 +41,16 @@ def run(trainer: Trainer, steps: int, pump: Callable[[], None] = lambda: None) -
     return trainer
 
 
+def test_a_checkpoint_from_before_losses_were_kept_goes_on(make_trainer: MakeTrainer) -> None:
+    first = run(make_trainer(), 3)
+    state = {name: value for name, value in copied(first).items() if not name.startswith("history.")}
+    assert len(state) < len(first.state())
+    second = run(Trainer.resume(first.scene, stored(first), state, "cpu"), 2)
+    assert second.history.view().step.tolist() == [4, 5]
+    assert run(first, 2).history.view().step.tolist() == [1, 2, 3, 4, 5]
+    assert [name for name in differing(first.state(), second.state()) if not name.startswith("history.")] == []
+
+
 def test_a_seed_fixes_the_weights(make_trainer: MakeTrainer) -> None:
     a, b, c = (run(make_trainer(seed), 8) for seed in (1, 1, 2))
     assert differing(a.state(), b.state()) == []

@@ -1,0 +1,75 @@
+"""How pinned rays came to be, as a checkpoint keeps it beside the model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nerf_core.camera_files import camera_of, camera_values
+from nerf_core.errors import UserError
+from nerf_core.messages import Inspect
+from nerf_core.probe import RayHistory
+from nerf_core.probe.history import BINS, MOST_RECORDS
+
+Watched = Sequence[tuple[Inspect, RayHistory]]
+FIELD = "watched"  # of the description: the rays
+SHAPES = {
+    "edges": (BINS + 1,),
+    "steps": (-1,),
+    "weights": (-1, BINS),
+    "color": (-1, 3),
+    "depth": (-1,),
+    "opacity": (-1,),
+}  # fmt: skip  of a history of −1 records
+
+
+def described(watched: Watched) -> dict[str, Any]:
+    """What a checkpoint's description holds of it, as JSON values."""
+    return {FIELD: [{"camera": camera_values(ray.camera), "pixel": list(ray.pixel)} for ray, _ in watched]}
+
+
+def state(watched: Watched) -> dict[str, Tensor]:
+    """What a checkpoint's tensors are of it, by name."""
+    return {
+        f"{FIELD}.{k}.{f.name}": torch.from_numpy(np.array(getattr(history, f.name)))
+        for k, (_, history) in enumerate(watched)
+        for f in fields(RayHistory)
+    }
+
+
+def restored(description: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> Watched:
+    """What `described()` and `state()` hold of a run at its step; nothing of checkpoints that have none.
+
+    Raises UserError for what those did not write: a checkpoint comes from anywhere.
+    """
+    found = []
+    try:
+        for k, values in enumerate(description.get(FIELD, ())):
+            camera, (column, row) = camera_of(values["camera"]), (int(v) for v in values["pixel"])
+            arrays = {name: tensors[f"{FIELD}.{k}.{name}"].numpy() for name in SHAPES}
+            found.append((Inspect(camera, (column, row)), _history(arrays, description["step"])))
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
+        raise UserError("the checkpoint's pinned rays' histories cannot be read: they begin anew") from None
+    return found
+
+
+def _history(arrays: Mapping[str, np.ndarray], last: int) -> RayHistory:
+    """Of steps until `last`."""
+    count = len(arrays["steps"])
+    shapes = {name: tuple(count if n < 0 else n for n in shape) for name, shape in SHAPES.items()}
+    if {name: value.shape for name, value in arrays.items()} != shapes or not 0 < count <= MOST_RECORDS:
+        raise ValueError("not the shapes of a history")
+    if any(value.dtype.kind != ("i" if name == "steps" else "f") for name, value in arrays.items()):
+        raise ValueError("not the types of a history")
+    numbers = all(np.isfinite(arrays[name]).all() for name in ("edges", "weights", "color", "opacity"))
+    steps = np.concatenate([[-1], arrays["steps"], [last + 1]])
+    if not (numbers and (np.diff(arrays["edges"]) > 0).all() and (np.diff(steps) > 0).all()):
+        raise ValueError("not the numbers of a history")
+    if np.isinf(arrays["depth"]).any():
+        raise ValueError("not the depths of a history")
+    return RayHistory(**arrays)

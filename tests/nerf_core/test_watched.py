@@ -1,0 +1,131 @@
+"""What was watched comes back with a checkpoint and goes on; what nobody wrote is left out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from desk import Desk
+
+from nerf_core import checkpoint
+from nerf_core.errors import UserError
+from nerf_core.messages import LoadCheckpoint, Pin, Reset, SaveCheckpoint, Snapshot, Train, Unpin
+from nerf_core.probe import RayHistory
+from nerf_core.watched import restored
+
+OpenDesk = Callable[..., Desk]
+
+
+def history_of(snapshot: Snapshot, number: int = 1) -> RayHistory:
+    found = next(pin.history for pin in snapshot.pinned if pin.id == number)
+    assert found is not None
+    return found
+
+
+@pytest.fixture
+def saved(open_desk: OpenDesk, tmp_path: Path) -> tuple[Path, Snapshot]:
+    """A checkpoint of step 5 with a ray pinned at step 0 and one pinned at step 3, and what was shown then."""
+    desk, file = open_desk(), tmp_path / "run.safetensors"
+    camera = desk.until(lambda s: s.scene is not None).scene.views[0].camera  # pyright: ignore
+    desk.send(Pin(1, camera, (8, 8)), Train(3))
+    desk.until(lambda s: s.step == 3 and s.status == "paused")
+    desk.send(Pin(2, camera, (2, 2)), Train(2))
+    shown = desk.until(
+        lambda s: s.step == 5 and s.status == "paused" and len(s.pinned) == 2 and history_of(s).steps[-1] == 5
+    )
+    desk.send(SaveCheckpoint(file))
+    desk.until_told("saved step 5")
+    return file, shown
+
+
+def same(a: RayHistory, b: RayHistory) -> bool:
+    return all(np.array_equal(getattr(a, name), getattr(b, name), equal_nan=True) for name in vars(a))
+
+
+def test_curves_and_maps_go_on_where_the_checkpoint_left_them(
+    open_desk: OpenDesk, saved: tuple[Path, Snapshot]
+) -> None:
+    (file, before), desk = saved, open_desk()
+    assert before.scene is not None
+    camera = desk.until(lambda s: s.scene is not None).scene.views[0].camera  # pyright: ignore
+    desk.send(LoadCheckpoint(file), Pin(7, camera, (8, 8)), Pin(8, camera, (2, 2)), Pin(9, camera, (5, 5)))
+    loaded = desk.until(lambda s: len(s.pinned) == 3 and all(pin.history is not None for pin in s.pinned))
+    assert same(history_of(loaded, 7), history_of(before, 1))
+    assert same(history_of(loaded, 8), history_of(before, 2))
+    assert history_of(loaded, 9).steps.tolist() == [5]
+    np.testing.assert_array_equal(loaded.history.step, before.history.step)
+    np.testing.assert_array_equal(loaded.history.loss, before.history.loss)
+
+    later = desk.trained(3)
+    assert later.history.step.tolist() == [1, 2, 3, 4, 5, 6, 7, 8]
+    later = desk.until(lambda s: history_of(s, 7).steps[-1] == 8)
+    assert history_of(later, 7).steps.tolist() == [0, 1, 2, 3, 4, 5, 6, 7, 8]
+    assert history_of(later, 8).steps.tolist() == [3, 4, 5, 6, 7, 8]
+
+    desk.send(Reset(), Unpin(7), Pin(7, camera, (8, 8)))  # another training: nothing of before is known of it
+    begun = desk.until(lambda s: s.step == 0 and len(s.pinned) == 3 and history_of(s, 7).steps[-1] == 0)
+    assert history_of(begun, 7).steps.tolist() == [0]
+    assert len(begun.history.step) == 0
+
+
+def test_a_checkpoint_without_histories_has_none(saved: tuple[Path, Snapshot]) -> None:
+    description, state = checkpoint.load(saved[0])
+    assert len(restored(description, state)) == 2
+    del description["watched"]
+    assert not restored(description, state)
+
+
+def bad(name: str, change: Callable[[torch.Tensor], Any]) -> Callable[[dict[str, Any], dict[str, Any]], None]:
+    def break_it(description: dict[str, Any], state: dict[str, Any]) -> None:
+        state[f"watched.{name}"] = change(state[f"watched.{name}"])
+
+    return break_it
+
+
+def told(rays: object) -> Callable[[dict[str, Any], dict[str, Any]], None]:
+    return lambda description, state: description.update(watched=rays)
+
+
+BROKEN = {
+    "a missing tensor": lambda description, state: state.pop("watched.1.weights"),
+    "rays that are numbers": told([1]),
+    "a ray without a camera": told([{"pixel": [1, 1]}]),
+    "a number": told(3),
+    "a step that was never made": bad("0.steps", lambda v: v + 1),
+    "steps that go back": bad("0.steps", lambda v: v.flip(0)),
+    "steps that are fractions": bad("0.steps", lambda v: v.double()),
+    "a step before the first": bad("0.steps", lambda v: v - 1),
+    "another length": bad("0.depth", lambda v: v[1:]),
+    "no records": bad("1.steps", lambda v: v[:0]),
+    "a weight that is no number": bad("0.weights", lambda v: v * torch.nan),
+    "weights of another kind": bad("0.weights", lambda v: v.long()),
+    "more bins": bad("0.weights", lambda v: torch.cat([v, v], 1)),
+    "edges that do not rise": bad("1.edges", lambda v: v.flip(0)),
+    "an infinite depth": bad("0.depth", lambda v: v + torch.inf),
+}
+
+
+@pytest.mark.parametrize("break_it", BROKEN.values(), ids=BROKEN.keys())
+def test_histories_that_nobody_wrote_are_refused(
+    saved: tuple[Path, Snapshot], break_it: Callable[[dict[str, Any], dict[str, Any]], object]
+) -> None:
+    description, state = checkpoint.load(saved[0])
+    break_it(description, state)
+    with pytest.raises(UserError, match="histories cannot be read"):
+        restored(description, state)
+
+
+def test_a_model_opens_without_the_histories_that_are_refused(
+    open_desk: OpenDesk, saved: tuple[Path, Snapshot]
+) -> None:
+    file, _ = saved
+    description, state = checkpoint.load(file)
+    checkpoint.save(file, description | {"watched": 5}, state)
+    desk = open_desk()
+    desk.send(LoadCheckpoint(file))
+    assert desk.until_told("the checkpoint's pinned rays' histories cannot be read: they begin anew").level == "warning"
+    assert desk.trained(1).history.step.tolist() == [1, 2, 3, 4, 5, 6]
