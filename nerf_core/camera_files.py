@@ -35,23 +35,34 @@ def camera_of(values: Mapping[str, Any]) -> Camera:
     for name in NEEDED:
         if name not in values:
             raise ValueError(f"field {name} is missing")
-    c2w = np.array(values["c2w"], np.float64)
-    width, height = int(values["width"]), int(values["height"])
-    names = [f.name for f in fields(Camera) if f.name not in ("width", "height", "c2w")]
-    lens = {name: float(values.get(name, 0.0) if name[0] in "kp" else values[name]) for name in names}
-    if not (0 < width <= MOST_PIXELS and 0 < height <= MOST_PIXELS):
-        raise ValueError(f"a picture of {width} × {height} pixels")
+    numbers = {f.name: _number(values, f.name) for f in fields(Camera) if f.name != "c2w"}
+    width, height, *_ = numbers.values()
+    if not all(0 < side <= MOST_PIXELS and side.is_integer() for side in (width, height)):
+        raise ValueError(f"a picture of {width:g} × {height:g} pixels")
+    lens = {name: value for name, value in numbers.items() if name not in ("width", "height")}
     if not (FOCAL[0] <= lens["fx"] <= FOCAL[1] and FOCAL[0] <= lens["fy"] <= FOCAL[1]):
         raise ValueError(f"fx and fy must lie between {FOCAL[0]:g} and {FOCAL[1]:g}")
     for name in lens.keys() - {"fx", "fy"}:
         most = FARTHEST if name[0] == "c" else LENS
         if not abs(lens[name]) <= most:
             raise ValueError(f"{name} must lie between ±{most:g}")
+    try:
+        c2w = np.array(values["c2w"], np.float64)
+    except (ValueError, TypeError):
+        c2w = np.zeros(0)
     if c2w.shape != (3, 4) or not (np.abs(c2w) <= FARTHEST).all():
         raise ValueError(f"c2w must be 3 × 4 numbers between ±{FARTHEST:g}")
     if not (np.allclose(c2w[:, :3] @ c2w[:, :3].T, np.eye(3), atol=1e-4) and np.linalg.det(c2w[:, :3]) > 0):
         raise ValueError("the first three columns of c2w must be a rotation")
-    return Camera(width, height, c2w=c2w, **lens)
+    return Camera(int(width), int(height), c2w=c2w, **lens)
+
+
+def _number(values: Mapping[str, Any], name: str) -> float:
+    """Of a lens' coefficient that is not given: 0."""
+    value = values.get(name, 0.0)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(f"{name} is {shorten(value)}: a number is needed")
+    return float(value)
 
 
 def picked_camera(scene: Scene, text: str) -> Camera:

@@ -14,7 +14,7 @@ from panel_states import make_camera, make_ray
 from nerf_core.cameras import Camera
 from nerf_core.messages import Preview, ViewRequest
 from viewer.draw.imgui_renderer import ImguiRenderer
-from viewer.draw.overlays import Overlay, axis_directions, clip_segments, frusta, uncovered
+from viewer.draw.overlays import Box, Overlay, apart, axis_directions, clip_segments, frusta, uncovered
 from viewer.draw.textures import TextureCache
 from viewer.draw.viewport import ViewportPicture, warp_mesh
 from viewer.window import Window
@@ -392,6 +392,41 @@ def test_a_tag_lies_whole_in_the_picture(canvas: tuple[Window, ImguiRenderer], e
     assert wide > 25
     _, ((x, y),), _ = clip_segments(camera, start[None], end[None], 1e-3)
     assert np.abs(lit - (y, x)).max(1).min() < 2 * 13.0
+
+
+def test_tags_of_rays_that_end_at_one_place_lie_apart(canvas: tuple[Window, ImguiRenderer]) -> None:
+    camera = make_camera(np.array([3.2, 0, 2.4]))
+    ends = np.tile(camera.c2w[:, 3] - 6 * camera.c2w[:, 2], (3, 1))
+    starts = ends + 4 * camera.c2w[:, 2]
+    colors = [ImVec4(0, 0, 1, 1), ImVec4(0, 1, 0, 1), ImVec4(1, 0, 0, 1)]
+
+    def draw(lists: imgui.ImDrawList, count: int = 3) -> None:
+        first = starts[:count], ends[:count], ["ray 1", "ray 2", "ray 3"][:count]
+        Overlay(lists, camera, (0.0, 0.0), 1e-3).tags(*first, 13.0, colors[:count], ImVec4(0, 0, 0, 1))
+
+    def area(picture: np.ndarray, k: int) -> int:
+        return int((picture == [[0, 0, 255], [0, 255, 0], [255, 0, 0]][k]).all(-1).sum())
+
+    alone, together = paint(canvas, lambda lists: draw(lists, 1)), paint(canvas, draw)
+    assert area(together, 0) == area(alone, 0) > 200
+    assert area(together, 1) == pytest.approx(area(alone, 0), rel=0.2)  # but for what the letters cover
+    assert area(together, 2) == pytest.approx(area(alone, 0), rel=0.2)
+
+
+@pytest.mark.parametrize("y", [0.0, 37.0, 185.0])
+def test_boxes_are_moved_apart_by_as_little_as_can_be(y: float) -> None:
+    taken: list[Box] = []
+    for _ in range(8):
+        taken.append(apart(Box(10, y, 40, 15), taken, 200))
+    tops = sorted(box.y for box in taken)
+    assert min(np.diff(tops)) >= 15
+    assert tops[0] >= 0
+    assert tops[-1] <= 185
+    assert tops[-1] - tops[0] == 7 * 16  # side by side
+    assert taken[0].y == y
+    beside = Box(60, y, 40, 15)
+    assert apart(beside, taken, 200) == beside
+    assert apart(Box(10, y, 40, 150), taken, 200) == Box(10, y, 40, 150)  # there is no room
 
 
 def test_the_tag_of_a_ray_seen_from_its_camera_lies_to_the_right(canvas: tuple[Window, ImguiRenderer]) -> None:

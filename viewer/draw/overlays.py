@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
 
@@ -12,6 +14,7 @@ from viewer.widgets import packed, tints
 NEAR = 1e-3  # of the distance to the orbit's centre: what lies nearer to the eye is cut off
 FAINT = 1e-3  # a sample of less weight cannot change an 8-bit pixel: it is not drawn
 MANY = 300  # discs: to compare more, each with each, would take longer than to draw them
+TAG_PAD_EM = 0.3  # beside a name
 REACH_EM = 0.3  # from a sample's rim at which the mouse still means it
 
 
@@ -59,22 +62,27 @@ class Overlay:
     def tags(
         self, starts: np.ndarray, ends: np.ndarray, texts: list[str], em: float, colors: list[ImVec4], ink: ImVec4
     ) -> None:
-        """Names, in `ink` on `colors`, past the visible ends of world segments (N, 3) and within the picture."""
+        """Names, in `ink` on `colors`, past the visible ends of world segments (N, 3), within the picture and apart."""
         a, b, visible = clip_segments(self._camera, starts, ends, self._near)
+        taken: list[Box] = []
         for k in np.flatnonzero(visible).tolist():
-            self._tag(a[k], b[k], texts[k], em, colors[k], ink)
+            taken.append(apart(self._tag_box(a[k], b[k], texts[k], em), taken, self._camera.height))
+            self._tag(taken[-1], texts[k], em, colors[k], ink)
 
-    def _tag(self, start: np.ndarray, end: np.ndarray, text: str, em: float, color: ImVec4, ink: ImVec4) -> None:
-        size, pad, gap = imgui.calc_text_size(text), 0.3 * em, 1.4 * em  # clear of what marks a sample there
+    def _tag_box(self, start: np.ndarray, end: np.ndarray, text: str, em: float) -> Box:
+        size, pad, gap = imgui.calc_text_size(text), TAG_PAD_EM * em, 1.4 * em  # clear of what marks a sample there
         x, y = end
         leftwards = x < start[0] - em  # of a ray seen from its own camera only rounding would tell
         x = x - gap - size.x if leftwards else x + gap
         x = max(min(x, self._camera.width - size.x - pad), pad)
         y = max(min(y - size.y / 2, self._camera.height - size.y), 0.0)
-        at = ImVec2(float(int(self._origin[0] + x)), float(int(self._origin[1] + y)))
-        far = ImVec2(at.x + size.x + pad, at.y + size.y)
-        self._draw.add_rect_filled(ImVec2(at.x - pad, at.y), far, packed(color), 0.2 * em)
-        self._draw.add_text(at, packed(ink), text)
+        return Box(x - pad, y, size.x + 2 * pad, size.y)
+
+    def _tag(self, box: Box, text: str, em: float, color: ImVec4, ink: ImVec4) -> None:
+        left, top = float(int(self._origin[0] + box.x)), float(int(self._origin[1] + box.y))
+        far = ImVec2(left + box.width, top + box.height)
+        self._draw.add_rect_filled(ImVec2(left, top), far, packed(color), 0.2 * em)
+        self._draw.add_text(ImVec2(left + TAG_PAD_EM * em, top), packed(ink), text)
 
     def sample_at(self, ray: RayProbe, em: float, x: float, y: float) -> int | None:
         """The last pass's sample whose disc lies under a place of the screen, or nearly; None where there is none.
@@ -116,6 +124,33 @@ class Overlay:
         for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
             start, end = ImVec2(x + 0.25 * em * dx, y + 0.25 * em * dy), ImVec2(x + 0.7 * em * dx, y + 0.7 * em * dy)
             self._draw.add_line(start, end, tint, max(1.0, 0.1 * em))
+
+
+@dataclass(frozen=True)
+class Box:
+    """In pixels, from the top left corner of the picture."""
+
+    x: float
+    y: float
+    width: float
+    height: float
+
+
+def apart(box: Box, taken: list[Box], bottom: float) -> Box:
+    """The box, moved by the fewest whole rows, up or down, so that it covers none of those taken and ends by `bottom`.
+
+    Where no row is free, as it is.
+    """
+    rows = 2 * len(taken)
+    for row in sorted(range(-rows, rows + 1), key=abs):
+        at = replace(box, y=box.y + row * (box.height + 1))
+        free = all(
+            abs(at.y - other.y) >= box.height or at.x + at.width <= other.x or other.x + other.width <= at.x
+            for other in taken
+        )
+        if free and 0 <= at.y <= bottom - box.height:
+            return at
+    return box
 
 
 def uncovered(places: np.ndarray, radii: np.ndarray) -> np.ndarray:

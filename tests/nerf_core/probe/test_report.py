@@ -320,11 +320,11 @@ def test_a_camera_comes_back_from_its_values() -> None:
         {"fx": 0},
         {"fx": 1e-300},
         {"fy": 1e300},
-        {"fy": "nan"},
+        {"fy": float("inf")},
         {"cx": 1e300},
-        {"cy": "-inf"},
+        {"cy": -float("inf")},
         {"k1": 1e300},
-        {"p2": "nan"},
+        {"p2": float("nan")},
         {"width": 1 << 20},
         {"height": None},
         {"c2w": "no"},
@@ -341,8 +341,11 @@ def test_values_that_are_no_camera_are_refused(change: dict[str, object], tmp_pa
         camera_of(values)
     file = tmp_path / "camera.json"
     file.write_text(json.dumps(values))
-    with pytest.raises(UserError, match=r"camera\.json.*(holds no camera|is nan)"):
+    with pytest.raises(UserError, match=r"camera\.json.*(holds no camera|is (nan|-?inf))"):
         picked_camera(scene_of("a"), str(file))
+
+
+FLAT = {"width": 4, "height": 4, "fx": 4, "fy": 4, "cx": 2, "cy": 2, "c2w": np.eye(3, 4).tolist()}
 
 
 @pytest.mark.parametrize(
@@ -352,6 +355,13 @@ def test_values_that_are_no_camera_are_refused(change: dict[str, object], tmp_pa
         ({}, r"holds no camera \(field width is missing\): an object as an opened ray's file has under \"camera\""),
         ({"camera": 5}, r"holds no camera \(5 is no object\)"),
         ({"camera": {"width": 4, "height": 4, "fx": 4, "fy": 4, "cx": 2, "cy": 2}}, r"\(field c2w is missing\)"),
+        (FLAT | {"fx": "4"}, r"\(fx is '4': a number is needed\)"),
+        (FLAT | {"cy": None}, r"\(cy is None: a number is needed\)"),
+        (FLAT | {"k1": [0]}, r"\(k1 is \[0\]: a number is needed\)"),
+        (FLAT | {"width": True}, r"\(width is True: a number is needed\)"),
+        (FLAT | {"height": 4.5}, r"\(a picture of 4 × 4\.5 pixels\)"),
+        (FLAT | {"c2w": [[1, 2], [3]]}, r"\(c2w must be 3 × 4 numbers between ±1e\+09\)"),
+        (FLAT | {"c2w": "abc"}, r"\(c2w must be 3 × 4 numbers"),
     ],
     ids=str,
 )
