@@ -278,6 +278,7 @@ class Worker:
             asked = self.settings.method
             text = f"{path.name} holds a model of method {trainer.method_name}: --method {asked} is not used"
             self._notices.put(Notice("warning", text))
+        self._publish(force=True)  # whoever hears of it finds it there
         self._notices.put(Notice("info", f"loaded {path.name}: step {description['step']:,}", path))
 
     def _save(self, path: Path, session: Mapping[str, Any]) -> None:

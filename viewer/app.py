@@ -115,7 +115,8 @@ class App:
         return drew
 
     def _read(self) -> None:
-        """Take what the worker has to say."""
+        """Take what the worker has to say. Notices first: the state that they tell of is there by then."""
+        notices = self.link.notices()
         old, new = self.state.snapshot, self.link.snapshot()
         if new is not old:
             self.state.snapshot = new
@@ -130,7 +131,6 @@ class App:
             if new.session is not old.session and new.session:
                 self._actions.restore(new.session)
         self._focus_behind()
-        notices = self.link.notices()
         for notice in notices:
             self._actions.tell(notice)
         if notices:

@@ -53,3 +53,14 @@ class HashField(nn.Module):
     def radiance(self, geometry: Tensor, d: Tensor) -> Tensor:
         """Colours (M, 3) in [0, 1] for unit directions (M, 3)."""
         return torch.sigmoid(self.color(torch.cat([geometry, spherical_harmonics(d)], -1)))
+
+    def colors(self, geometry: Tensor, d: Tensor) -> Tensor:
+        """`radiance` of every vector (P, 16) in every unit direction (D, 3): (P, D, 3).
+
+        The first layer is linear before its ReLU: its two inputs' parts are computed once each, and added.
+        """
+        first, others = self.color[0], self.color[1:]
+        assert isinstance(first, nn.Linear)
+        of_points, of_directions = first.weight.split([FEATURES, DIRECTIONS], 1)
+        seen = nn.functional.linear(spherical_harmonics(d), of_directions, first.bias)
+        return torch.sigmoid(others(nn.functional.linear(geometry, of_points)[:, None] + seen))

@@ -230,9 +230,7 @@ class Hash:
     @torch.no_grad()
     def radiance(self, points: Tensor, directions: Tensor) -> Tensor:
         _, geometry = self._geometry(points)
-        d = directions.to(self.device, torch.float32)
-        shape = len(points), len(d)
-        return self.shown.radiance(geometry.repeat_interleave(shape[1], 0), d.repeat(shape[0], 1)).view(*shape, 3)
+        return self.shown.colors(geometry, directions.to(self.device, torch.float32))
 
     @torch.no_grad()
     def density(self, points: Tensor) -> Tensor:

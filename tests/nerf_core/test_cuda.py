@@ -61,11 +61,10 @@ def test_it_learns_draws_explains_and_goes_on_from_a_checkpoint(cuda: None, scen
     rays = camera_rays(camera, scene.near, scene.far)[:8]
     assert all(shaded(model, rays, mode).shape == (8, 3) for mode in MODES)
 
-    cpu = {key: value.cpu() for key, value in trainer.state().items()}
-    for device in ("cuda", "cpu", "cuda"):  # as a file holds it, and as the other device goes on from it
-        again = Trainer.resume(scene, trainer.describe(), cpu, device)
-        assert again.step().loss < 2 * np.mean(losses[-8:])
-        cpu = {key: value.cpu() for key, value in again.state().items()}
+    for device in ("cuda", "cpu", "cuda"):  # from what a file holds
+        state = {key: value.cpu() for key, value in trainer.state().items()}
+        trainer = Trainer.resume(scene, trainer.describe(), state, device)
+        assert trainer.step().loss < 2 * np.mean(losses[-8:])
 
 
 def test_a_window_gets_pictures_rays_and_files(cuda: None, tiny: RunSettings, capture: Path, tmp_path: Path) -> None:

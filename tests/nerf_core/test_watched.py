@@ -37,7 +37,7 @@ def saved(open_desk: OpenDesk, tmp_path: Path) -> tuple[Path, Snapshot]:
     shown = desk.until(
         lambda s: s.step == 5 and s.status == "paused" and len(s.pinned) == 2 and history_of(s).steps[-1] == 5
     )
-    desk.send(SaveCheckpoint(file))
+    desk.send(SaveCheckpoint(file, {"mark": 7}))
     desk.until_told("saved step 5")
     return file, shown
 
@@ -70,6 +70,18 @@ def test_curves_and_maps_go_on_where_the_checkpoint_left_them(
     begun = desk.until(lambda s: s.step == 0 and len(s.pinned) == 3 and history_of(s, 7).steps[-1] == 0)
     assert history_of(begun, 7).steps.tolist() == [0]
     assert len(begun.history.step) == 0
+
+
+def test_whoever_hears_that_a_checkpoint_was_loaded_finds_it_there(
+    open_desk: OpenDesk, saved: tuple[Path, Snapshot]
+) -> None:
+    desk = open_desk()
+    desk.send(LoadCheckpoint(saved[0]))
+    desk.until_told("loaded run.safetensors")
+    shown = desk.worker.snapshot()
+    assert shown.session == {"mark": 7}
+    assert shown.step == 5
+    assert shown.history.step.tolist() == [1, 2, 3, 4, 5]
 
 
 def test_a_checkpoint_without_histories_has_none(saved: tuple[Path, Snapshot]) -> None:

@@ -657,7 +657,7 @@ def test_ctrl_click_pins_a_ray_which_stays_while_the_camera_moves(start: Start) 
 
 def test_pins_that_are_shown_are_named_in_the_picture(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
     named: list[str] = []
-    monkeypatch.setattr("viewer.draw.overlays.Overlay._tag", lambda self, start, end, text, *style: named.append(text))
+    monkeypatch.setattr("viewer.draw.overlays.Overlay._tag", lambda self, box, text, *style: named.append(text))
     app, _ = start()
     app.perform(PinRay(Inspect(app.state.camera.camera(80, 60), (40, 30))))
     app.perform(PinRay(Inspect(app.state.camera.camera(80, 60), (20, 30))))
@@ -681,6 +681,22 @@ def test_what_the_demo_pins_out_of_sight_gives_way_to_a_hand(start: Start) -> No
     app.perform(PinRay(ray))
     assert len(app.state.pins) == 8
     assert "8 rays are pinned already" in app.state.notices[-1].notice.text
+
+
+def test_what_a_notice_tells_of_is_there_when_it_is_read(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The worker publishes before it tells; whoever read the state before the notices would miss it by a frame."""
+    app, worker = start()
+    told = Notice("info", "loaded")
+
+    def published_and_told() -> list[Notice]:
+        worker.current = replace(worker.current, step=77)
+        return [told]
+
+    monkeypatch.setattr(worker, "notices", published_and_told)
+    steps: list[int] = []
+    monkeypatch.setattr(app._actions, "tell", lambda notice: steps.append(app.state.snapshot.step))
+    app._read()
+    assert steps == [77]
 
 
 def test_a_checkpoint_carries_the_pins(start: Start) -> None:
