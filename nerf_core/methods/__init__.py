@@ -21,8 +21,8 @@ class Method(Protocol):
     `summary` is the sentence that menus show, `coarse` what draws the cheaper picture (empty: there is none).
     `config`: as `configure` or `restore` made it. `device`: where it runs, whatever was asked for. `tile` is how many
     rays one call of `render` works on at a time: a preview asks for no more, so that it can be dropped between two.
-    `alone`: whether a ray comes out the same whichever rays are computed with it; a matrix product rounds otherwise for
-    other shapes, and there an opened ray is computed with its neighbours.
+    `alone`: whether a ray comes out the same, within 1e-6, whichever rays are computed with it; a network of lesser
+    precision rounds otherwise for other shapes, and there an opened ray is computed with its neighbours.
     """
 
     summary: ClassVar[str]

@@ -52,7 +52,7 @@ class Hash:
 
     summary: ClassVar[str] = "Instant-ngp (2022): a hash grid and two small MLPs; made for a GPU."
     coarse: ClassVar[str] = ""
-    alone: ClassVar[bool] = False
+    alone: ClassVar[bool] = True
     stage: ClassVar[str] = ""
     born: ClassVar[int] = 0
 

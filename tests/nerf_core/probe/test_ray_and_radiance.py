@@ -427,3 +427,10 @@ def test_every_pixel_is_the_sum_of_its_samples(scene: Scene, method: str, space:
         most = max(most, float(weights.sum(-1).max()))
     assert worst < 1e-5
     assert 0.1 < most < 1 + 1e-5
+    for pixel in np.random.default_rng(0).integers(0, size, (200, 2)):  # and through what opens a pixel
+        ray = open_ray(trainer.method, scene, camera, (int(pixel[0]), int(pixel[1])), 40)
+        last = ray.passes[-1]
+        color = last.weights.astype(np.float64) @ last.rgb + (1 - last.weights.sum(dtype=np.float64)) * background
+        shown = whole[pixel[1] * size + pixel[0]]
+        assert np.abs(color - shown).max() < 1e-5
+        assert np.abs(ray.rendered_color.clip(0, 1) - shown).max() < 1e-5
