@@ -35,11 +35,10 @@ def camera_of(values: Mapping[str, Any]) -> Camera:
     for name in NEEDED:
         if name not in values:
             raise ValueError(f"field {name} is missing")
-    numbers = {f.name: _number(values, f.name) for f in fields(Camera) if f.name != "c2w"}
-    width, height, *_ = numbers.values()
+    lens = {f.name: _number(values, f.name) for f in fields(Camera) if f.name != "c2w"}
+    width, height = lens.pop("width"), lens.pop("height")
     if not all(0 < side <= MOST_PIXELS and side.is_integer() for side in (width, height)):
         raise ValueError(f"a picture of {width:g} × {height:g} pixels")
-    lens = {name: value for name, value in numbers.items() if name not in ("width", "height")}
     if not (FOCAL[0] <= lens["fx"] <= FOCAL[1] and FOCAL[0] <= lens["fy"] <= FOCAL[1]):
         raise ValueError(f"fx and fy must lie between {FOCAL[0]:g} and {FOCAL[1]:g}")
     for name in lens.keys() - {"fx", "fy"}:

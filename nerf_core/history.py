@@ -10,6 +10,8 @@ import torch
 from torch import Tensor
 
 LIMIT = 2000
+EVERY = {2**k for k in range(40)}  # steps a point, as they double
+MOST = 1e30  # of a loss: what is shown of it has 32 bits
 
 
 @dataclass(frozen=True)
@@ -51,15 +53,25 @@ class HistoryLog:
         losses, pending = (torch.tensor(v, dtype=torch.float64) for v in (self._losses, self._pending))
         return {"every": every, "steps": steps, "losses": losses, "pending": pending}
 
-    def load_state(self, state: Mapping[str, Tensor]) -> None:
-        """Be where `state()` was taken; empty, where a checkpoint of before has none. Raises KeyError, ValueError."""
+    def load_state(self, state: Mapping[str, Tensor], step: int) -> None:
+        """Be where `state()` was taken, after so many steps; empty, where a checkpoint of before has none.
+
+        Raises KeyError, ValueError for what `state()` never gave.
+        """
         if not state:
             state = HistoryLog().state()
         every, steps, losses, pending = (state[name].cpu() for name in ("every", "steps", "losses", "pending"))
-        curve = steps.ndim == 1 and steps.shape == losses.shape and len(steps) < LIMIT and steps.dtype == torch.int64
-        rest = every.ndim == 0 and pending.ndim == 1 and len(pending) < int(every)
-        if not (curve and rest and (steps.diff() > 0).all() and losses.isfinite().all() and pending.isfinite().all()):
+        kinds = [v.dtype for v in (every, steps, losses, pending)]
+        shapes = every.ndim, steps.ndim, pending.ndim
+        if kinds != 2 * [torch.int64] + 2 * [torch.float64] or shapes != (0, 1, 1) or steps.shape != losses.shape:
             raise ValueError("its losses are no curve")
+        made = torch.cat([torch.zeros(1, dtype=torch.int64), steps, torch.tensor([step + 1])])
+        numbers = torch.cat([losses, pending])
+        if not (
+            int(every) in EVERY and len(steps) < LIMIT and len(pending) < int(every) and bool((made.diff() > 0).all())
+            and bool(((numbers >= 0) & (numbers < MOST)).all())
+        ):  # fmt: skip
+            raise ValueError(f"its losses are not those of {step} steps")
         self.every, self._steps = int(every), steps.tolist()
         self._losses, self._pending, self._changed = losses.tolist(), pending.tolist(), True
 

@@ -60,7 +60,7 @@ class OpenedRays:
 
     def __init__(self) -> None:
         self._pins: dict[int, _Pin] = {}
-        self._known: Sequence[tuple[Inspect, RayHistory]] = ()
+        self._known: list[tuple[Inspect, RayHistory]] = []
         self._witnesses: Witnesses | None = None
         self._clock = _Clock()
         self.inspect(None)
@@ -87,12 +87,12 @@ class OpenedRays:
         return self._asked is not None and self._waiting
 
     def pin(self, command: Pin, trainer: Trainer) -> None:
-        recorder = HistoryRecorder(trainer.step_count, trainer.total_steps)
         ray = Inspect(command.camera, command.pixel)
-        for known, history in self._known:
-            if _looks_alike(ray, known):
-                recorder = HistoryRecorder.of(history, trainer.total_steps)
-                recorder.rewind(trainer.step_count)
+        k = next((k for k, (known, _) in enumerate(self._known) if _looks_alike(ray, known)), None)
+        if k is None:
+            recorder = HistoryRecorder(trainer.step_count, trainer.total_steps)
+        else:
+            recorder = HistoryRecorder.of(self._known.pop(k)[1], trainer.step_count, trainer.total_steps)
         self._pins[command.id] = _Pin(command, recorder)
 
     def unpin(self, number: int) -> None:
@@ -108,7 +108,7 @@ class OpenedRays:
     def restart(self, trainer: Trainer) -> None:
         """Another model, or another course of training: its history begins now."""
         self.forget()
-        self._known = ()
+        self._known = []
         for pin in self._pins.values():
             pin.recorder = HistoryRecorder(trainer.step_count, trainer.total_steps)
 
@@ -118,8 +118,8 @@ class OpenedRays:
             pin.recorder.rewind(step)
 
     def know(self, rays: Sequence[tuple[Inspect, RayHistory]]) -> None:
-        """These rays of the model were watched before: once pinned, their histories go on."""
-        self._known = rays
+        """These rays of the model were watched before: when each is pinned next, its history goes on."""
+        self._known = list(rays)
 
     def histories(self) -> list[tuple[Inspect, RayHistory]]:
         """The pinned rays that have one."""

@@ -177,12 +177,14 @@ class Trainer:
 
     def go_to(self, description: Mapping[str, Any], state: Mapping[str, Tensor]) -> None:
         """Be where `describe()` and `state()` were taken."""
-        self.load_state(state)
+        parts = {
+            part: {key.removeprefix(part): v for key, v in state.items() if key.startswith(part)}
+            for part in ("method.", "batches.", "history.")
+        }
+        self.method.load_state(parts["method."])
+        self.batches.load_state(parts["batches."])
+        self.history.load_state(parts["history."], description["step"])
         self.step_count, self.seconds = description["step"], description["seconds"]
-
-    def load_state(self, state: Mapping[str, Tensor]) -> None:
-        for part, owner in (("method.", self.method), ("batches.", self.batches), ("history.", self.history)):
-            owner.load_state({key.removeprefix(part): v for key, v in state.items() if key.startswith(part)})
 
 
 def choose_method(asked: str, device: torch.device) -> tuple[str, str]:

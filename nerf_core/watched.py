@@ -14,18 +14,13 @@ from nerf_core.camera_files import camera_of, camera_values
 from nerf_core.errors import UserError
 from nerf_core.messages import Inspect
 from nerf_core.probe import RayHistory
-from nerf_core.probe.history import BINS, MOST_RECORDS
+from nerf_core.probe.history import BINS
 
 Watched = Sequence[tuple[Inspect, RayHistory]]
 FIELD = "watched"  # of the description: the rays
-SHAPES = {
-    "edges": (BINS + 1,),
-    "steps": (-1,),
-    "weights": (-1, BINS),
-    "color": (-1, 3),
-    "depth": (-1,),
-    "opacity": (-1,),
-}  # fmt: skip  of a history of −1 records
+MOST_RAYS, MOST_RECORDS = 64, 5000  # a schedule makes some 280 records of a ray, and 16 more each time it is doubled
+N = -1  # records
+SHAPES = {"edges": (BINS + 1,), "steps": (N,), "weights": (N, BINS), "color": (N, 3), "depth": (N,), "opacity": (N,)}
 
 
 def described(watched: Watched) -> dict[str, Any]:
@@ -49,7 +44,10 @@ def restored(description: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> W
     """
     found = []
     try:
-        for k, values in enumerate(description.get(FIELD, ())):
+        rays = description.get(FIELD, ())
+        if len(rays) > MOST_RAYS:
+            raise ValueError("more than anybody pins")
+        for k, values in enumerate(rays):
             camera, (column, row) = camera_of(values["camera"]), (int(v) for v in values["pixel"])
             arrays = {name: tensors[f"{FIELD}.{k}.{name}"].numpy() for name in SHAPES}
             found.append((Inspect(camera, (column, row)), _history(arrays, description["step"])))
@@ -61,7 +59,7 @@ def restored(description: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> W
 def _history(arrays: Mapping[str, np.ndarray], last: int) -> RayHistory:
     """Of steps until `last`."""
     count = len(arrays["steps"])
-    shapes = {name: tuple(count if n < 0 else n for n in shape) for name, shape in SHAPES.items()}
+    shapes = {name: tuple(count if n == N else n for n in shape) for name, shape in SHAPES.items()}
     if {name: value.shape for name, value in arrays.items()} != shapes or not 0 < count <= MOST_RECORDS:
         raise ValueError("not the shapes of a history")
     if any(value.dtype.kind != ("i" if name == "steps" else "f") for name, value in arrays.items()):

@@ -62,6 +62,7 @@ class Worker:
         self.wake = wake
         self._commands: deque[Command] = deque()
         self._notices: queue.SimpleQueue[Notice] = queue.SimpleQueue()
+        self._untold: list[Notice] = []  # until the state that they tell of is published
         self._view: ViewRequest | None = None
         self._skipped: ViewRequest | None = None  # a view that could not be drawn: tried again only when asked anew
         self._snapshot = Snapshot(wanted_share=share)
@@ -233,7 +234,7 @@ class Worker:
         self._artist = Artist()
         self._adopt(trainer)
         for note in (*scene.notes, *filter(None, [kernels.note(trainer.device)])):
-            self._notices.put(Notice("warning", note))
+            self._tell(Notice("warning", note))
 
     def _adopt(self, trainer: Trainer) -> None:
         """Make this the model; a paused one, whose history begins now."""
@@ -269,17 +270,16 @@ class Worker:
         try:
             self._artist.rays.know(watched.restored(description, state))
         except UserError as error:
-            self._notices.put(Notice("warning", str(error)))
+            self._tell(Notice("warning", str(error)))
         for note in trainer.notes(description):
-            self._notices.put(Notice("warning", note))
+            self._tell(Notice("warning", note))
         self._saved_step = description["step"]
         self._session = description.get("session", {})  # older ones have none
         if self.settings.method not in ("auto", trainer.method_name):
             asked = self.settings.method
             text = f"{path.name} holds a model of method {trainer.method_name}: --method {asked} is not used"
-            self._notices.put(Notice("warning", text))
-        self._publish(force=True)  # whoever hears of it finds it there
-        self._notices.put(Notice("info", f"loaded {path.name}: step {description['step']:,}", path))
+            self._tell(Notice("warning", text))
+        self._tell(Notice("info", f"loaded {path.name}: step {description['step']:,}", path))
 
     def _save(self, path: Path, session: Mapping[str, Any]) -> None:
         trainer = self._need_trainer()
@@ -287,12 +287,12 @@ class Worker:
         description = trainer.describe() | {"session": dict(session)} | watched.described(seen)
         checkpoint.save(path, description, trainer.state() | watched.state(seen))
         self._saved_step = trainer.step_count
-        self._notices.put(Notice("info", f"saved step {trainer.step_count:,} to {path}", path))
+        self._tell(Notice("info", f"saved step {trainer.step_count:,} to {path}", path))
 
     def _export_rays(self, path: Path, names: Mapping[int, str]) -> None:
         check_format(path)
         write_inspection(self._artist.rays.whole(self._need_trainer(), names), path)
-        self._notices.put(Notice("info", f"wrote {path}", path))
+        self._tell(Notice("info", f"wrote {path}", path))
 
     def _need_scene(self) -> Scene:
         if self._scene is None:
@@ -312,7 +312,7 @@ class Worker:
         self._training_seconds = math.inf if seconds is None else trainer.seconds + seconds
         end = trainer.total_steps if steps is None else trainer.step_count + steps
         if trainer.step_count >= end:
-            self._notices.put(Notice("info", f"all {trainer.total_steps:,} steps of the schedule are done"))
+            self._tell(Notice("info", f"all {trainer.total_steps:,} steps of the schedule are done"))
         else:
             self._training_until = end
 
@@ -337,7 +337,7 @@ class Worker:
         if self._artist.rays.record(trainer):
             self._budget.drew(time.perf_counter() - begin)
         if report.note:
-            self._notices.put(Notice("warning", report.note))
+            self._tell(Notice("warning", report.note))
 
     def _account_for_training(self, rays: int) -> None:
         """Since `_accounted`, less the window's frames: without a graphics card they take the cores away meanwhile."""
@@ -355,7 +355,7 @@ class Worker:
             self._artist.rays.rewind(trainer.step_count)
             self._saved_step = min(self._saved_step, trainer.step_count)
         self._artist.forget_pictures()
-        self._notices.put(Notice("error", f"{error}; back at step {trainer.step_count:,}, paused"))
+        self._tell(Notice("error", f"{error}; back at step {trainer.step_count:,}, paused"))
 
     def _pump(self) -> None:
         """Between two gradient chunks: obey, and serve the window for as long as the budget allows.
@@ -419,11 +419,11 @@ class Worker:
             running = job.advance()
         except UserError as error:
             running = False
-            self._notices.put(Notice("error", f"export failed: {error}"))
+            self._tell(Notice("error", f"export failed: {error}"))
         if not running:
             self._export = None
             if job.progress.state == "done":
-                self._notices.put(Notice("info", f"exported {job.progress.file}", job.progress.file))
+                self._tell(Notice("info", f"exported {job.progress.file}", job.progress.file))
         self._snapshot = replace(self._snapshot, export=job.progress)
         return True
 
@@ -442,12 +442,12 @@ class Worker:
     def _fail(self, error: Exception) -> None:
         """An error is a message: the thread lives on and so does what was open."""
         if isinstance(error, UserError):
-            self._notices.put(Notice("error", str(error)))
+            self._tell(Notice("error", str(error)))
         else:
             self._training_until, self._failed = None, True
             self._skipped = self._view  # what cannot be drawn is reported once, not at every turn
             text = f"{type(error).__name__}: {error}".splitlines()[0]
-            self._notices.put(Notice("error", f"the worker failed: {text}", detail=traceback.format_exc()))
+            self._tell(Notice("error", f"the worker failed: {text}", detail=traceback.format_exc()))
         self._publish(force=True)
 
     def _status(self) -> messages.Status:
@@ -464,9 +464,13 @@ class Worker:
             return "finished"
         return "paused" if trainer.step_count else "ready"
 
+    def _tell(self, notice: Notice) -> None:
+        """With the next snapshot: whoever hears of something finds it there."""
+        self._untold.append(notice)
+
     def _publish(self, force: bool = False) -> None:
         now = time.monotonic()
-        if not force and now - self._published < PUBLISH_SECONDS:
+        if not (force or self._untold) and now - self._published < PUBLISH_SECONDS:
             return
         self._published, begin = now, time.perf_counter()
         status, trainer = self._status(), self._trainer
@@ -504,5 +508,8 @@ class Worker:
                 preview_rays_per_second=self._artist.rays_per_second("fine"),
             )
         self._snapshot = common
+        for notice in self._untold:
+            self._notices.put(notice)
+        self._untold.clear()
         self.wake()
         self._budget.showed(time.perf_counter() - begin)

@@ -21,7 +21,8 @@ from nerf_core.spaces import BoxRays
 loops: Any = triton_loops  # what Triton types as a call is a launch, with other arguments
 POINTS, RAYS, ROWS = 128, 64, 256  # one program's share
 # No a·b + c rounded once: the march that counts samples and the one that writes them are compiled apart, and where one
-# fuses what the other does not, a ray finds another number of them.
+# fuses what the other does not, a ray finds another number of them. Said to all kernels, whose default is Triton's to
+# change: they wait for memory, not for arithmetic.
 EXACTLY = {"enable_fp_fusion": False}
 
 

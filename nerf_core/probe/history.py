@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,6 @@ from nerf_core.probe.ray import RayProbe
 
 BINS = 96  # over t
 RECORDS = 240  # of a whole schedule: as many as one wants to look at, spaced evenly in log(step)
-MOST_RECORDS = 100_000  # of one ray; a ray that is watched through many schedules has some thousands
 
 
 @dataclass(frozen=True)
@@ -33,24 +33,30 @@ class HistoryRecorder:
 
     def __init__(self, first: int, last: int) -> None:
         """Of a ray that is watched from step `first` of a schedule that ends at `last`."""
-        self._due = first + log_spaced(max(last - first, 1), RECORDS)
+        span = max(last - first, 1)
+        self._first, self._factor = first, math.expm1(math.log1p(span) / RECORDS)
+        self._due = first + log_spaced(span, RECORDS)
         self._next = 0  # of those
         self._edges: np.ndarray | None = None
         self._rows: list[tuple[int, np.ndarray, np.ndarray, float, float]] = []
         self._view: RayHistory | None = None
 
     @staticmethod
-    def of(history: RayHistory, last: int) -> HistoryRecorder:
-        """One that goes on from what was recorded."""
+    def of(history: RayHistory, step: int, last: int) -> HistoryRecorder:
+        """One that goes on from what was recorded until `step`, at which a record is due, if there is none."""
         recorder = HistoryRecorder(int(history.steps[0]), last)
+        recorder._due = np.union1d(recorder._due, [step])
         recorder._edges = history.edges
         steps, depth, opacity = history.steps.tolist(), history.depth.tolist(), history.opacity.tolist()
         recorder._rows = list(zip(steps, history.weights, history.color, depth, opacity, strict=True))
-        recorder._next = int(np.searchsorted(recorder._due, steps[-1], "right"))
+        recorder.rewind(step)
         return recorder
 
     def due(self, step: int) -> bool:
-        return self._next < len(self._due) and step >= int(self._due[self._next])
+        if self._next == len(self._due):  # training goes on past its schedule
+            beyond = int(self._due[-1]) - self._first
+            self._due = np.append(self._due, self._first + beyond + max(1, round(beyond * self._factor)))
+        return step >= int(self._due[self._next])
 
     def add(self, ray: RayProbe) -> None:
         """Keep this ray's record; whether one is due is for the caller to ask."""
@@ -66,7 +72,7 @@ class HistoryRecorder:
     def rewind(self, step: int) -> None:
         """Forget what came after `step`, which training went back to: its records are due again."""
         self._rows = [row for row in self._rows if row[0] <= step]
-        self._next = int(np.searchsorted(self._due, step, "right"))
+        self._next = int(np.searchsorted(self._due, self._rows[-1][0], "right")) if self._rows else 0
         self._view = None
 
     def view(self) -> RayHistory | None:

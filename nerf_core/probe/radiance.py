@@ -18,7 +18,7 @@ SPHERE_ROWS, SPHERE_COLUMNS = 48, 96  # 4,608 directions over the sphere
 DISC_SIZE = 73  # some 4,180 more over the hemisphere that faces the viewer, or around the normal
 COMPARED = 64  # directions whose colours are compared to say how view-dependent a point is
 FROZEN_WEIGHT = 0.999  # of a frozen ray: the heaviest samples, so much of its weight, look around; the rest does not
-FROZEN_SAMPLES = 8  # whose colours are looked up at once: with a network some 100 MB
+FROZEN_PAIRS = 1 << 16  # of a sample and a direction, looked up at once: with a network some 100 MB
 STEEP = 1e-6  # of σ: a gradient that changes it by no more over a sample's length points nowhere
 
 Around = Literal["viewer", "normal"]
@@ -185,12 +185,13 @@ def _frozen(method: Method, ray: RayProbe, looking: Tensor) -> np.ndarray:
     needed = int(np.searchsorted(reach, FROZEN_WEIGHT * reach[-1])) + 1 if len(reach) else 0
     kept, rest = np.split(order, [needed])
     color = last.weights[rest].astype(np.float64) @ last.rgb[rest] + (1 - ray.opacity) * ray.background
-    total = torch.from_numpy(color).float().expand(len(looking), 3).clone()
+    total, done = torch.from_numpy(color).float().expand(len(looking), 3).clone(), 0
     points = ray.origin.astype(np.float64) + last.t[kept, None].astype(np.float64) * ray.direction.astype(np.float64)
-    for first in range(0, needed, FROZEN_SAMPLES):
-        part = slice(first, first + FROZEN_SAMPLES)
-        rgb = method.radiance(torch.from_numpy(points[part]), looking).cpu().float()
-        total += torch.einsum("p,pkc->kc", torch.from_numpy(last.weights[kept[part]]).float(), rgb)
+    weights = torch.from_numpy(last.weights[kept]).float()
+    for part in looking.split(max(1, FROZEN_PAIRS // needed)) if needed else ():
+        rgb = method.radiance(torch.from_numpy(points), part).cpu().float()
+        total[done : done + len(part)] += torch.einsum("p,pkc->kc", weights, rgb)
+        done += len(part)
     return total.numpy()
 
 

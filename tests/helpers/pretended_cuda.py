@@ -23,7 +23,10 @@ from torch.utils._pytree import tree_flatten, tree_map
 
 optimizer = importlib.import_module("torch.optim.optimizer")
 CUDA = torch.device("cuda", 0)
-WAITS = {"_local_scalar_dense", "nonzero", "masked_select", "_unique2", "bincount", "repeat_interleave"}
+WAITS = {
+    "_local_scalar_dense", "nonzero", "masked_select", "bincount", "repeat_interleave", "equal", "_unique", "_unique2",
+    "unique_dim", "unique_consecutive",
+}  # fmt: skip
 INDEXES = {"index", "index_put", "index_put_", "_index_put_impl_"}
 NO_NUMPY = "can't convert cuda:0 device type tensor to numpy. Use Tensor.cpu() to copy the tensor to host memory first."
 
@@ -82,6 +85,10 @@ class FarTensor(Tensor):
         )  # fmt: skip
         made.here = here
         return made
+
+    @property
+    def is_cuda(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return True
 
     @property
     def device(self) -> torch.device:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -227,7 +234,8 @@ def _to(tensor: Tensor, *args: Any, **kwargs: Any) -> Any:
         elif isinstance(arg, str | torch.device):
             device = arg
     there = tensor if device is None else moved(tensor, device)
-    return there if dtype is None else Tensor.to(there, dtype)
+    there = there if dtype is None else Tensor.to(there, dtype)
+    return there.clone() if there is tensor and kwargs.get("copy") else there
 
 
 def _module_to(module: nn.Module, device: object) -> nn.Module:

@@ -27,7 +27,7 @@ NETWORK = {"rays": "64", "depth": "3", "width": "32", "learning_rate": "0.003"}
 SMALL = {
     "hash": {"samples": "2000", "levels": "4", "log2_rows": "10", "cells": "16", "hidden": "16", "pixels": "4"},
     "nerf": NETWORK | {"chunk_rays": "512", "coarse_samples": "12", "fine_samples": "12"},
-    "nerf-guided": NETWORK | {"guide_steps": "5"},
+    "nerf-guided": NETWORK | {"guide_steps": "5", "precision": "bfloat16"},
 }
 
 
@@ -81,7 +81,9 @@ def test_a_window_gets_pictures_rays_and_files(cuda: None, tiny: RunSettings, ca
         desk.send(SaveCheckpoint(tmp_path / "run.safetensors"), ExportRays(tmp_path / "rays.npz", {1: "Pin 1"}))
         desk.until(lambda _: (tmp_path / "rays.npz").exists())
         desk.send(Train(1), LoadCheckpoint(tmp_path / "run.safetensors"))
+        desk.until_told("loaded run.safetensors: step 6")
         desk.until(lambda s: s.step == 6 and s.opened_step == 6 and s.status != "training")
+        desk.trained(1)
         assert not [notice for notice in desk.heard if notice.level == "error"]
     finally:
         assert desk.worker.stop(60)
@@ -98,9 +100,19 @@ def test_the_pretended_device_refuses_what_cuda_refuses() -> None:
         for convert in (far.numpy, lambda: np.asarray(far)):
             with pytest.raises(TypeError, match="numpy"):
                 convert()
+        for copy in (far.to("cuda", copy=True), near.to("cpu", copy=True)):
+            copy.zero_()
+        assert far.tolist() == near.tolist() == [1, 1, 1]
         with pytest.raises(RuntimeError, match="generator"):
             torch.rand(3, device="cuda", generator=torch.Generator())
-        for waits in (lambda: float(far[0]), lambda: far[far > 0], far.nonzero, far.cpu, lambda: near.to("cuda")):
+        for waits in (
+            lambda: float(far[0]),
+            lambda: far[far > 0],
+            far.nonzero,
+            far.cpu,
+            lambda: near.to("cuda"),
+            far.unique,
+        ):
             with pytest.raises(RuntimeError, match="capturing"), recorded(Graph()):
                 waits()
 

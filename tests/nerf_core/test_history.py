@@ -45,26 +45,38 @@ def test_a_log_goes_on_from_its_state(steps: int) -> None:
         whole.add(step, loss)
         (first if step <= steps else second).add(step, loss)
         if step == steps:
-            second.load_state(first.state())
+            second.load_state(first.state(), steps)
     if not steps:
-        second.load_state({})
+        second.load_state({}, 5)
         for step, loss in enumerate(losses, 1):
             second.add(step, loss)
     for name in ("step", "loss", "psnr"):
         np.testing.assert_array_equal(getattr(second.view(), name), getattr(whole.view(), name))
 
 
+def numbers(*values: float) -> torch.Tensor:
+    return torch.tensor(values, dtype=torch.float64)
+
+
 BROKEN = {
     "no losses": {"losses": None},
-    "another length": {"losses": torch.zeros(2)},
+    "another length": {"losses": numbers(1, 1)},
+    "a table": {"steps": torch.ones(3, 1, dtype=torch.int64), "losses": numbers(1, 1, 1)[:, None]},
     "steps that go back": {"steps": torch.tensor([2, 1, 3])},
-    "steps that are fractions": {"steps": torch.tensor([1.0, 2, 3])},
-    "a loss that is no number": {"losses": torch.tensor([1, torch.nan, 1])},
-    "more than it holds": {"steps": torch.arange(LIMIT), "losses": torch.zeros(LIMIT)},
+    "steps before the first": {"steps": torch.tensor([0, 1, 2])},
+    "steps that were not made": {"steps": torch.tensor([1, 2, 4])},
+    "steps that are fractions": {"steps": numbers(1, 2, 3)},
+    "a loss that is no number": {"losses": numbers(1, torch.nan, 1)},
+    "a loss under nothing": {"losses": numbers(1, -1, 1)},
+    "a loss past what can be shown": {"losses": numbers(1, 1e300, 1)},
+    "losses of another kind": {"losses": torch.ones(3, dtype=torch.complex64)},
     "never a mean": {"every": torch.tensor(0)},
-    "means of several kinds": {"every": torch.ones(2)},
-    "a mean that is due": {"pending": torch.ones(1)},
-    "an infinite one that waits": {"every": torch.tensor(4), "pending": torch.tensor([torch.inf])},
+    "means over an odd number of steps": {"every": torch.tensor(3)},
+    "means over more than anybody trains": {"every": torch.tensor(2**62)},
+    "means over a fraction": {"every": torch.tensor(torch.inf)},
+    "means of several kinds": {"every": torch.ones(2, dtype=torch.int64)},
+    "a mean that is due": {"pending": numbers(1)},
+    "an infinite one that waits": {"every": torch.tensor(4), "pending": numbers(torch.inf)},
 }
 
 
@@ -74,5 +86,13 @@ def test_a_state_that_none_was_in_is_refused(changes: dict[str, torch.Tensor | N
     for step in (1, 2, 3):
         log.add(step, 0.5)
     state = {name: v for name, v in (log.state() | changes).items() if v is not None}
+    HistoryLog().load_state(log.state(), 3)
     with pytest.raises((KeyError, ValueError)):
-        HistoryLog().load_state(state)
+        HistoryLog().load_state(state, 3)
+
+
+def test_losses_of_more_steps_than_several_points_can_hold_are_refused_too() -> None:
+    steps = torch.arange(1, LIMIT + 1)
+    state = HistoryLog().state() | {"steps": steps, "losses": torch.ones(LIMIT, dtype=torch.float64)}
+    with pytest.raises(ValueError, match="not those of"):
+        HistoryLog().load_state(state, LIMIT)

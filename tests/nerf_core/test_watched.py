@@ -66,9 +66,37 @@ def test_curves_and_maps_go_on_where_the_checkpoint_left_them(
     assert history_of(later, 7).steps.tolist() == [0, 1, 2, 3, 4, 5, 6, 7, 8]
     assert history_of(later, 8).steps.tolist() == [3, 4, 5, 6, 7, 8]
 
-    desk.send(Reset(), Unpin(7), Pin(7, camera, (8, 8)))  # another training: nothing of before is known of it
-    begun = desk.until(lambda s: s.step == 0 and len(s.pinned) == 3 and history_of(s, 7).steps[-1] == 0)
-    assert history_of(begun, 7).steps.tolist() == [0]
+
+def test_what_is_removed_or_pinned_twice_begins_anew(open_desk: OpenDesk, saved: tuple[Path, Snapshot]) -> None:
+    desk, pixel = open_desk(), (2, 2)  # the ray that was pinned at step 3
+    camera = desk.until(lambda s: s.scene is not None).scene.views[0].camera  # pyright: ignore
+    desk.send(LoadCheckpoint(saved[0]), Pin(1, camera, pixel), Pin(2, camera, pixel))
+    both = desk.until(lambda s: len(s.pinned) == 2 and all(pin.history is not None for pin in s.pinned))
+    assert history_of(both, 1).steps.tolist() == [3, 4, 5]
+    assert history_of(both, 2).steps.tolist() == [5]
+    desk.send(Unpin(1), Unpin(2), Pin(3, camera, pixel))
+    again = desk.until(lambda s: [pin.id for pin in s.pinned] == [3] and s.pinned[0].history is not None)
+    assert history_of(again, 3).steps.tolist() == [5]
+
+
+def test_a_history_goes_on_at_the_step_where_its_ray_is_pinned_again(
+    open_desk: OpenDesk, saved: tuple[Path, Snapshot]
+) -> None:
+    desk = open_desk(steps=20_000)  # the checkpoint's own schedule, of 100 steps, counts
+    camera = desk.until(lambda s: s.scene is not None).scene.views[0].camera  # pyright: ignore
+    desk.send(LoadCheckpoint(saved[0]), Train(120))  # past that schedule
+    desk.until(lambda s: s.step == 125 and s.status != "training")
+    desk.send(Pin(3, camera, (2, 2)))
+    shown = desk.until(lambda s: len(s.pinned) == 1 and s.pinned[0].history is not None)
+    assert history_of(shown, 3).steps.tolist() == [3, 4, 5, 125]
+
+
+def test_another_training_knows_nothing_of_it(open_desk: OpenDesk, saved: tuple[Path, Snapshot]) -> None:
+    desk = open_desk()
+    camera = desk.until(lambda s: s.scene is not None).scene.views[0].camera  # pyright: ignore
+    desk.send(LoadCheckpoint(saved[0]), Reset(), Pin(5, camera, (2, 2)))
+    begun = desk.until(lambda s: len(s.pinned) == 1 and s.pinned[0].history is not None)
+    assert history_of(begun, 5).steps.tolist() == [0]
     assert len(begun.history.step) == 0
 
 
@@ -107,6 +135,7 @@ BROKEN = {
     "rays that are numbers": told([1]),
     "a ray without a camera": told([{"pixel": [1, 1]}]),
     "a number": told(3),
+    "more rays than anybody pins": lambda description, state: description.update(watched=description["watched"] * 40),
     "a step that was never made": bad("0.steps", lambda v: v + 1),
     "steps that go back": bad("0.steps", lambda v: v.flip(0)),
     "steps that are fractions": bad("0.steps", lambda v: v.double()),
@@ -121,14 +150,12 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize("break_it", BROKEN.values(), ids=BROKEN.keys())
-def test_histories_that_nobody_wrote_are_refused(
-    saved: tuple[Path, Snapshot], break_it: Callable[[dict[str, Any], dict[str, Any]], object]
-) -> None:
-    description, state = checkpoint.load(saved[0])
-    break_it(description, state)
-    with pytest.raises(UserError, match="histories cannot be read"):
-        restored(description, state)
+def test_histories_that_nobody_wrote_are_refused(saved: tuple[Path, Snapshot]) -> None:
+    for what, break_it in BROKEN.items():
+        description, state = checkpoint.load(saved[0])
+        break_it(description, state)
+        with pytest.raises(UserError, match="histories cannot be read"):
+            pytest.fail(f"{what} is taken: {restored(description, state)}")
 
 
 def test_a_model_opens_without_the_histories_that_are_refused(
@@ -140,4 +167,5 @@ def test_a_model_opens_without_the_histories_that_are_refused(
     desk = open_desk()
     desk.send(LoadCheckpoint(file))
     assert desk.until_told("the checkpoint's pinned rays' histories cannot be read: they begin anew").level == "warning"
+    assert desk.worker.snapshot().step == 5  # what is told is published before
     assert desk.trained(1).history.step.tolist() == [1, 2, 3, 4, 5, 6]
