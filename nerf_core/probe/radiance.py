@@ -17,7 +17,7 @@ from nerf_core.scene import Scene
 SPHERE_ROWS, SPHERE_COLUMNS = 48, 96  # 4,608 directions over the sphere
 DISC_SIZE = 73  # some 4,180 more over the hemisphere that faces the viewer, or around the normal
 COMPARED = 64  # directions whose colours are compared to say how view-dependent a point is
-FROZEN_WEIGHT = 0.999  # of a frozen ray: the heaviest samples, so much of its weight, look around; the rest does not
+FROZEN_WEIGHT = 0.998  # of a frozen ray looks around: what the lightest samples make of the rest is half an 8-bit step
 FROZEN_PAIRS = 1 << 16  # of a sample and a direction, looked up at once: with a network some 100 MB
 STEEP = 1e-6  # of σ: a gradient that changes it by no more over a sample's length points nowhere
 
