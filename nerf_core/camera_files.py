@@ -47,7 +47,7 @@ def camera_of(values: Mapping[str, Any]) -> Camera:
             raise ValueError(f"{name} must lie between ±{most:g}")
     try:
         c2w = np.array(values["c2w"], np.float64)
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, OverflowError):
         c2w = np.zeros(0)
     if c2w.shape != (3, 4) or not (np.abs(c2w) <= FARTHEST).all():
         raise ValueError(f"c2w must be 3 × 4 numbers between ±{FARTHEST:g}")

@@ -18,7 +18,7 @@ from nerf_core.probe.history import BINS
 
 Watched = Sequence[tuple[Inspect, RayHistory]]
 FIELD = "watched"  # of the description: the rays
-MOST_RAYS, MOST_RECORDS = 64, 5000  # a schedule makes some 280 records of a ray, and 16 more each time it is doubled
+MOST_RAYS, MOST_RECORDS = 64, 5000  # a schedule makes some 280 records of a ray; twice its steps, some 30 more
 N = -1  # records
 SHAPES = {"edges": (BINS + 1,), "steps": (N,), "weights": (N, BINS), "color": (N, 3), "depth": (N,), "opacity": (N,)}
 

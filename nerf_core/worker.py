@@ -473,6 +473,16 @@ class Worker:
         if not (force or self._untold) and now - self._published < PUBLISH_SECONDS:
             return
         self._published, begin = now, time.perf_counter()
+        try:
+            self._snapshot = self._shown()
+        finally:  # what broke is told even where there is nothing more to show
+            for notice in self._untold:
+                self._notices.put(notice)
+            self._untold.clear()
+        self.wake()
+        self._budget.showed(time.perf_counter() - begin)
+
+    def _shown(self) -> Snapshot:
         status, trainer = self._status(), self._trainer
         common = replace(
             self._snapshot, status=status, loading=self._loading, loaded=self._loaded, scene=self._scene,
@@ -507,9 +517,4 @@ class Worker:
                 session=self._session,
                 preview_rays_per_second=self._artist.rays_per_second("fine"),
             )
-        self._snapshot = common
-        for notice in self._untold:
-            self._notices.put(notice)
-        self._untold.clear()
-        self.wake()
-        self._budget.showed(time.perf_counter() - begin)
+        return common

@@ -34,7 +34,7 @@ class HistoryRecorder:
     def __init__(self, first: int, last: int) -> None:
         """Of a ray that is watched from step `first` of a schedule that ends at `last`."""
         span = max(last - first, 1)
-        self._first, self._factor = first, math.expm1(math.log1p(span) / RECORDS)
+        self._first, self._factor = first, math.expm1(math.log1p(max(last, RECORDS)) / RECORDS)
         self._due = first + log_spaced(span, RECORDS)
         self._next = 0  # of those
         self._edges: np.ndarray | None = None

@@ -119,6 +119,20 @@ def test_without_a_scene_commands_say_so(open_desk: OpenDesk, command: Command) 
     assert desk.heard[0].text.startswith(("no scene is open: open one first", "x: no such checkpoint"))
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")  # it ends the thread
+def test_what_breaks_the_state_that_is_published_is_told_all_the_same(
+    open_desk: OpenDesk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk = open_desk()
+
+    def lost(device: object) -> int:
+        raise OSError("the device is lost")
+
+    monkeypatch.setattr("nerf_core.worker.memory_held", lost)
+    desk.send(Pause())
+    assert desk.until_told("the device is lost").level == "error"
+
+
 def test_an_exception_is_told_once_and_the_thread_lives(open_desk: OpenDesk, monkeypatch: pytest.MonkeyPatch) -> None:
     def boom(*_: object) -> None:
         raise RuntimeError("boom\nand more")

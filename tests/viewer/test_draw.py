@@ -14,7 +14,7 @@ from panel_states import make_camera, make_ray
 from nerf_core.cameras import Camera
 from nerf_core.messages import Preview, ViewRequest
 from viewer.draw.imgui_renderer import ImguiRenderer
-from viewer.draw.overlays import Box, Overlay, apart, axis_directions, clip_segments, frusta, uncovered
+from viewer.draw.overlays import Box, Overlay, axis_directions, clear_of, clip_segments, frusta, uncovered
 from viewer.draw.textures import TextureCache
 from viewer.draw.viewport import ViewportPicture, warp_mesh
 from viewer.window import Window
@@ -417,7 +417,7 @@ def test_tags_of_rays_that_end_at_one_place_lie_apart(canvas: tuple[Window, Imgu
 def test_boxes_are_moved_apart_by_as_little_as_can_be(y: float) -> None:
     taken: list[Box] = []
     for _ in range(8):
-        taken.append(apart(Box(10, y, 40, 15), taken, 200))
+        taken.append(clear_of(taken, Box(10, y, 40, 15), 200))
     tops = sorted(box.y for box in taken)
     assert min(np.diff(tops)) >= 15
     assert tops[0] >= 0
@@ -425,8 +425,8 @@ def test_boxes_are_moved_apart_by_as_little_as_can_be(y: float) -> None:
     assert tops[-1] - tops[0] == 7 * 16  # side by side
     assert taken[0].y == y
     beside = Box(60, y, 40, 15)
-    assert apart(beside, taken, 200) == beside
-    assert apart(Box(10, y, 40, 150), taken, 200) == Box(10, y, 40, 150)  # there is no room
+    assert clear_of(taken, beside, 200) == beside
+    assert clear_of(taken, Box(10, y, 40, 150), 200) == Box(10, y, 40, 150)  # there is no room
 
 
 def test_the_tag_of_a_ray_seen_from_its_camera_lies_to_the_right(canvas: tuple[Window, ImguiRenderer]) -> None:

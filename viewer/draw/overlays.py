@@ -66,7 +66,7 @@ class Overlay:
         a, b, visible = clip_segments(self._camera, starts, ends, self._near)
         taken: list[Box] = []
         for k in np.flatnonzero(visible).tolist():
-            taken.append(apart(self._tag_box(a[k], b[k], texts[k], em), taken, self._camera.height))
+            taken.append(clear_of(taken, self._tag_box(a[k], b[k], texts[k], em), self._camera.height))
             self._tag(taken[-1], texts[k], em, colors[k], ink)
 
     def _tag_box(self, start: np.ndarray, end: np.ndarray, text: str, em: float) -> Box:
@@ -136,7 +136,7 @@ class Box:
     height: float
 
 
-def apart(box: Box, taken: list[Box], bottom: float) -> Box:
+def clear_of(taken: list[Box], box: Box, bottom: float) -> Box:
     """The box, moved by the fewest whole rows, up or down, so that it covers none of those taken and ends by `bottom`.
 
     Where no row is free, as it is.

@@ -74,3 +74,16 @@ def test_what_training_went_back_over_is_forgotten() -> None:
     assert history.steps.tolist() == list(range(101))  # all of a schedule as short as this, twice trained or not
     empty = HistoryRecorder(0, 100)
     assert empty.view() is None
+
+
+@pytest.mark.parametrize(("first", "last"), [(0, 100), (100, 100), (30_000, 30_000), (7, 20_000)])
+def test_past_its_schedule_records_go_on_ever_more_rarely(first: int, last: int) -> None:
+    recorder, due = HistoryRecorder(first, last), list[int]()
+    for step in range(first, first + 100_000):
+        if recorder.due(step):
+            due.append(step)
+            recorder._next += 1
+    assert due[0] == first
+    assert due[-1] > first + 90_000
+    assert len(due) < 700
+    assert due[-1] - due[-2] > 1000
