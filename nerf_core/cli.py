@@ -13,24 +13,24 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from nerf_core.camera_files import picked_camera
-from nerf_core.checkpoint import write_atomically
-from nerf_core.command_line import parse
-from nerf_core.console import Display, duration
+from nerf_core.common.command_line import parse
+from nerf_core.common.console import Display, duration
+from nerf_core.common.device import describe, pick_device
+from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.files import write_atomically
+from nerf_core.common.signals import Interrupted, Signals
 from nerf_core.datasets import load_scene
-from nerf_core.device import describe, pick_device
-from nerf_core.errors import UserError, shorten
-from nerf_core.evaluate import evaluate, select
-from nerf_core.export import FilmJob
+from nerf_core.geometry.camera_files import picked_camera
+from nerf_core.geometry.paths import PATHS
 from nerf_core.kernels import choice as kernels
-from nerf_core.messages import ExportPath
-from nerf_core.metrics import Lpips
-from nerf_core.options import TrainOptions, run_name
-from nerf_core.paths import PATHS
-from nerf_core.runs import RunFolder, must_agree
-from nerf_core.signals import Interrupted, Signals
-from nerf_core.trainer import Diverged, Trainer, choose_method
-from nerf_core.training import Progress, train_run
+from nerf_core.live.messages import ExportPath
+from nerf_core.rendering.export.film import FilmJob
+from nerf_core.training.evaluate import evaluate, select
+from nerf_core.training.loop import Progress, train_run
+from nerf_core.training.metrics import Lpips
+from nerf_core.training.options import TrainOptions, run_name
+from nerf_core.training.run_folder import RunFolder, must_agree
+from nerf_core.training.trainer import Diverged, Trainer, choose_method
 
 DATA_HELP = "Folder of the capture (or its .json file); none: the demo scene."
 MOVED_HELP = "Where the capture is now, if it moved."

@@ -9,7 +9,7 @@ import jaxtyping
 import pytest
 
 # Before anything imports them: calls of these are checked against the shapes they state, in tests alone.
-CHECKED = ["nerf_core.encodings", "nerf_core.sampling", "nerf_core.volume"]
+CHECKED = ["nerf_core.volume.encodings", "nerf_core.volume.sampling", "nerf_core.volume.compositing"]
 assert not set(CHECKED) & set(sys.modules)
 jaxtyping.install_import_hook(CHECKED, "beartype.beartype")
 

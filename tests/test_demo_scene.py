@@ -13,7 +13,7 @@ from demo_light import KEY, KEY_SPREAD
 from demo_shapes import Sphere, dot, unit
 from PIL import Image
 
-from nerf_core.assets_path import assets_dir
+from nerf_core.common.assets import assets_dir
 
 DEMO = assets_dir() / "demo"
 

@@ -6,8 +6,8 @@ import pytest
 from demo_truth import compare, microscope
 
 from nerf_core.datasets import LoadOptions, load_scene
-from nerf_core.settings import RunSettings
-from nerf_core.trainer import Trainer
+from nerf_core.training.settings import RunSettings
+from nerf_core.training.trainer import Trainer
 
 # Preset, steps, and how many times nearer the depth must come: a grid begins as an even fog, whose mean depth is not
 # far off, a network anywhere.

@@ -1,1 +1,1 @@
-"""The window: a microscope for neural radiance fields that train while you look."""
+"""The window: an OpenGL viewer over nerf_core."""

@@ -12,13 +12,13 @@ from typing import Annotated, Any, NoReturn
 
 import tyro
 
-from nerf_core.command_line import parse
-from nerf_core.errors import UserError, shorten
-from nerf_core.options import TrainOptions
-from nerf_core.settings import RunSettings
-from nerf_core.signals import Interrupted, Signals
+from nerf_core.common.command_line import parse
+from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.signals import Interrupted, Signals
+from nerf_core.training.options import TrainOptions
+from nerf_core.training.settings import RunSettings
 
-WORKER_THREAD = "nerf-worker"  # as `nerf_core.worker` names it; importing that takes a second that --help has not
+WORKER_THREAD = "nerf-worker"  # as `nerf_core.live.worker` names it; importing that takes a second that --help has not
 
 
 @dataclass(frozen=True)
@@ -81,13 +81,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def run(options: ViewerOptions, signals: Signals) -> int:
     """What the command does; returns its exit status. Raises UserError."""
     if options.doctor:
-        from viewer.doctor import examine
+        from .session.doctor import examine
 
         return 0 if examine(print) else 1
-    from viewer.window import DisplayError, load_libraries, open_offscreen, open_window
+    from .window import DisplayError, load_libraries, open_offscreen, open_window
 
     load_libraries()  # before anything imports imgui: tells which system packages are missing
-    import viewer.session as sessions
+    from .session import session as sessions
 
     size, settings = sessions.parse_size(options.size), options.train.settings()
     scale = 1.0 if options.scale is None else options.scale
@@ -120,7 +120,7 @@ def run(options: ViewerOptions, signals: Signals) -> int:
 
 def _agrees(file: Path, settings: RunSettings) -> None:
     """A checkpoint has its method and constants: raises UserError where others are asked for."""
-    from nerf_core.checkpoint import describe
+    from nerf_core.training.checkpoint import describe
 
     description = describe(file)
     method, own = description["method"], description["config"]

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from nerf_core.cameras import Camera, distort, undistort
+from nerf_core.common.errors import UserError
 from nerf_core.datasets.capture import Photo
 from nerf_core.datasets.images import Header
-from nerf_core.errors import UserError
+from nerf_core.geometry.cameras import Camera, distort, undistort
 
 ASPECT_TOLERANCE = 0.02  # reduced photos round each side to whole pixels
 FOCAL_RANGE = (0.05, 100.0)  # in image sizes: a field of view between 169° and half a degree

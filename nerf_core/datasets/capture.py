@@ -14,8 +14,8 @@ from typing import ClassVar, Literal, Protocol
 
 import numpy as np
 
-from nerf_core.cameras import Camera
-from nerf_core.registry import Registry
+from nerf_core.common.registry import Registry
+from nerf_core.geometry.cameras import Camera
 
 HOLD_OUT = 8  # every 8th photo, from the first, is held out where a capture names no splits (LLFF's rule)
 
@@ -118,4 +118,6 @@ class Dataset(Protocol):
         ...
 
 
-DATASETS: Registry[type[Dataset]] = Registry("dataset format", "nerf_core.datasets")
+DATASETS: Registry[type[Dataset]] = Registry(
+    "dataset format", "nerf_core.datasets.formats", entry_points="nerf_viewer.datasets"
+)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from nerf_core.errors import UserError, shorten
+from nerf_core.common.errors import UserError, shorten
 
 AGAIN = "copy or export the model again"
 PARAMETERS = {  # COLMAP's id of a camera model: how many parameters it has

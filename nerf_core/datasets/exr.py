@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from nerf_core.common.errors import UserError
 from nerf_core.datasets.resample import srgb_encoded
-from nerf_core.errors import UserError
 
 MAGIC = b"\x76\x2f\x31\x01"
 HEADER_BYTES = 1_000_000  # headers with previews stay far below; what comes later is pixels

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from nerf_core.cameras import Camera, Cameras, Ndc
+from nerf_core.common.errors import UserError
 from nerf_core.datasets.capture import Capture, LoadOptions
 from nerf_core.datasets.depths import Depths, known_depths
 from nerf_core.datasets.rig import common_focus, mean_camera, spread, up_direction, upright
-from nerf_core.errors import UserError
+from nerf_core.geometry.cameras import Camera, Cameras, Ndc
 
 SYNTHETIC_DEPTHS = (2.0, 6.0)  # of the official Blender configurations
 NDC_NEAR_BOUND = 0.75  # official LLFF: the nearest content lies at 1/0.75, before the near plane at 1
@@ -26,7 +26,7 @@ BORDER = 33  # pixels looked at along each side: a lens bends it, and its extrem
 
 @dataclass(frozen=True)
 class Normalised:
-    """A capture's cameras in the trainer's frame; the other fields are those of `nerf_core.scene.Scene`."""
+    """A capture's cameras in the trainer's frame; the other fields are those of `nerf_core.geometry.scene.Scene`."""
 
     cameras: tuple[Camera, ...]
     near: float

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 from PIL import ExifTags, Image, ImageCms, ImageFile
 
+from nerf_core.common.errors import UserError
 from nerf_core.datasets.exr import exr_header, exr_pixels
 from nerf_core.datasets.resample import composite
-from nerf_core.errors import UserError
 
 MAX_PIXELS = 200_000_000  # beyond any camera's photo: a file that claims more is a decompression bomb
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".exr")

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from nerf_core.cameras import Camera
+from nerf_core.common.errors import UserError
+from nerf_core.common.json_files import Fields, scaled_note
 from nerf_core.datasets.capture import Photo
 from nerf_core.datasets.images import UnreadableError, damage_notes, measure
-from nerf_core.datasets.json_reader import Fields, scaled_note
 from nerf_core.datasets.photo_paths import find_photos, photo_name
-from nerf_core.errors import UserError
+from nerf_core.geometry.cameras import Camera
 
 LENSES = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")  # all are cases of k1, k2, p1, p2
 NARROWEST = 1e-4  # smallest focal length in image widths: below, the field of view is 180° for all that is known

@@ -11,13 +11,13 @@ from typing import TypeVar
 
 import numpy as np
 
+from nerf_core.common.errors import UserError, shorten
 from nerf_core.datasets.calibration import fitted, oddities
 from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions
-from nerf_core.datasets.formats import recognise
 from nerf_core.datasets.geometry import normalise
 from nerf_core.datasets.images import Header, UnreadableError, damage_notes, measure, read_photo
-from nerf_core.errors import UserError, shorten
-from nerf_core.scene import Scene, View
+from nerf_core.datasets.recognise import recognise
+from nerf_core.geometry.scene import Scene, View
 
 Progress = Callable[[int, int], None]
 T = TypeVar("T")

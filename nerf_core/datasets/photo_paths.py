@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
+from nerf_core.common.errors import UserError, shorten
 from nerf_core.datasets.images import SUFFIXES
-from nerf_core.errors import UserError, shorten
 
 
 @dataclass(frozen=True)

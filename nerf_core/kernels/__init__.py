@@ -1,1 +1,1 @@
-"""The hot loops behind one interface: torch (the reference), numba (CPU), triton (CUDA)."""
+"""The hot loops behind one interface, in torch, numba and Triton."""

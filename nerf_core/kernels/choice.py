@@ -11,7 +11,7 @@ from pathlib import Path
 
 import torch
 
-from nerf_core.kernels.numba_here import numba_obstacle
+from nerf_core.common.jit.cache import numba_obstacle
 from nerf_core.kernels.packed_kernels import PackedKernels
 from nerf_core.kernels.voxel_kernels import VoxelKernels
 

@@ -12,14 +12,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nerf_core.cells import Cells
+from nerf_core.common.jit.shards import each_shard, shards_of, split
+from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels import numba_packed as loops
 from nerf_core.kernels.cpu_rays import ray_arrays
 from nerf_core.kernels.numba_march import NOTES
 from nerf_core.kernels.packed_kernels import BETA1, BETA2, EPSILON, HashLevels, Samples, adam_numbers
-from nerf_core.kernels.shards import each_shard, shards_of, split
-from nerf_core.packing import Packed
-from nerf_core.spaces import BoxRays
+from nerf_core.volume.cells import Cells
+from nerf_core.volume.packed import Packed
 
 
 class CpuPacked:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from torch import Tensor
 
-from nerf_core.spaces import BoxRays
+from nerf_core.geometry.spaces import BoxRays
 
 
 class RayArrays(NamedTuple):

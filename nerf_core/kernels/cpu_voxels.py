@@ -13,14 +13,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nerf_core.fields.voxel_grid import ROWS, WIDTH, VoxelGrid
+from nerf_core.common.jit.shards import each_shard, shards_of, split
+from nerf_core.geometry.fast_rays import fast_rays, photo_colors
+from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels import numba_march as note
 from nerf_core.kernels import numba_voxels as loops
 from nerf_core.kernels.cpu_rays import ray_arrays
-from nerf_core.kernels.rays import fast_rays, photo_colors
-from nerf_core.kernels.shards import each_shard, shards_of, split
 from nerf_core.kernels.voxel_kernels import Adam, March, Traced
-from nerf_core.spaces import BoxRays
+from nerf_core.volume.voxel_grid import ROWS, WIDTH, VoxelGrid
 
 ROOM = 24  # samples a ray that a trace first makes room for
 

@@ -1,7 +1,7 @@
 """How a ray finds its samples on a CPU: steps of equal length through occupied cells, leaps over empty blocks.
 
-`cells` is `nerf_core.cells.CellArrays`; `nerf_core.kernels.torch_march` says the same plainly. All is float32: an
-integer among the operands would silently make it float64.
+`cells` is `nerf_core.volume.cells.CellArrays`. `nerf_core.kernels.torch_march` is the plain reference. All is
+float32: an integer among the operands would silently make it float64.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from nerf_core.kernels.numba_vectors import jit
+from nerf_core.common.jit.vectors import jit
 
 F = np.float32
 NEVER = F(1e30)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from nerf_core.common.jit.vectors import exp, jit
 from nerf_core.kernels.numba_march import (
     CELL_X,
     CELL_Y,
@@ -19,7 +20,6 @@ from nerf_core.kernels.numba_march import (
     Z,
     march,
 )  # fmt: skip
-from nerf_core.kernels.numba_vectors import exp, jit
 
 F = np.float32
 P1, P2 = np.uint32(2654435761), np.uint32(805459861)

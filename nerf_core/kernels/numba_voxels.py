@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from nerf_core.common.jit.vectors import exp, gather, jit, prefetch, scatter, smooth
 from nerf_core.kernels.numba_march import (
     ALPHA,
     BLUE,
@@ -27,7 +28,6 @@ from nerf_core.kernels.numba_march import (
     Z,
     march,
 )  # fmt: skip
-from nerf_core.kernels.numba_vectors import exp, gather, jit, prefetch, scatter, smooth
 
 F = np.float32
 STOP = F(1e-3)  # transmittance at which nothing behind can still change an 8-bit pixel by one step

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from nerf_core.cells import Cells
-from nerf_core.packing import Packed
-from nerf_core.spaces import BoxRays
+from nerf_core.geometry.spaces import BoxRays
+from nerf_core.volume.cells import Cells
+from nerf_core.volume.packed import Packed
 
 PRIMES = (1, 2654435761, 805459861)  # of the spatial hash: instant-ngp, Eq. 4 (arXiv:2201.05989)
 

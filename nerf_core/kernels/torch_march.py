@@ -10,8 +10,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from nerf_core.cells import BLOCK, Cells
-from nerf_core.spaces import BoxRays
+from nerf_core.geometry.spaces import BoxRays
+from nerf_core.volume.cells import BLOCK, Cells
 
 STEPPED = 2**-22  # of t: two of float32's; a shorter step might leave t where it is, and the march would never end
 STRAIGHT = 0.1  # of its distance from the centre: so far a contracted ray counts as straight when it leaps

@@ -5,11 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from nerf_core.cells import Cells
+from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels.packed_kernels import BETA1, BETA2, EPSILON, PRIMES, HashLevels, Samples
 from nerf_core.kernels.torch_march import march
-from nerf_core.packing import Packed
-from nerf_core.spaces import BoxRays
+from nerf_core.volume.cells import Cells
+from nerf_core.volume.packed import Packed
 
 
 class TorchPacked:

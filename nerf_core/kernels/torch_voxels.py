@@ -11,10 +11,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from nerf_core.fields.voxel_grid import DENSITY, ROWS, WIDTH, VoxelGrid
+from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels.torch_march import march
 from nerf_core.kernels.voxel_kernels import Adam, March, Traced
-from nerf_core.spaces import BoxRays
+from nerf_core.volume.voxel_grid import DENSITY, ROWS, WIDTH, VoxelGrid
 
 STOP = 1e-3  # transmittance at which nothing behind can still change an 8-bit pixel by one step
 

@@ -12,11 +12,11 @@ import torch
 import triton
 from torch import Tensor
 
-from nerf_core.cells import Cells
+from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels import triton_loops
 from nerf_core.kernels.packed_kernels import BETA1, BETA2, EPSILON, HashLevels, Samples
-from nerf_core.packing import Packed
-from nerf_core.spaces import BoxRays
+from nerf_core.volume.cells import Cells
+from nerf_core.volume.packed import Packed
 
 loops: Any = triton_loops  # what Triton types as a call is a launch, with other arguments
 POINTS, RAYS, ROWS = 128, 64, 256  # one program's share

@@ -7,9 +7,9 @@ from typing import NamedTuple, Protocol
 
 from torch import Tensor
 
-from nerf_core.fields.voxel_grid import VoxelGrid
-from nerf_core.packing import Packed
-from nerf_core.spaces import BoxRays
+from nerf_core.geometry.spaces import BoxRays
+from nerf_core.volume.packed import Packed
+from nerf_core.volume.voxel_grid import VoxelGrid
 
 
 @dataclass(frozen=True)

@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, NamedTuple, Protocol, Self
 
 import torch
 from torch import Tensor
 
-from nerf_core.batches import Draw
-from nerf_core.registry import Registry
-from nerf_core.scene import Scene
-from nerf_core.stations import Station
-from nerf_core.types import Rays, Rendering, Trace
+from nerf_core.common.registry import Registry
+from nerf_core.geometry.rays import Rays, Rendering, Trace
+from nerf_core.geometry.scene import Scene
+from nerf_core.methods.stages import Station
+
+
+class Draw(NamedTuple):
+    """What a step asks for: so many rays, all of one photo or of any, from the middle `crop` of it, of photos that are
+    averaged over `shrink` × `shrink` pixels."""
+
+    rays: int
+    one_image: bool = False
+    crop: float = 1.0
+    shrink: int = 1
 
 
 class Method(Protocol):
@@ -105,4 +114,6 @@ class Method(Protocol):
     def parameters(self) -> list[Tensor]: ...
 
 
-METHODS: Registry[type[Method]] = Registry("method", "nerf_core.methods")
+METHODS: Registry[type[Method]] = Registry(
+    "method", "nerf_core.methods", leaf="method", entry_points="nerf_viewer.methods"
+)

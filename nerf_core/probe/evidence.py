@@ -9,11 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nerf_core.cameras import BESIDE, Cameras, distort, shown
+from nerf_core.geometry.cameras import BESIDE, Cameras, distort, shown
+from nerf_core.geometry.rays import Rays, Trace
+from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method
 from nerf_core.probe.ray import MOST_RAYS, sample_ends
-from nerf_core.scene import Scene
-from nerf_core.types import Rays, Trace
 
 MOST_VIEWS = 256  # that are asked about one point: half of them those that look at it most as the ray does
 FAR_DEGREES = 20.0  # from the nearest photo: what the model says there was never compared with anything

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nerf_core.geometry.scene import Scene
 from nerf_core.probe.ray import PassProbe, RayProbe
-from nerf_core.scene import Scene
 
 GRAIN = 0.02  # of the scene's radius: what is closer together counts as one layer, and beyond
 FAR_GRAIN = 0.01  # of its distance, where that is more: far away, as cameras resolve it

@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nerf_core.cameras import Camera
-from nerf_core.errors import UserError
+from nerf_core.common.errors import UserError
+from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.scene import Scene
 from nerf_core.methods import METHODS, Method
+from nerf_core.methods.stages import Station
 from nerf_core.probe.evidence import Sightings, Witnesses
 from nerf_core.probe.history import RayHistory
 from nerf_core.probe.layers import grain_at
@@ -17,8 +19,6 @@ from nerf_core.probe.radiance import Around, RadianceProbe, open_radiance
 from nerf_core.probe.ray import FARTHEST, RayProbe, open_ray
 from nerf_core.probe.verdict import Verdict, judging
 from nerf_core.probe.walk import walk
-from nerf_core.scene import Scene
-from nerf_core.stations import Station
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method
 from nerf_core.probe.ray import PassProbe, RayProbe
-from nerf_core.scene import Scene
+from nerf_core.rendering.modes.view_dependence import view_dependence
 
 SPHERE_ROWS, SPHERE_COLUMNS = 48, 96  # 4,608 directions over the sphere
 DISC_SIZE = 73  # some 4,180 more over the hemisphere that faces the viewer, or around the normal
-COMPARED = 64  # directions whose colours are compared to say how view-dependent a point is
 FROZEN_WEIGHT = 0.998  # of a frozen ray looks around: what the lightest samples make of the rest is half an 8-bit step
 FROZEN_PAIRS = 1 << 16  # of a sample and a direction, looked up at once: with a network some 100 MB
 STEEP = 1e-6  # of σ: a gradient that changes it by no more over a sample's length points nowhere
@@ -138,20 +138,6 @@ def open_radiance(
     )
 
 
-def view_dependence(method: Method, points: Tensor, towards: Tensor) -> Tensor:
-    """How much the colours differ that points (P, 3) emit over the hemispheres that face `towards` (P, 3): (P,).
-
-    The root of the mean square by which a channel differs from its mean over the hemisphere's directions, each as
-    often as any other; 0 of a matt point, ½ at most. Directions that nobody has seen count as well.
-    """
-    directions = torch.from_numpy(_spread(2 * COMPARED)).to(points)
-    rgb = method.radiance(points, -directions).to(points)
-    facing = (towards.to(points) @ directions.T > 0).to(rgb)[..., None]
-    count = facing.sum(1)
-    mean = (rgb * facing).sum(1) / count
-    return ((rgb - mean[:, None]).square() * facing).sum(1).div(count).mean(-1).sqrt()
-
-
 def density_normal(method: Method, point: np.ndarray, length: float, towards: np.ndarray) -> np.ndarray | None:
     """±∇σ/‖∇σ‖ at a world point (3,) by central differences over `length` on each side, (3,) float64; None: flat.
 
@@ -217,14 +203,6 @@ def _disc(axes: np.ndarray) -> np.ndarray:
     x, y, inside = disc_grid()
     x, y = x[inside], y[inside]
     return np.stack([x, y, np.sqrt(1 - x * x - y * y)], -1) @ axes
-
-
-def _spread(count: int) -> np.ndarray:
-    """Unit directions (count, 3), evenly over the sphere: a spiral of equal areas that turns by the golden angle."""
-    k = np.arange(count) + 0.5
-    z, angle = 1 - 2 * k / count, np.pi * (3 - np.sqrt(5)) * k
-    r = np.sqrt(1 - z * z)
-    return np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)
 
 
 def _bilinear(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -8,12 +8,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nerf_core.cameras import Camera
-from nerf_core.errors import UserError
+from nerf_core.common.errors import UserError
+from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.rays import Rays, Samples, Trace
+from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method
-from nerf_core.render import tile_rays
-from nerf_core.scene import Scene
-from nerf_core.types import Rays, Samples, Trace
+from nerf_core.rendering.images import tile_rays
 
 FARTHEST = 3.0  # times the scene's far bound: where space has no end, fog reaches to a horizon that no plot can show
 MOST_RAYS = 512  # traced together: every ray takes the room of the longest one
@@ -21,7 +21,7 @@ MOST_RAYS = 512  # traced together: every ray takes the room of the longest one
 
 @dataclass(frozen=True)
 class PassProbe:
-    """The samples of one pass along one ray, (S,) each, rgb (S, 3); see `nerf_core.types.Samples`.
+    """The samples of one pass along one ray, (S,) each, rgb (S, 3); see `nerf_core.geometry.rays.Samples`.
 
     until: the distance at which the stretch ends that a sample stands for: t + δ, where δ is of the world.
     """

@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from nerf_core.camera_files import camera_values
-from nerf_core.checkpoint import finite, write_atomically
-from nerf_core.errors import UserError
+from nerf_core.common.errors import UserError
+from nerf_core.common.files import write_atomically
+from nerf_core.common.json_files import finite
+from nerf_core.geometry.camera_files import camera_values
 from nerf_core.probe.opened import Opened
 from nerf_core.probe.ray import PassProbe
 

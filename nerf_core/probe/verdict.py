@@ -15,11 +15,11 @@ from typing import Any, Literal
 import numpy as np
 import torch
 
+from nerf_core.geometry.rays import Rays
 from nerf_core.methods import Method
 from nerf_core.probe.evidence import Sightings, Witnesses
 from nerf_core.probe.layers import Layer, layers_of, pass_layers
 from nerf_core.probe.ray import RayProbe, passes_of
-from nerf_core.types import Rays
 
 Kind = Literal["surface", "several surfaces", "floater", "fog", "background leak", "unobserved", "background"]
 

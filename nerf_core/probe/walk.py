@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from nerf_core.cameras import Camera
+from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.rays import Rays
+from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method
+from nerf_core.methods.stages import Colors, Station, number, triple
 from nerf_core.probe.ray import PassProbe, RayProbe
-from nerf_core.scene import Scene
-from nerf_core.stations import Colors, Station, number, triple
-from nerf_core.types import Rays
 
 SAME_POSE = 1e-9  # of a camera that was flown to a photo's: easing ends exactly there, but for rounding
 

@@ -19,13 +19,13 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from nerf_core.cameras import camera_rays
 from nerf_core.datasets import LoadOptions, load_scene
+from nerf_core.geometry.cameras import camera_rays
+from nerf_core.geometry.rays import Rendering
 from nerf_core.probe import Witnesses
 from nerf_core.probe.opened import pieces
-from nerf_core.settings import RunSettings
-from nerf_core.trainer import Trainer
-from nerf_core.types import Rendering
+from nerf_core.training.settings import RunSettings
+from nerf_core.training.trainer import Trainer
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "assets"))
 

@@ -18,13 +18,13 @@ import time
 
 def child(started: float) -> None:
     """Open the window as the command does; print when what was there."""
-    from nerf_core.messages import OpenScene, Train
-    from nerf_core.settings import RunSettings
-    from nerf_core.signals import Signals
+    from nerf_core.common.signals import Signals
+    from nerf_core.live.messages import OpenScene, Train
+    from nerf_core.training.settings import RunSettings
     from viewer.window import load_libraries, open_window
 
     load_libraries()
-    import viewer.session as sessions
+    import viewer.session.session as sessions
 
     with Signals() as signals:
         window = open_window("startup", (1280, 800))

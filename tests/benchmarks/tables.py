@@ -32,19 +32,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nerf_core.cameras import camera_rays
+from nerf_core.common.device import describe, pick_device, usable_cores
+from nerf_core.common.jit.shards import each_shard, split
 from nerf_core.datasets import LoadOptions, load_scene
-from nerf_core.device import describe, pick_device, usable_cores
-from nerf_core.fields.voxel_grid import VoxelGrid
-from nerf_core.kernels.shards import each_shard, split
+from nerf_core.geometry.cameras import camera_rays
+from nerf_core.geometry.scene import Scene
 from nerf_core.kernels.voxel_kernels import Adam
-from nerf_core.methods.guided import GuidedNerf
-from nerf_core.methods.voxels import Voxels
-from nerf_core.metrics import psnr
-from nerf_core.render import render_camera
-from nerf_core.scene import Scene
-from nerf_core.settings import RunSettings
-from nerf_core.trainer import Trainer
+from nerf_core.methods.guided.method import GuidedNerf
+from nerf_core.methods.voxels.method import Voxels
+from nerf_core.rendering.images import render_camera
+from nerf_core.training.metrics import psnr
+from nerf_core.training.settings import RunSettings
+from nerf_core.training.trainer import Trainer
+from nerf_core.volume.voxel_grid import VoxelGrid
 
 
 @dataclass(frozen=True)

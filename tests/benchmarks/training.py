@@ -21,13 +21,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from nerf_core.batches import Draw, PixelSampler
+from nerf_core.common.device import describe, fast_precision, usable_cores
 from nerf_core.datasets import LoadOptions, load_scene
-from nerf_core.device import describe, fast_precision, usable_cores
-from nerf_core.methods.nerf import Nerf
-from nerf_core.nerf_config import NerfConfig
-from nerf_core.trainer import nothing
-from nerf_core.types import Rays
+from nerf_core.geometry.rays import Rays
+from nerf_core.methods.nerf.config import NerfConfig
+from nerf_core.methods.nerf.method import Nerf
+from nerf_core.training.batches import Draw, PixelSampler
+from nerf_core.training.trainer import nothing
 
 
 class PlainNetwork(nn.Module):

@@ -27,15 +27,15 @@ import torch
 from balls import Ball, looking, model_of, ring_scene
 from torch import Tensor
 
-from nerf_core.cameras import Camera
-from nerf_core.fields.voxel_grid import DENSITY
+from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.rays import Rays
+from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method
-from nerf_core.methods.voxels import Voxels
+from nerf_core.methods.voxels.method import Voxels
 from nerf_core.probe import Witnesses, judge, open_ray
-from nerf_core.scene import Scene
-from nerf_core.settings import RunSettings
-from nerf_core.trainer import Trainer
-from nerf_core.types import Rays
+from nerf_core.training.settings import RunSettings
+from nerf_core.training.trainer import Trainer
+from nerf_core.volume.voxel_grid import DENSITY
 
 CLASSES = ("surface", "several surfaces", "floater", "fog", "background leak", "unobserved", "background")
 SIZE, CAMERAS, STEPS, FOG_STEPS, PATTERN = 64, 40, 800, 12, 0.35

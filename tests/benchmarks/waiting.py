@@ -22,8 +22,8 @@ WARM, STEPS = 40, 40
 def train() -> None:
     """The child: print rays a second."""
     from nerf_core.datasets import LoadOptions, load_scene
-    from nerf_core.settings import RunSettings
-    from nerf_core.trainer import Trainer
+    from nerf_core.training.settings import RunSettings
+    from nerf_core.training.trainer import Trainer
 
     trainer = Trainer(load_scene(None, LoadOptions(downscale=4)), RunSettings(method="nerf", preset="quick"))
     for _ in range(WARM):

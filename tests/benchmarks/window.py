@@ -22,11 +22,11 @@ from functools import partial
 import numpy as np
 from imgui_bundle import imgui
 
-from nerf_core.messages import Command, Inspect, OpenScene, Snapshot, Train, ViewRequest
-from nerf_core.settings import RunSettings
-from nerf_core.worker import Worker
-from viewer.app import App
-from viewer.state import PinRay, UnpinRay
+from nerf_core.live.messages import Command, Inspect, OpenScene, Snapshot, Train, ViewRequest
+from nerf_core.live.worker import Worker
+from nerf_core.training.settings import RunSettings
+from viewer.app.app import App
+from viewer.model.state import PinRay, UnpinRay
 from viewer.window import Window
 
 TABS = (  # of the two places where the microscope's panels lie

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from nerf_core.cameras import Camera
-from nerf_core.methods.nerf import Nerf
-from nerf_core.nerf_config import NerfConfig
-from nerf_core.render import render_camera
-from nerf_core.scene import Scene, View
+from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.scene import Scene, View
+from nerf_core.methods.nerf.config import NerfConfig
+from nerf_core.methods.nerf.method import Nerf
+from nerf_core.rendering.images import render_camera
 
 SOFT = 60.0  # how steeply density falls at a ball's rim, per world unit
 WAVES = 11.0  # radians a world unit, along each axis: a wave is some ten pixels of the photos

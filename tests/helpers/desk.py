@@ -6,11 +6,11 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from nerf_core.cameras import Camera
-from nerf_core.messages import Command, Notice, OpenScene, Snapshot, Train, ViewRequest
-from nerf_core.scene import Scene
-from nerf_core.settings import RunSettings
-from nerf_core.worker import Worker
+from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.scene import Scene
+from nerf_core.live.messages import Command, Notice, OpenScene, Snapshot, Train, ViewRequest
+from nerf_core.live.worker import Worker
+from nerf_core.training.settings import RunSettings
 
 PATIENCE = 60.0  # seconds; a busy machine is slow, a hanging thread is found all the same
 

@@ -8,8 +8,10 @@ from typing import get_args
 
 import numpy as np
 
-from nerf_core.cameras import Camera
-from nerf_core.messages import Export, History, Inspect, Notice, Pinned, Preview, Snapshot, Status
+from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.scene import Scene, View
+from nerf_core.live.messages import Export, History, Inspect, Notice, Pinned, Preview, Snapshot, Status
+from nerf_core.methods.stages import BarCode, Colors, Marks, Station, Stems, Transfer
 from nerf_core.probe import (
     SPHERE_COLUMNS,
     SPHERE_ROWS,
@@ -24,9 +26,7 @@ from nerf_core.probe import (
     Verdict,
     disc_grid,
 )
-from nerf_core.scene import Scene, View
-from nerf_core.stations import BarCode, Colors, Marks, Station, Stems, Transfer
-from viewer.state import AppState, PinnedRay, ShownNotice
+from viewer.model.state import AppState, PinnedRay, ShownNotice
 
 
 def make_camera(eye: np.ndarray) -> Camera:

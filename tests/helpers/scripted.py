@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from nerf_core.cameras import Camera
-from nerf_core.messages import (
+from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.scene import Scene, View
+from nerf_core.live.messages import (
     Command,
     History,
     Inspect,
@@ -23,7 +24,6 @@ from nerf_core.messages import (
     ViewRequest,
 )
 from nerf_core.probe import SPHERE_COLUMNS, SPHERE_ROWS, Opened, PassProbe, RadianceProbe, RayProbe, Verdict, disc_grid
-from nerf_core.scene import Scene, View
 
 BALL, GROUND_SIZE = 1.0, 3.0
 BACKGROUND = (1.0, 1.0, 1.0)
@@ -132,7 +132,7 @@ def _radiance(camera: Camera, point: np.ndarray, t: float, color: np.ndarray) ->
 
 
 class ScriptedWorker:
-    """The interface of `nerf_core.worker.Worker`. sent, views: what it was asked, in order."""
+    """The interface of `nerf_core.live.worker.Worker`. sent, views: what it was asked, in order."""
 
     def __init__(self, scene: Scene | None = None) -> None:
         steps = np.arange(0, 101, dtype=np.int64)

@@ -14,11 +14,11 @@ import torch
 from desk import PATIENCE, Desk
 from PIL import Image
 
-from nerf_core.cameras import Camera, camera_rays
 from nerf_core.datasets.capture import LoadOptions
-from nerf_core.scene import Scene, View
-from nerf_core.settings import RunSettings
-from nerf_core.trainer import Trainer
+from nerf_core.geometry.cameras import Camera, camera_rays
+from nerf_core.geometry.scene import Scene, View
+from nerf_core.training.settings import RunSettings
+from nerf_core.training.trainer import Trainer
 
 hypothesis.settings.register_profile("steady", deadline=None, derandomize=True, max_examples=50)
 hypothesis.settings.load_profile("steady")

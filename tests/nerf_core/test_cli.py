@@ -13,9 +13,9 @@ from pathlib import Path
 import imageio_ffmpeg
 import pytest
 
-from nerf_core import checkpoint
 from nerf_core.cli import main
-from nerf_core.runs import RunFolder
+from nerf_core.training import checkpoint
+from nerf_core.training.run_folder import RunFolder
 
 TINY = [
     "--method", "nerf", "--device", "cpu", "--threads", "1", "--set", "coarse_samples=8",

@@ -12,16 +12,16 @@ import torch
 from desk import Desk, view_of
 from pretended_cuda import Graph, Rules, pretended_cuda, recorded
 
-from nerf_core.cameras import camera_rays
+from nerf_core.geometry.cameras import camera_rays
+from nerf_core.geometry.scene import Scene
 from nerf_core.kernels import choice
-from nerf_core.messages import ExportRays, Inspect, LoadCheckpoint, Pin, SaveCheckpoint, Train
+from nerf_core.live.messages import ExportRays, Inspect, LoadCheckpoint, Pin, SaveCheckpoint, Train
+from nerf_core.live.worker import Worker
 from nerf_core.methods import METHODS
 from nerf_core.probe import open_pixel
-from nerf_core.render_modes import MODES, shaded
-from nerf_core.scene import Scene
-from nerf_core.settings import RunSettings
-from nerf_core.trainer import Trainer
-from nerf_core.worker import Worker
+from nerf_core.rendering.modes import MODES, shaded
+from nerf_core.training.settings import RunSettings
+from nerf_core.training.trainer import Trainer
 
 NETWORK = {"rays": "64", "depth": "3", "width": "32", "learning_rate": "0.003"}
 SMALL = {
@@ -59,7 +59,7 @@ def test_it_learns_draws_explains_and_goes_on_from_a_checkpoint(cuda: None, scen
     assert opened.verdict is not None
     assert opened.walk
     rays = camera_rays(camera, scene.near, scene.far)[:8]
-    assert all(shaded(model, rays, mode).shape == (8, 3) for mode in MODES)
+    assert all(shaded(model, rays, model.trace(rays), mode).shape == (8, 3) for mode in MODES.names())
 
     for device in ("cuda", "cpu", "cuda"):  # from what a file holds
         state = {key: value.cpu() for key, value in trainer.state().items()}

@@ -1,4 +1,4 @@
-"""Who may import whom."""
+"""Which package may import which: one ordered list, and what only an edge may load."""
 
 from __future__ import annotations
 
@@ -12,9 +12,19 @@ import torch
 
 import nerf_core
 import viewer
-from nerf_core.volume import absorb
+from nerf_core.volume.compositing import absorb
 
 CORE, VIEWER = Path(nerf_core.__file__).parent, Path(viewer.__file__).parent
+# Bottom to top. A package imports only from itself and from packages before it.
+ORDER = (
+    "nerf_core.common", "nerf_core.geometry", "nerf_core.volume", "nerf_core.datasets", "nerf_core.kernels",
+    "nerf_core.methods", "nerf_core.rendering", "nerf_core.training", "nerf_core.probe", "nerf_core.live",
+    "nerf_core.cli",
+    "viewer.window", "viewer.model", "viewer.ui", "viewer.draw", "viewer.commands", "viewer.panels", "viewer.app",
+    "viewer.session", "viewer.cli",
+)  # fmt: skip
+# Folders of plug-ins: no file that registers something is imported by a sibling.
+PLUGINS = ("nerf_core/datasets/formats", "nerf_core/methods", "viewer/panels")
 # What only a window, a format, a video or a command line needs.
 EDGES = {
     "moderngl", "glfw", "imgui_bundle", "viewer", "pycolmap", "tyro", "rich", "imageio_ffmpeg", "numba", "platformdirs",
@@ -22,22 +32,84 @@ EDGES = {
 }  # fmt: skip
 
 
+def modules() -> list[tuple[str, Path]]:
+    """Every module of both packages by its absolute name."""
+    found = []
+    for root in (CORE, VIEWER):
+        for file in sorted(root.rglob("*.py")):
+            parts = file.relative_to(root.parent).with_suffix("").parts
+            found.append((".".join(parts[:-1] if parts[-1] == "__init__" else parts), file))
+    return found
+
+
 def imported(file: Path) -> set[str]:
     """Absolute names of all modules that a file imports, wherever in it."""
+    package = file.relative_to(CORE.parent).parent.parts
     names: set[str] = set()
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{file}: relative import"
-            names |= {node.module or ""} | {f"{node.module}.{alias.name}" for alias in node.names}
+            base = ".".join(package[: len(package) - node.level + 1]) + "." if node.level else ""
+            whole = (base + (node.module or "")).rstrip(".")
+            names |= {whole} | {f"{whole}.{alias.name}" for alias in node.names}
     return names
 
 
+def place(name: str) -> int | None:
+    """The position of a module's package in ORDER; None for what is none of ours, or a whole top-level package."""
+    parts = name.split(".")
+    package = ".".join(parts[:2])
+    return ORDER.index(package) if parts[0] in ("nerf_core", "viewer") and len(parts) > 1 else None
+
+
+@pytest.mark.parametrize(("name", "file"), modules(), ids=lambda v: v if isinstance(v, str) else "")
+def test_imports_go_to_packages_below(name: str, file: Path) -> None:
+    own = place(name)
+    if own is None:
+        return
+    # an attribute of a top-level package (nerf_core.__version__) has no place
+    known = {n for n in imported(file) if ".".join(n.split(".")[:2]) in ORDER}
+    above = {n for n in known if (place(n) or 0) > own}
+    assert not above, f"{name} imports from above: {sorted(above)}"
+
+
+def test_every_package_is_in_the_list() -> None:
+    found = {".".join(name.split(".")[:2]) for name, _ in modules() if "." in name}
+    assert found == set(ORDER)
+
+
+def test_every_package_says_what_it_is() -> None:
+    for name, file in modules():
+        if file.name == "__init__.py":
+            text = (ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or "").partition("\n")[0]
+            assert len(text) > 20, name
+            assert text.endswith("."), name
+
+
+def test_the_viewer_imports_itself_relatively() -> None:
+    """Its folder is installed under another name (see pyproject.toml)."""
+    for file in VIEWER.rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.level == 0:
+                assert (node.module or "").split(".")[0] != "viewer", file
+            elif isinstance(node, ast.Import):
+                assert all(alias.name.split(".")[0] != "viewer" for alias in node.names), file
+
+
 def test_the_core_loads_nothing_that_only_an_edge_needs() -> None:
-    modules = ("trainer", "worker", "probe", "render", "checkpoint", "metrics", "paths", "datasets")
-    code = "import sys; " + "; ".join(f"import nerf_core.{name}" for name in modules)
-    code += "; from nerf_core.methods import METHODS; METHODS.names(); print(*{n.split('.')[0] for n in sys.modules})"
+    names = (
+        "training.trainer",
+        "live.worker",
+        "probe.opened",
+        "rendering.images",
+        "training.metrics",
+        "geometry.paths",
+    )
+    code = "import sys; " + "; ".join(f"import nerf_core.{name}" for name in names)
+    code += "; from nerf_core.methods import METHODS; METHODS.names()"
+    code += "; from nerf_core.datasets.loading import load_scene"
+    code += ";  print(*{n.split('.')[0] for n in sys.modules})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=CORE.parent)
     assert "torch" in done.stdout
     assert set(done.stdout.split()) & EDGES == set()
@@ -57,19 +129,17 @@ def registers(file: Path) -> bool:
 
 
 def plugins(folder: Path) -> list[Path]:
-    """The files of a folder that register something; in folders without a registry, all."""
-    files = [f for f in sorted(folder.glob("*.py")) if f.name != "__init__.py"]
-    return [f for f in files if registers(f)] or files
+    """The files of a folder, and of folders in it, that register something."""
+    return [f for f in sorted(folder.rglob("*.py")) if registers(f)]
 
 
-@pytest.mark.parametrize("folder", [CORE / "datasets", CORE / "fields", CORE / "methods", VIEWER / "panels"])
-def test_plugins_of_a_folder_do_not_know_each_other(folder: Path) -> None:
-    package = ".".join(folder.relative_to(CORE.parent).parts)
-    files = plugins(folder)
+@pytest.mark.parametrize("folder", PLUGINS)
+def test_plugins_of_a_folder_do_not_know_each_other(folder: str) -> None:
+    files = plugins(CORE.parent / folder)
     assert files
-    names = {f"{package}.{f.stem}" for f in files}
-    for file in files:
-        assert not imported(file) & (names - {f"{package}.{file.stem}"}), file
+    names = {f: ".".join(f.relative_to(CORE.parent).with_suffix("").parts) for f in files}
+    for file in (CORE.parent / folder).rglob("*.py"):
+        assert not imported(file) & (set(names.values()) - {names.get(file)}), file
 
 
 def test_shapes_are_checked_while_testing() -> None:

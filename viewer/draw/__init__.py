@@ -1,1 +1,1 @@
-"""What is drawn with GL: imgui's lists, the preview, lines over it."""
+"""OpenGL textures, the viewport, overlays and plots."""

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
 
-from nerf_core.cameras import Camera
+from nerf_core.geometry.cameras import Camera
 from nerf_core.probe import RayProbe
-from viewer.widgets import packed, tints
+
+from ..ui.widgets import packed, tints
 
 NEAR = 1e-3  # of the distance to the orbit's centre: what lies nearer to the eye is cut off
 FAINT = 1e-3  # a sample of less weight cannot change an 8-bit pixel: it is not drawn

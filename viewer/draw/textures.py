@@ -6,7 +6,7 @@ import moderngl
 import numpy as np
 from imgui_bundle import imgui
 
-from viewer.draw.imgui_renderer import ImguiRenderer
+from .imgui_renderer import ImguiRenderer
 
 
 class TextureCache:

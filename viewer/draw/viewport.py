@@ -7,8 +7,8 @@ from typing import NamedTuple
 import moderngl
 import numpy as np
 
-from nerf_core.cameras import Camera
-from nerf_core.messages import Preview
+from nerf_core.geometry.cameras import Camera
+from nerf_core.live.messages import Preview
 
 WARP_VERTEX = """
 #version 330

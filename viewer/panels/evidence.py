@@ -10,12 +10,13 @@ from typing import Literal
 import numpy as np
 from imgui_bundle import ImVec2, imgui
 
-from nerf_core.cameras import Camera
+from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.scene import Scene
 from nerf_core.probe import RayProbe, Sightings
-from nerf_core.scene import Scene
-from viewer.panels import PANELS, Ui
-from viewer.state import Action, AppState, GoToView
-from viewer.widgets import hint, mono, packed, swatch
+
+from ..model.state import Action, AppState, GoToView
+from ..ui.contract import PANELS, Ui
+from ..ui.widgets import hint, mono, packed, swatch
 
 PHOTO = 400  # pixels of the longer side of the photo that a hover shows, at most
 SHOWN = 48  # photos in the table: of those that see the point, and then the others, the nearest to the ray's look

@@ -9,12 +9,13 @@ from typing import Literal
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from nerf_core.messages import CancelExport, Export
-from nerf_core.paths import capture_distance, training_size
-from nerf_core.scene import Scene
-from viewer.panels import PANELS, Ui
-from viewer.state import Action, AppState, OrbitForm, StartOrbitExport
-from viewer.widgets import button, duration, field_beside, field_width, hint, number, path_line, same_line_if_fits
+from nerf_core.geometry.paths import capture_distance, training_size
+from nerf_core.geometry.scene import Scene
+from nerf_core.live.messages import CancelExport, Export
+
+from ..model.state import Action, AppState, OrbitForm, StartOrbitExport
+from ..ui.contract import PANELS, Ui
+from ..ui.widgets import button, duration, field_beside, field_width, hint, number, path_line, same_line_if_fits
 
 START, CANCEL = f"{icons.ICON_FA_FILM}  Export orbit", f"{icons.ICON_FA_XMARK}  Cancel"
 MAX_FRAMES, MAX_FPS, MAX_SIDE, MAX_RADIUS = 10_000, 240, 8192, 1e4

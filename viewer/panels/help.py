@@ -7,9 +7,9 @@ from typing import Literal
 
 from imgui_bundle import ImVec2, imgui
 
-from viewer.panels import PANELS, Ui
-from viewer.state import Action, AppState
-from viewer.widgets import button, keep_in_front, mono
+from ..model.state import Action, AppState
+from ..ui.contract import PANELS, Ui
+from ..ui.widgets import button, keep_in_front, mono
 
 HANDS = (
     ("orbit", "drag"),

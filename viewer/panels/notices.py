@@ -8,9 +8,9 @@ from typing import Literal
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
-from viewer.panels import PANELS, Ui
-from viewer.state import Action, AppState, ShownNotice
-from viewer.widgets import button, duration, hint, mono, notice_text, path_line
+from ..model.state import Action, AppState, ShownNotice
+from ..ui.contract import PANELS, Ui
+from ..ui.widgets import button, duration, hint, mono, notice_text, path_line
 
 
 @PANELS.register("notices")

@@ -21,9 +21,10 @@ from nerf_core.probe import (
     disc_grid,
     unseen,
 )
-from viewer.panels import PANELS, Ui
-from viewer.state import Action, AppState, SetDisc, SetPointDepth
-from viewer.widgets import Row, button, figures, hint, mono, number, packed, swatch, triple, vector
+
+from ..model.state import Action, AppState, SetDisc, SetPointDepth
+from ..ui.contract import PANELS, Ui
+from ..ui.widgets import Row, button, figures, hint, mono, number, packed, swatch, triple, vector
 
 CAPTIONS = {"viewer": "facing its camera", "normal": "around the normal"}
 SPHERE_CAPTION = "all directions; hatched: unseen"

@@ -10,11 +10,12 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui
 
 from nerf_core.probe import RayProbe
-from viewer.panels import PANELS, Ui
-from viewer.ray_plots import DEPTHS, Glyph, LogChoice, Opened, RayPlots
-from viewer.ray_steps import Steps, steps_of
-from viewer.state import Action, AppState, SampleRef, SetPointDepth
-from viewer.widgets import Row, faded, figures, hint, number, packed, same_line_if_fits, sample_tooltip, swatch, triple
+
+from ..draw.ray_plots import DEPTHS, Glyph, LogChoice, Opened, RayPlots
+from ..draw.ray_steps import Steps, steps_of
+from ..model.state import Action, AppState, SampleRef, SetPointDepth
+from ..ui.contract import PANELS, Ui
+from ..ui.widgets import Row, faded, figures, hint, number, packed, same_line_if_fits, sample_tooltip, swatch, triple
 
 AXIS = "over t (world units)"
 BEYOND = 0.01  # weight past the end of the axis that is worth a word

@@ -9,11 +9,12 @@ from typing import Literal
 import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 
-from nerf_core.colormaps import colored
+from nerf_core.common.colormaps import colored
 from nerf_core.probe import RayHistory
-from viewer.panels import PANELS, Ui
-from viewer.state import Action, AppState, PinnedRay
-from viewer.widgets import Limits, axis_name, color_scale, faded, hint, packed, same_line_if_fits
+
+from ..model.state import Action, AppState, PinnedRay
+from ..ui.contract import PANELS, Ui
+from ..ui.widgets import Limits, axis_name, color_scale, faded, hint, packed, same_line_if_fits
 
 COLUMNS = 320  # of the map: more than records, so that each keeps its place
 STRIP_EM = 1.4

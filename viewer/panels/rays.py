@@ -10,11 +10,12 @@ from typing import Literal
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from nerf_core.messages import ExportRays, Pinned
-from viewer.panels import PANELS, Ui
-from viewer.pins import MOST, NAME_LENGTH
-from viewer.state import Action, AppState, OpenPin, PinnedRay, PinRay, UnpinRay
-from viewer.widgets import Row, button, field_beside, figures, hint, number, packed, swatch, triple
+from nerf_core.live.messages import ExportRays, Pinned
+
+from ..model.pins import MOST, NAME_LENGTH
+from ..model.state import Action, AppState, OpenPin, PinnedRay, PinRay, UnpinRay
+from ..ui.contract import PANELS, Ui
+from ..ui.widgets import Row, button, field_beside, figures, hint, number, packed, swatch, triple
 
 WRITE = f"{icons.ICON_FA_FILE_EXPORT}  Write"
 PIN = f"{icons.ICON_FA_THUMBTACK}  Pin the opened ray"

@@ -9,10 +9,11 @@ from typing import Literal
 from imgui_bundle import ImVec2, imgui
 
 from nerf_core.probe import PassProbe
-from viewer.panels import PANELS, Ui
-from viewer.state import Action, AppState, SampleRef
-from viewer.theme import CLEAR
-from viewer.widgets import faded, hint, mono, number, packed, swatch, triple
+
+from ..model.state import Action, AppState, SampleRef
+from ..ui.contract import PANELS, Ui
+from ..ui.theme import CLEAR
+from ..ui.widgets import faded, hint, mono, number, packed, swatch, triple
 
 COLUMNS = ("", "t", "δ", "σ", "α", "T", "w", "colour")
 WIDTHS_EM = (3.0, 5.0, 5.0, 5.0, 4.5, 4.5, 4.5, 11.0)

@@ -11,13 +11,14 @@ from typing import Literal
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
-from nerf_core.messages import OpenScene, UseMethod
+from nerf_core.geometry.scene import SPLITS, Scene
+from nerf_core.live.messages import OpenScene, UseMethod
 from nerf_core.methods import METHODS
-from nerf_core.scene import SPLITS, Scene
-from viewer.interaction import next_view
-from viewer.panels import PANELS, Ui
-from viewer.state import Action, AppState, GoToView
-from viewer.widgets import (
+
+from ..commands.pointer import next_view
+from ..model.state import Action, AppState, GoToView
+from ..ui.contract import PANELS, Ui
+from ..ui.widgets import (
     Confirmation,
     Row,
     button,

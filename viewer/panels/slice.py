@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
 
-from viewer.panels import PANELS, Ui
-from viewer.state import Action, AppState
-from viewer.widgets import axis_name, color_of, field_width, hint
+from ..model.state import Action, AppState
+from ..ui.contract import PANELS, Ui
+from ..ui.widgets import axis_name, color_of, field_width, hint
 
 NEAR_DEGREES = 12.0  # a photo farther from the slice's plane has nothing to say about it
 CHANNELS = (ImVec4(0.92, 0.36, 0.32, 1), ImVec4(0.36, 0.78, 0.42, 1), ImVec4(0.40, 0.58, 0.95, 1))

@@ -8,9 +8,9 @@ from typing import Literal
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from viewer.panels import PANELS, Ui
-from viewer.state import Action, AppState, ShownNotice
-from viewer.widgets import button, keep_in_front, notice_text, path_line
+from ..model.state import Action, AppState, ShownNotice
+from ..ui.contract import PANELS, Ui
+from ..ui.widgets import button, keep_in_front, notice_text, path_line
 
 SECONDS = 10.0  # how long a result stays
 MOST = 3  # the panel lists the others

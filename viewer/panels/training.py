@@ -9,12 +9,13 @@ from typing import Literal
 from imgui_bundle import ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from nerf_core.messages import LoadCheckpoint, Pause, Reset, SetShare, Snapshot, Train
-from viewer.history_plots import HistoryPlots
-from viewer.interaction import save_action
-from viewer.panels import PANELS, Ui
-from viewer.state import Action, AppState
-from viewer.widgets import (
+from nerf_core.live.messages import LoadCheckpoint, Pause, Reset, SetShare, Snapshot, Train
+
+from ..commands.pointer import save_action
+from ..draw.history_plots import HistoryPlots
+from ..model.state import Action, AppState
+from ..ui.contract import PANELS, Ui
+from ..ui.widgets import (
     Confirmation,
     Row,
     button,

@@ -8,11 +8,12 @@ from typing import Literal
 from imgui_bundle import ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from nerf_core.render_modes import COLOR, MODES
-from viewer.draw.viewport import same_view
-from viewer.panels import PANELS, Ui
-from viewer.state import Action, AppState, FocusOn, FrameScene, ResetView
-from viewer.widgets import Row, button, field_width, figures, hint, number, same_line_if_fits, vector
+from nerf_core.rendering.modes import COLOR, MODES, mode_names
+
+from ..draw.viewport import same_view
+from ..model.state import Action, AppState, FocusOn, FrameScene, ResetView
+from ..ui.contract import PANELS, Ui
+from ..ui.widgets import Row, button, field_width, figures, hint, number, same_line_if_fits, vector
 
 FRAME, HOME = f"{icons.ICON_FA_EXPAND}  Frame", f"{icons.ICON_FA_HOUSE}  Home"
 FOCUS, HELP = f"{icons.ICON_FA_CROSSHAIRS}  Focus", f"{icons.ICON_FA_KEYBOARD}  Keys"
@@ -59,15 +60,15 @@ class ViewPanel:
 
 def _modes(ui: Ui, state: AppState) -> None:
     """What the picture shows of each pixel."""
-    names = [COLOR, *MODES]
-    labels = ["Colour", *(mode.label for mode in MODES.values())]
+    names = list(mode_names())
+    labels = ["Colour", *(MODES.get(name).label for name in names[1:])]
     field_width(ui, "shows")
     at = names.index(state.mode) if state.mode in names else 0
     _, chosen = imgui.combo("shows", at, labels)
     ui.mark("view.mode")
     state.mode = names[chosen]
-    if state.mode in MODES:
-        imgui.set_item_tooltip(MODES[state.mode].tip)
+    if state.mode != COLOR:
+        imgui.set_item_tooltip(MODES.get(state.mode).tip)
 
 
 def _preview_state(ui: Ui, state: AppState) -> tuple[str, ImVec4]:

@@ -8,11 +8,12 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 
-from nerf_core.colormaps import colored
-from nerf_core.stations import BarCode, Chart, Colors, Marks, Station, Stems, Transfer
-from viewer.panels import PANELS, Ui
-from viewer.state import Action, AppState
-from viewer.widgets import axis_name, color_of, faded, figures, hint, packed, swatch
+from nerf_core.common.colormaps import colored
+from nerf_core.methods.stages import BarCode, Chart, Colors, Marks, Station, Stems, Transfer
+
+from ..model.state import Action, AppState
+from ..ui.contract import PANELS, Ui
+from ..ui.widgets import axis_name, color_of, faded, figures, hint, packed, swatch
 
 WIDTH_EM = 19.0
 CHART_EM = 2.0, 9.0  # a plot's height, at least and at most: between those, plots share what a station leaves

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 import torch._dynamo  # noqa: F401
 
-from nerf_core.errors import UserError
+from nerf_core.common.errors import UserError
 
 if TYPE_CHECKING:
     import moderngl
@@ -94,7 +94,7 @@ def load_libraries() -> None:
 def open_window(title: str, size: tuple[int, int] = DEFAULT_SIZE) -> Window:
     """A window on the user's screen. Raises DisplayError without one, UserError without OpenGL 3.3."""
     load_libraries()
-    from viewer.window.glfw_window import GlfwWindow
+    from .glfw_window import GlfwWindow
 
     return GlfwWindow(title, size)
 
@@ -103,9 +103,9 @@ def open_offscreen(size: tuple[int, int] = DEFAULT_SIZE, scale: float = 1.0) -> 
     """The same without a screen: EGL where there is one, else a hidden window. Raises UserError without OpenGL 3.3."""
     load_libraries()
     if sys.platform in ("win32", "darwin"):
-        from viewer.window.glfw_window import GlfwWindow
+        from .glfw_window import GlfwWindow
 
         return GlfwWindow("offscreen", size, visible=False)
-    from viewer.window.egl_window import EglWindow
+    from .egl_window import EglWindow
 
     return EglWindow(size, scale)

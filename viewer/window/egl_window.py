@@ -9,8 +9,9 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from nerf_core.errors import UserError
-from viewer.window import DEBIAN_PACKAGES
+from nerf_core.common.errors import UserError
+
+from . import DEBIAN_PACKAGES
 
 EGL_LIBRARY = "libEGL.so.1"  # the one that moderngl has loaded
 

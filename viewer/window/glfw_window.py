@@ -11,10 +11,11 @@ from PIL import Image
 
 import glfw  # isort: skip
 
-from nerf_core.assets_path import assets_dir
-from nerf_core.errors import UserError
-from viewer.window import DEBIAN_PACKAGES, DisplayError
-from viewer.window.glfw_keys import CURSORS, KEYS, MODIFIERS
+from nerf_core.common.assets import assets_dir
+from nerf_core.common.errors import UserError
+
+from . import DEBIAN_PACKAGES, DisplayError
+from .glfw_keys import CURSORS, KEYS, MODIFIERS
 
 ICON_PIXELS = 64  # what title bars and task lists show
 MOUSE_BUTTONS = 5  # as many as imgui knows

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from nerf_core.common.errors import UserError
 from nerf_core.datasets import DATASETS, LoadOptions
-from nerf_core.errors import UserError
 
 Folder = tuple[Path, dict[str, dict[str, Any]]]
 BLENDER = DATASETS.get("blender")

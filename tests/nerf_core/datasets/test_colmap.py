@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from captures import orbit_pose, write_photo
 
-from nerf_core.cameras import Camera, camera_rays
-from nerf_core.datasets import DATASETS, Capture, LoadOptions, colmap, load_scene
+from nerf_core.common.errors import UserError
+from nerf_core.datasets import DATASETS, Capture, LoadOptions, load_scene
 from nerf_core.datasets.colmap_files import check_model
-from nerf_core.errors import UserError
-from nerf_core.scene import Scene
+from nerf_core.datasets.formats import colmap
+from nerf_core.geometry.cameras import Camera, camera_rays
+from nerf_core.geometry.scene import Scene
 
 COUNT = 6
 POSES = np.stack([orbit_pose(0.5 * i)[:3] for i in range(COUNT)])

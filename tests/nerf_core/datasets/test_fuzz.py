@@ -9,8 +9,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from nerf_core.common.errors import UserError
 from nerf_core.datasets import DATASETS, LoadOptions, load_scene
-from nerf_core.errors import UserError
 
 SETTINGS = settings(
     max_examples=150,

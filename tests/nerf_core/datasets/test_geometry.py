@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nerf_core.cameras import Camera
+from nerf_core.common.errors import UserError
 from nerf_core.datasets import Capture, LoadOptions, Photo, load_scene
 from nerf_core.datasets.depths import known_depths
 from nerf_core.datasets.geometry import Normalised, normalise
 from nerf_core.datasets.rig import common_focus, mean_camera, up_direction, upright
-from nerf_core.errors import UserError
+from nerf_core.geometry.cameras import Camera
 
 AUTO, ON = LoadOptions(), LoadOptions(ndc="on")
 

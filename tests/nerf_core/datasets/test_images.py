@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image, ImageCms, ImageOps
 
+from nerf_core.common.errors import UserError
 from nerf_core.datasets.images import MAX_PIXELS, UnreadableError, damage_notes, measure, read_photo
 from nerf_core.datasets.resample import srgb_encoded
-from nerf_core.errors import UserError
 
 BLACK, WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
 

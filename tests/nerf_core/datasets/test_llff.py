@@ -7,9 +7,9 @@ from captures import orbit_pose, write_photo
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from nerf_core.common.errors import UserError
 from nerf_core.datasets import DATASETS, Capture, LoadOptions, load_scene
-from nerf_core.datasets.llff import read_table
-from nerf_core.errors import UserError
+from nerf_core.datasets.formats.llff import read_table
 
 COUNT = 5
 POSES = np.stack([orbit_pose(0.3 * i)[:3] for i in range(COUNT)])

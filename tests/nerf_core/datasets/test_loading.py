@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from nerf_core.common.errors import UserError
 from nerf_core.datasets import DATASETS, LoadOptions, load_scene
-from nerf_core.errors import UserError
-from nerf_core.scene import Scene
+from nerf_core.geometry.scene import Scene
 
 Folder = tuple[Path, dict[str, Any]]
 AUTO = LoadOptions()

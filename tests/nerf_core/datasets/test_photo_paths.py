@@ -3,8 +3,8 @@ from pathlib import Path
 
 import pytest
 
+from nerf_core.common.errors import UserError
 from nerf_core.datasets.photo_paths import find_photos, photo_name
-from nerf_core.errors import UserError
 
 SOURCE = Path("t.json")
 

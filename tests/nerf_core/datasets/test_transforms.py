@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from nerf_core.common.errors import UserError
 from nerf_core.datasets import DATASETS, Capture, LoadOptions
-from nerf_core.errors import UserError
 
 Document = dict[str, Any]
 Folder = tuple[Path, Document]

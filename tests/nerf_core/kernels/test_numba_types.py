@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from numba import njit
 
-from nerf_core.cells import Cells
+from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels import numba_march
 from nerf_core.kernels.cpu_rays import ray_arrays
-from nerf_core.spaces import BoxRays
+from nerf_core.volume.cells import Cells
 
 
 def test_a_march_counts_in_single_precision() -> None:

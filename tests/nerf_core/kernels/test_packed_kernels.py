@@ -10,10 +10,10 @@ import torch
 from packed_implementations import PLAIN, fast
 from torch import Tensor
 
-from nerf_core.cells import Cells
+from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels.packed_kernels import HashLevels, PackedKernels, Samples, adam_numbers
-from nerf_core.spaces import BoxRays
-from nerf_core.volume import absorb, composite
+from nerf_core.volume.cells import Cells
+from nerf_core.volume.compositing import absorb, composite
 
 LEVELS = HashLevels((2, 5, 11, 40))
 WHITE = torch.tensor([1.0, 0.5, 0.25])

@@ -9,11 +9,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from nerf_core.fields.voxel_grid import DENSITY, VoxelGrid
+from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels.cpu_voxels import CpuVoxels
 from nerf_core.kernels.torch_voxels import STOP, TorchVoxels
 from nerf_core.kernels.voxel_kernels import Adam, March
-from nerf_core.spaces import BoxRays
+from nerf_core.volume.voxel_grid import DENSITY, VoxelGrid
 
 WHITE = torch.ones(3)
 

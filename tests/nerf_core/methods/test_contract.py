@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 import torch
 
-from nerf_core import voxel_model
-from nerf_core.cameras import camera_rays
-from nerf_core.methods import METHODS, Method, guided
-from nerf_core.methods import hash as hash_method
-from nerf_core.scene import Scene
-from nerf_core.stations import BarCode, Stems, Transfer
-from nerf_core.types import Rays
+from nerf_core.geometry.cameras import camera_rays
+from nerf_core.geometry.rays import Rays
+from nerf_core.geometry.scene import Scene
+from nerf_core.methods import METHODS, Method
+from nerf_core.methods.guided import method as guided
+from nerf_core.methods.hash import method as hash_method
+from nerf_core.methods.stages import BarCode, Stems, Transfer
+from nerf_core.methods.voxels import model as voxel_model
 
 CPU = torch.device("cpu")
 # The constants that make a method small enough for a test; a method that needs none is not listed.

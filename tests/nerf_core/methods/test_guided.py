@@ -9,16 +9,16 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from nerf_core.cameras import Ndc, camera_rays
-from nerf_core.errors import UserError
-from nerf_core.guided_config import GuidedConfig
-from nerf_core.methods.guided import GuidedNerf
-from nerf_core.methods.nerf import Nerf
-from nerf_core.nerf_config import NerfConfig
-from nerf_core.scene import Scene
-from nerf_core.settings import RunSettings
-from nerf_core.trainer import Trainer
-from nerf_core.types import Rays
+from nerf_core.common.errors import UserError
+from nerf_core.geometry.cameras import Ndc, camera_rays
+from nerf_core.geometry.rays import Rays
+from nerf_core.geometry.scene import Scene
+from nerf_core.methods.guided.config import GuidedConfig
+from nerf_core.methods.guided.method import GuidedNerf
+from nerf_core.methods.nerf.config import NerfConfig
+from nerf_core.methods.nerf.method import Nerf
+from nerf_core.training.settings import RunSettings
+from nerf_core.training.trainer import Trainer
 
 CPU = torch.device("cpu")
 SMALL = {"depth": "4", "width": "32", "precision": "float32", "rays": "128", "guide_steps": "60"}

@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 import torch
 
-from nerf_core.cameras import camera_rays
-from nerf_core.errors import UserError
-from nerf_core.hash_config import HashConfig
-from nerf_core.methods.hash import Hash
-from nerf_core.scene import Scene
-from nerf_core.settings import RunSettings
-from nerf_core.trainer import Trainer
+from nerf_core.common.errors import UserError
+from nerf_core.geometry.cameras import camera_rays
+from nerf_core.geometry.scene import Scene
+from nerf_core.methods.hash.config import HashConfig
+from nerf_core.methods.hash.method import Hash
+from nerf_core.training.settings import RunSettings
+from nerf_core.training.trainer import Trainer
 
 CPU = torch.device("cpu")
 SMALL = {"samples": "2000", "levels": "4", "log2_rows": "10", "cells": "16", "hidden": "16"}

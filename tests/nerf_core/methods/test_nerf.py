@@ -10,12 +10,12 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from nerf_core.cameras import Ndc, camera_rays
-from nerf_core.methods.nerf import Nerf
-from nerf_core.nerf_config import NerfConfig
-from nerf_core.scene import Scene
-from nerf_core.trainer import Trainer
-from nerf_core.types import Rays
+from nerf_core.geometry.cameras import Ndc, camera_rays
+from nerf_core.geometry.rays import Rays
+from nerf_core.geometry.scene import Scene
+from nerf_core.methods.nerf.config import NerfConfig
+from nerf_core.methods.nerf.method import Nerf
+from nerf_core.training.trainer import Trainer
 
 CPU = torch.device("cpu")
 CONFIG = NerfConfig(rays=24, coarse_samples=10, fine_samples=14, depth=7, width=20, chunk_rays=24)

@@ -11,22 +11,22 @@ import pytest
 import torch
 from torch.nn.functional import softplus
 
-from nerf_core.cameras import Ndc, camera_rays
-from nerf_core.cells import grow, leaps
-from nerf_core.errors import UserError
-from nerf_core.fields.voxel_grid import DENSITY, ROWS, VoxelGrid, bricks_of
+from nerf_core.common.errors import UserError
+from nerf_core.geometry.cameras import Ndc, camera_rays
+from nerf_core.geometry.scene import Scene
+from nerf_core.geometry.spaces import Space, contract
 from nerf_core.kernels import choice
 from nerf_core.kernels.cpu_voxels import CpuVoxels
 from nerf_core.kernels.torch_voxels import TorchVoxels
 from nerf_core.kernels.voxel_kernels import VoxelKernels
-from nerf_core.methods.voxels import Voxels
+from nerf_core.methods.voxels.config import VoxelConfig
+from nerf_core.methods.voxels.method import Voxels
 from nerf_core.probe import open_ray
-from nerf_core.render import render_camera
-from nerf_core.scene import Scene
-from nerf_core.settings import RunSettings
-from nerf_core.spaces import Space, contract
-from nerf_core.trainer import Trainer, nothing
-from nerf_core.voxel_config import VoxelConfig
+from nerf_core.rendering.images import render_camera
+from nerf_core.training.settings import RunSettings
+from nerf_core.training.trainer import Trainer, nothing
+from nerf_core.volume.cells import grow, leaps
+from nerf_core.volume.voxel_grid import DENSITY, ROWS, VoxelGrid, bricks_of
 
 CPU = torch.device("cpu")
 SMALL = VoxelConfig(rays=512, first_rays=256, start=8, pixels=0.5, growth=1.6, level_steps=6)

@@ -10,10 +10,10 @@ import torch
 from balls import Ball, Balls, model_of, ring_scene
 from panel_states import make_scene
 
-from nerf_core.cameras import Camera
+from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.scene import Scene
 from nerf_core.probe import Witnesses, diffuse_of
 from nerf_core.probe.evidence import unseen
-from nerf_core.scene import Scene
 
 BALL = Ball((0.0, 0.0, 0.0), 0.7, (0.5, 0.3, 0.2), gloss=0.2)
 SIDE = 0.7 * np.array([0.8, 0.0, 0.6])

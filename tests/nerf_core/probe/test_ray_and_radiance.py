@@ -13,16 +13,16 @@ from balls import Ball as PlainBall
 from balls import model_of
 from torch import Tensor, nn
 
-from nerf_core.cameras import Ndc
-from nerf_core.cells import Cells
-from nerf_core.errors import UserError
-from nerf_core.fields.voxel_grid import VoxelGrid
+from nerf_core.common.errors import UserError
+from nerf_core.geometry.cameras import Ndc
+from nerf_core.geometry.scene import Scene
 from nerf_core.kernels.torch_voxels import TorchVoxels
-from nerf_core.methods.guided import GuidedNerf
-from nerf_core.methods.hash import Hash
-from nerf_core.methods.nerf import Nerf
-from nerf_core.methods.voxels import Voxels
-from nerf_core.nerf_config import NerfConfig
+from nerf_core.methods.guided.method import GuidedNerf
+from nerf_core.methods.hash.method import Hash
+from nerf_core.methods.nerf.config import NerfConfig
+from nerf_core.methods.nerf.method import Nerf
+from nerf_core.methods.voxels.method import Voxels
+from nerf_core.methods.voxels.model import VoxelModel
 from nerf_core.probe import (
     DISC_SIZE,
     SPHERE_COLUMNS,
@@ -38,11 +38,11 @@ from nerf_core.probe import (
 )
 from nerf_core.probe.radiance import density_normal
 from nerf_core.probe.ray import MOST_RAYS
-from nerf_core.render import render_camera, tile_rays
-from nerf_core.scene import Scene
-from nerf_core.settings import RunSettings
-from nerf_core.trainer import Trainer
-from nerf_core.voxel_model import VoxelModel
+from nerf_core.rendering.images import render_camera, tile_rays
+from nerf_core.training.settings import RunSettings
+from nerf_core.training.trainer import Trainer
+from nerf_core.volume.cells import Cells
+from nerf_core.volume.voxel_grid import VoxelGrid
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -18,13 +18,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from panel_states import make_opened, make_ray, odd_opened
 
-from nerf_core.camera_files import camera_of, camera_values, picked_camera
-from nerf_core.cameras import Cameras
-from nerf_core.errors import UserError
+from nerf_core.common.errors import UserError
+from nerf_core.geometry.camera_files import camera_of, camera_values, picked_camera
+from nerf_core.geometry.cameras import Cameras
+from nerf_core.geometry.scene import Scene, View
 from nerf_core.probe import FAR_DEGREES, Opened, PassProbe, RayHistory, open_pixel, write_inspection
 from nerf_core.probe.figure import FEWEST, page
 from nerf_core.probe.layers import grain_at
-from nerf_core.scene import Scene, View
 
 RED = Ball((0.0, 0.0, 0.0), 0.7, (0.8, 0.2, 0.15))
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from balls import Ball, looking, model_of, ring_scene
 
+from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method
 from nerf_core.probe import Verdict, Witnesses, judge, open_pixel, open_ray
 from nerf_core.probe.verdict import conclude
-from nerf_core.scene import Scene
 
 RED = Ball((0.0, 0.0, 0.0), 0.7, (0.8, 0.2, 0.15))
 FLOATER = Ball((1.5, 0.0, 0.35), 0.25, (0.1, 0.2, 0.9))

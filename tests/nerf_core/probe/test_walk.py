@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from balls import Ball, model_of, ring_scene
 
-from nerf_core.cameras import Camera
+from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.scene import Scene
 from nerf_core.probe import open_ray
 from nerf_core.probe.walk import truth_of, walk
-from nerf_core.scene import Scene
 
 BALL = Ball((0.0, 0.0, 0.0), 0.7, (0.8, 0.3, 0.2))
 BARREL = -0.28  # k1

@@ -1,0 +1,1 @@
+"""What knows nothing of radiance fields: errors, files, signals, the command line, plug-in registries."""

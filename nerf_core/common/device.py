@@ -1,0 +1,63 @@
+"""What the hardware is good at."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import torch
+
+from nerf_core.common.errors import UserError
+
+
+def pick_device(name: str) -> torch.device:
+    """auto, cpu, cuda or cuda:N → a device that works. Raises UserError."""
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        raise UserError(f"--device {name}: choose auto, cpu, cuda or cuda:N") from None
+    if device.type not in ("cpu", "cuda"):
+        raise UserError(f"--device {name}: only cpu and cuda are supported")
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        raise UserError(
+            f"--device {name}: this machine offers {torch.cuda.device_count()} CUDA devices; use --device cpu"
+        )
+    return device
+
+
+def describe(device: torch.device) -> str:
+    """The device's name as status lines show it."""
+    if device.type == "cuda":
+        return torch.cuda.get_device_name(device)
+    return f"CPU, {torch.get_num_threads()} threads"
+
+
+def fast_precision(device: torch.device) -> str:
+    """ "bfloat16" where matrix products are much faster in it (CUDA from Ampere, AVX-512 BF16, AMX), else "float32"."""
+    if device.type == "cuda":
+        fast = torch.cuda.get_device_capability(device)[0] >= 8
+    else:
+        # The public API has no such query; both private ones are what torch's own tests use.
+        fast = torch.cpu._is_amx_tile_supported() or torch.cpu._is_avx512_bf16_supported()
+    return "bfloat16" if fast else "float32"
+
+
+def usable_cores() -> int:
+    """Cores this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def memory_held(device: torch.device) -> int:
+    """Bytes this process holds: on the device, or resident in memory."""
+    if device.type == "cuda":
+        return torch.cuda.memory_allocated(device)
+    try:
+        with open("/proc/self/statm", encoding="ascii") as file:
+            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:  # not Linux: the peak is what the standard library can tell
+        import resource
+
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return peak if sys.platform == "darwin" else peak * 1024

@@ -1,0 +1,62 @@
+"""Files that are written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from nerf_core.common.errors import UserError
+
+
+def write_atomically(path: Path, data: bytes | str) -> None:
+    """All of `data` under `path`, or the file that was there before: temporary file, fsync, rename.
+
+    Raises UserError when the folder cannot be written or the disk is full.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary.open("wb") as file:
+            file.write(data.encode() if isinstance(data, str) else data)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except OSError as error:
+        with suppress(OSError):  # where the path itself is impossible, removing fails as creating did
+            temporary.unlink()
+        advice = "choose a folder that has space and takes files"
+        raise UserError(f"{path}: cannot be written: {error.strerror or error}; {advice}") from None
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A new file beside `path` that takes its place when the block ends well and vanishes when it does not."""
+    part = claim_part(path)
+    try:
+        yield part
+        os.replace(part, path)
+    except OSError as error:
+        raise unwritable(path, error) from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def claim_part(path: Path) -> Path:
+    """An empty new file in the folder of `path` (made if need be), with the permissions of any new file."""
+    part = path.parent / f".{uuid.uuid4().hex}.part"
+    try:
+        part.parent.mkdir(parents=True, exist_ok=True)
+        part.open("xb").close()
+    except OSError as error:
+        raise unwritable(path, error) from error
+    return part
+
+
+def unwritable(path: Path, error: OSError) -> UserError:
+    return UserError(f"cannot write {path}: {error.strerror or error}; choose a folder that has space and takes files")

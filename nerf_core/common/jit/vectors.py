@@ -1,0 +1,176 @@
+"""Sixteen floats at once: what numba's own vocabulary lacks for the hot loops, as a few LLVM instructions each.
+
+A row is 16 float32 = 64 bytes: one cache line and one vector register of AVX-512 (elsewhere LLVM splits it). All arrays
+are one-dimensional float32 whose rows begin at multiples of 64 bytes; `corners` holds the offsets of 8 rows.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import njit, types
+from numba.core import config
+from numba.extending import intrinsic as _intrinsic
+
+from nerf_core.common.jit.cache import cache_folder
+
+# numba reads the environment only when it is imported, which may be long ago
+config.CACHE_DIR = cache_folder()  # pyright: ignore[reportAttributeAccessIssue]  set there by name
+# fast mathematics but for the promise that nothing is infinite or no number, on which the compiler would drop the
+# questions whether it is: a damaged ray would then be followed to a cell that no grid has
+NEARLY_EXACT = {"nsz", "arcp", "contract", "afn", "reassoc"}
+FAST = ("fast",)  # sums may be reordered and contracted to fused multiply-adds
+_FLOAT, _I8, _I32, _I64 = ir.FloatType(), ir.IntType(8), ir.IntType(32), ir.IntType(64)
+_ROW = ir.VectorType(_FLOAT, 16)
+
+
+def jit(function: Any) -> Any:
+    """Compiled once and cached on disk; runs without the GIL; divisions do not ask for zero first."""
+    return njit(nogil=True, cache=True, fastmath=NEARLY_EXACT, error_model="numpy")(function)
+
+
+def intrinsic(function: Any) -> Any:
+    """A function of LLVM instructions; callers leave its first argument, numba's typing context, out."""
+    return _intrinsic(function)
+
+
+def _pointer(context: Any, builder: Any, kind: Any, array: Any, offset: Any = None) -> Any:
+    data = context.make_array(kind)(context, builder, array).data
+    return data if offset is None else builder.gep(data, [offset])
+
+
+def _load(builder: Any, pointer: Any) -> Any:
+    return builder.load(builder.bitcast(pointer, _ROW.as_pointer()), align=64)
+
+
+def _store(builder: Any, value: Any, pointer: Any) -> None:
+    builder.store(value, builder.bitcast(pointer, _ROW.as_pointer()), align=64)
+
+
+def _splat(builder: Any, value: Any) -> Any:
+    empty = ir.Constant(_ROW, ir.Undefined)
+    one = builder.insert_element(empty, value, ir.Constant(_I32, 0))
+    return builder.shuffle_vector(one, empty, ir.Constant(ir.VectorType(_I32, 16), [0] * 16))
+
+
+def _item(builder: Any, pointer: Any, k: int) -> Any:
+    return builder.load(builder.gep(pointer, [ir.Constant(_I64, k)]))
+
+
+@intrinsic
+def gather(typing: Any, out: Any, at: Any, rows: Any, corners: Any, weights: Any, first: Any) -> Any:
+    """out[at : at + 16] = Σ_k weights[first + k] · rows[corners[first + k] : + 16], k < 8."""
+    signature = types.void(out, types.int64, rows, corners, weights, types.int64)
+
+    def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        kinds = signature.args
+        source = _pointer(context, builder, kinds[2], args[2])
+        offsets = _pointer(context, builder, kinds[3], args[3], args[5])
+        factors = _pointer(context, builder, kinds[4], args[4], args[5])
+        total = None
+        for k in range(8):
+            row = _load(builder, builder.gep(source, [_item(builder, offsets, k)]))
+            part = builder.fmul(_splat(builder, _item(builder, factors, k)), row, flags=FAST)
+            total = part if total is None else builder.fadd(total, part, flags=FAST)
+        _store(builder, total, _pointer(context, builder, kinds[0], args[0], args[1]))
+        return context.get_dummy_value()
+
+    return signature, emit
+
+
+@intrinsic
+def scatter(typing: Any, rows: Any, corners: Any, weights: Any, first: Any, row: Any, at: Any) -> Any:
+    """rows[corners[first + k] : + 16] += weights[first + k] · row[at : at + 16], k < 8: the transpose of `gather`."""
+    signature = types.void(rows, corners, weights, types.int64, row, types.int64)
+
+    def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        kinds = signature.args
+        target = _pointer(context, builder, kinds[0], args[0])
+        offsets = _pointer(context, builder, kinds[1], args[1], args[3])
+        factors = _pointer(context, builder, kinds[2], args[2], args[3])
+        value = _load(builder, _pointer(context, builder, kinds[4], args[4], args[5]))
+        for k in range(8):
+            place = builder.gep(target, [_item(builder, offsets, k)])
+            part = builder.fmul(_splat(builder, _item(builder, factors, k)), value, flags=FAST)
+            _store(builder, builder.fadd(_load(builder, place), part, flags=FAST), place)
+        return context.get_dummy_value()
+
+    return signature, emit
+
+
+@intrinsic
+def smooth(typing: Any, gradient: Any, rows: Any, corners: Any, first: Any, strength: Any, at: Any) -> Any:
+    """gradient[corner k] += strength[at : at + 16] · (rows[corner k] − mean of the 8 corners' rows)."""
+    signature = types.void(gradient, rows, corners, types.int64, strength, types.int64)
+
+    def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        kinds = signature.args
+        target = _pointer(context, builder, kinds[0], args[0])
+        source = _pointer(context, builder, kinds[1], args[1])
+        corners_at = _pointer(context, builder, kinds[2], args[2], args[3])
+        factor = _load(builder, _pointer(context, builder, kinds[4], args[4], args[5]))
+        offsets = [_item(builder, corners_at, k) for k in range(8)]
+        values = [_load(builder, builder.gep(source, [offset])) for offset in offsets]
+        total = values[0]
+        for value in values[1:]:
+            total = builder.fadd(total, value, flags=FAST)
+        mean = builder.fmul(total, ir.Constant(_ROW, [0.125] * 16), flags=FAST)
+        for offset, value in zip(offsets, values, strict=True):
+            place = builder.gep(target, [offset])
+            part = builder.fmul(builder.fsub(value, mean, flags=FAST), factor, flags=FAST)
+            _store(builder, builder.fadd(_load(builder, place), part, flags=FAST), place)
+        return context.get_dummy_value()
+
+    return signature, emit
+
+
+@intrinsic
+def prefetch(typing: Any, rows: Any, corners: Any, first: Any) -> Any:
+    """Ask the memory for the 8 rows, so that they are there when their turn comes: the loads are random."""
+    signature = types.void(rows, corners, types.int64)
+
+    def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        source = _pointer(context, builder, signature.args[0], args[0])
+        offsets = _pointer(context, builder, signature.args[1], args[1], args[2])
+        name = "llvm.prefetch.p0i8"
+        hint = builder.module.globals.get(name)
+        if hint is None:
+            hint = ir.Function(
+                builder.module, ir.FunctionType(ir.VoidType(), [_I8.as_pointer(), _I32, _I32, _I32]), name
+            )
+        read, keep, data = (ir.Constant(_I32, v) for v in (0, 3, 1))
+        for k in range(8):
+            place = builder.bitcast(builder.gep(source, [_item(builder, offsets, k)]), _I8.as_pointer())
+            builder.call(hint, [place, read, keep, data])
+        return context.get_dummy_value()
+
+    return signature, emit
+
+
+@intrinsic
+def _as_float(typing: Any, bits: Any) -> Any:
+    def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.bitcast(args[0], _FLOAT)
+
+    return types.float32(types.int32), emit
+
+
+@jit
+def exp(x: Any) -> Any:
+    """eˣ in float32, relative error under 2e-7, clamped to e^±87 (beyond lie infinity and zero).
+
+    x = n ln 2 + r: 2ⁿ is made of bits, eʳ for |r| ≤ ln 2 / 2 is a polynomial (the minimax one of Cephes). A call
+    into the C library takes longer than the rest of a sample's arithmetic.
+    """
+    x = min(max(x, np.float32(-87)), np.float32(87))
+    n = np.floor(x * np.float32(1.44269504) + np.float32(0.5))
+    r = x - n * np.float32(0.693359375) + n * np.float32(2.12194440e-4)  # ln 2 in two parts: n times the first is exact
+    p = np.float32(1.98756915e-4)
+    p = p * r + np.float32(1.39819995e-3)
+    p = p * r + np.float32(8.33345191e-3)
+    p = p * r + np.float32(4.16657959e-2)
+    p = p * r + np.float32(1.66666655e-1)
+    p = p * r + np.float32(5.00000012e-1)
+    return (p * r * r + r + np.float32(1)) * _as_float(np.int32((np.int32(n) + np.int32(127)) << np.int32(23)))

@@ -1,0 +1,177 @@
+"""COLMAP's sparse models: several cameras, portrait and landscape, lenses up to k1, k2, p1, p2, sparse points."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
+from typing import ClassVar
+
+import numpy as np
+
+from nerf_core.common.errors import UserError, shorten
+from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions, Photo
+from nerf_core.datasets.colmap_files import AGAIN, check_model, find_models, image_count, suffix_of, text_names
+from nerf_core.datasets.photo_folders import PhotoFolder, choose_folder, photo_folders, photos_below
+from nerf_core.datasets.photo_paths import find_photos, photo_name
+from nerf_core.geometry.cameras import Camera
+
+READ_SECONDS = 60.0  # a model of ten thousand photos takes some twenty
+LENSES = {  # parameters by camera model, in COLMAP's order; f stands for both focal lengths
+    "SIMPLE_PINHOLE": ("f", "cx", "cy"),
+    "PINHOLE": ("fx", "fy", "cx", "cy"),
+    "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
+    "RADIAL": ("f", "cx", "cy", "k1", "k2"),
+    "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
+}
+LIMIT = 1e12  # beyond any unit of length
+GOOD_TRACK = 3  # photos that see a point: where just two do, its depth is often wrong
+ENOUGH_POINTS = 100
+Model = dict[str, np.ndarray]
+
+
+@DATASETS.register("colmap")
+class Colmap:
+    """Photos without a pose are left out and counted; of several models the one with most photos is taken."""
+
+    rank: ClassVar[int] = 2
+    files: ClassVar[str] = "sparse/0 with cameras, images and points3D"
+
+    @staticmethod
+    def matches(path: Path) -> bool:
+        return path.is_dir() and bool(find_models(path))
+
+    @staticmethod
+    def read(path: Path, options: LoadOptions) -> Capture:
+        """Photos sorted by name, poses turned to OpenGL axes, sparse points. Raises UserError."""
+        root = path if path.is_dir() else path.parent
+        folder, notes = _largest(root)
+        model = read_model(folder)
+        names = [str(name) for name in model["names"]]
+        cameras = [_camera(model, i, folder) for i in range(len(names))]
+        place, photo_notes = _photo_folder(root, folder, names, options.downscale)
+        found = find_photos(place.path, names, folder)
+        home = place.path.parent if place.path != root else root
+        return Capture(
+            format="colmap",
+            photos=tuple(
+                Photo(photo_name(home, file), file, camera)
+                for file, camera in zip(found.paths, cameras, strict=True)
+                if file is not None
+            ),
+            points=_good_points(model),
+            reduced=place.reduced,
+            notes=(*notes, *photo_notes, *found.notes),
+        )
+
+
+def _largest(root: Path) -> tuple[Path, tuple[str, ...]]:
+    models = find_models(root)
+    if not models:
+        raise UserError(
+            f"{root} has no COLMAP model: sparse/0 with cameras, images and points3D (.bin or .txt) is needed"
+        )
+    counts = [image_count(model) for model in models]
+    best = models[counts.index(max(counts))]
+    if len(models) == 1:
+        return best, ()
+    others = ", ".join(f"{m.name} {n}" for m, n in zip(models, counts, strict=True) if m != best)
+    return best, (f"{best.parent} holds {len(models)} models: took {best.name} with {max(counts)} photos ({others})",)
+
+
+def read_model(folder: Path) -> Model:
+    """What `colmap_reader` writes of a model, read by pycolmap in a process of its own, in at most READ_SECONDS.
+
+    Raises UserError for damaged models, and where pycolmap is not installed.
+    """
+    if importlib.util.find_spec("pycolmap") is None:
+        raise UserError(f"{folder} is a COLMAP model: to read it, run `pip install pycolmap`")
+    check_model(folder)
+    program = Path(__file__).parents[1] / "colmap_reader.py"
+    with tempfile.TemporaryDirectory() as scratch:
+        out = Path(scratch) / "model.npz"
+        # -P: the program's folder is this package's; its files are no top-level modules
+        command = [sys.executable, "-P", str(program), str(folder.resolve()), str(out)]
+        try:
+            done = subprocess.run(
+                command, stdin=subprocess.DEVNULL, capture_output=True, timeout=READ_SECONDS, check=False
+            )
+        except subprocess.TimeoutExpired as error:
+            raise UserError(f"{folder} was not read within {READ_SECONDS:g} s, it may be damaged: {AGAIN}") from error
+        if done.returncode:
+            said = done.stderr.decode("utf-8", "replace").strip().splitlines()
+            reason = shorten(said[-1], 200) if done.returncode > 0 and said else f"crash {done.returncode}"
+            raise UserError(f"{folder}: pycolmap cannot read the model ({reason}): {AGAIN}")
+        with np.load(out, allow_pickle=False) as arrays:
+            model = {name: arrays[name] for name in arrays.files}
+    if not len(model["names"]):
+        raise UserError(f"{folder} has no photo with a pose: run COLMAP's mapper first")
+    return _by_name(model, folder)
+
+
+def _by_name(model: Model, folder: Path) -> Model:
+    """The same with its photos sorted by their whole names."""
+    if suffix_of(folder) == ".txt":
+        names = text_names(folder)
+        model["names"] = np.array([names[image] for image in model["ids"].tolist()])
+    order = np.argsort(model["names"], kind="stable")
+    return {name: v if name in ("points", "tracks") else v[order] for name, v in model.items()}
+
+
+def _camera(model: Model, index: int, folder: Path) -> Camera:
+    """World to camera with OpenCV's axes (y down, z forward) → camera to world with OpenGL's."""
+    photo, kind = shorten(str(model["names"][index])), str(model["models"][index])
+    if kind not in LENSES:
+        raise UserError(
+            f"{folder}: photo {photo} has the camera model {kind}; known are {', '.join(LENSES)}: undistort the photos "
+            "with COLMAP's image_undistorter and open its result"
+        )
+    values = dict(zip(LENSES[kind], map(float, model["parameters"][index]), strict=False))
+    focal = values.pop("f", 1.0)
+    fx, fy = values.pop("fx", focal), values.pop("fy", focal)
+    width, height = model["sizes"][index]
+    pose = model["poses"][index]
+    numbers = np.array([width, height, fx, fy, *values.values(), *pose.ravel()])
+    if not (np.abs(numbers) <= LIMIT).all() or min(width, height) < 1 or min(fx, fy) < 1e-4 * width:
+        raise UserError(
+            f"{folder}: photo {photo} of {width:g}×{height:g} pixels has the focal lengths {fx:g}, {fy:g} or numbers "
+            f"that are none: {AGAIN}"
+        )
+    rotation = pose[:, :3]
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6):
+        raise UserError(f"{folder}: the pose of photo {photo} is no rotation: {AGAIN}")
+    c2w = np.column_stack([rotation.T * (1, -1, -1), -rotation.T @ pose[:, 3]])
+    return Camera(int(width), int(height), fx, fy, c2w=c2w, **values)
+
+
+def _photo_folder(root: Path, model: Path, names: Sequence[str], downscale: int) -> tuple[PhotoFolder, tuple[str, ...]]:
+    """Where the photos lie: in images or images_N beside the model or up to two folders above it, else in `root`."""
+    homes = [root, root.parent, root.parent.parent] if model == root else [root]
+    folders = next((found for home in homes if (found := photo_folders(home))), ())
+    if not folders:
+        return PhotoFolder(root, 1, photos_below(root)), ()
+    wanted = {PurePosixPath(name).with_suffix("") for name in names}
+
+    def present(folder: PhotoFolder) -> int:
+        return len(
+            wanted & {PurePosixPath(f.relative_to(folder.path).as_posix()).with_suffix("") for f in folder.files}
+        )
+
+    chosen, notes = choose_folder(folders, downscale, len(wanted), present)
+    if len(chosen.files) > len(names):
+        notes += (
+            f"{len(names)} of the {len(chosen.files)} photos in {chosen.path} are registered; the others have no pose",
+        )
+    return chosen, notes
+
+
+def _good_points(model: Model) -> np.ndarray | None:
+    """Points that three photos or more agree on, if there are enough of them; None if there are no points at all."""
+    points, tracks = model["points"], model["tracks"]
+    sane = (np.abs(points) <= LIMIT).all(axis=1)
+    good = sane & (tracks >= GOOD_TRACK)
+    chosen = points[good if good.sum() >= ENOUGH_POINTS else sane]
+    return chosen if len(chosen) else None

@@ -1,0 +1,55 @@
+"""Which format a path holds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from nerf_core.common.assets import assets_dir
+from nerf_core.common.errors import UserError
+from nerf_core.datasets.capture import DATASETS
+from nerf_core.datasets.images import SUFFIXES
+
+DEMO = "demo"
+
+
+def recognise(path: Path | None, wanted: str) -> tuple[Path, str, tuple[str, ...]]:
+    """The path to read, the format's name and notes. Raises UserError naming what would be recognised."""
+    if path is None:
+        if wanted not in ("auto", DEMO):
+            raise UserError(f"--format {wanted} needs a dataset: name its folder")
+        return assets_dir() / DEMO, DEMO, ()
+    if wanted == DEMO:
+        raise UserError(f"--format {DEMO} opens the scene that is installed: leave out {path}")
+    if wanted != "auto":
+        DATASETS.get(wanted)
+    if not path.exists():
+        raise UserError(f"{path} does not exist: name the folder of a dataset")
+    if not path.is_dir() and path.suffix.lower() != ".json":
+        raise UserError(f"{path} is no folder: name the folder of a dataset, or its .json file")
+    if wanted != "auto":
+        return path, wanted, ()
+    fitting = _fitting(path)
+    if not fitting:
+        raise UserError(_nothing(path))
+    others = ", ".join(fitting[1:])
+    notes = (f"{path} holds {fitting[0]} and {others}: took {fitting[0]}; --format chooses",) if others else ()
+    return path, fitting[0], notes
+
+
+def _fitting(path: Path) -> list[str]:
+    """Names of the formats that match, preferred first."""
+    return sorted((n for n in DATASETS.names() if DATASETS.get(n).matches(path)), key=lambda n: DATASETS.get(n).rank)
+
+
+def _nothing(path: Path) -> str:
+    known = "; ".join(f"{n} ({DATASETS.get(n).files})" for n in DATASETS.names() if n != DEMO)
+    if path.is_file():
+        return f"{path} is no dataset that is known: {known}"
+    inside = [folder for folder in sorted(path.iterdir()) if folder.is_dir()]
+    nested = next((folder for folder in inside if _fitting(folder)), None)
+    if nested is not None:
+        return f"{path} is no dataset itself, but {nested} is one: open that"
+    photos = sum(f.suffix.lower() in SUFFIXES for folder in (path, *inside) for f in folder.iterdir())
+    if photos:
+        return f"{path} holds {photos} photos without poses; formats that carry poses: {known}"
+    return f"{path} holds no dataset; known are: {known}"

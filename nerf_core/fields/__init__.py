@@ -1,1 +1,0 @@
-"""Fields: (x, d) → density and colour."""

@@ -1,0 +1,1 @@
+"""Cameras, rays and the space that they cross."""

@@ -1,0 +1,88 @@
+"""Cameras as JSON values, and where a command line names one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.json_files import read_json
+from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.scene import Scene
+
+MOST_PIXELS = 1 << 16  # a side
+# What no camera has, and what rays of float32 numbers could not bear
+FARTHEST = 1e9  # from the origin, in units of the world; principal points, in pixels
+FOCAL = 1e-3, 1e9  # pixels
+LENS = 1e6  # its coefficients
+NEEDED = "width", "height", "fx", "fy", "cx", "cy", "c2w"
+CAMERA_FILE = f'an object as an opened ray\'s file has under "camera" ({", ".join(NEEDED)}: 3 × 4)'
+
+
+def camera_values(camera: Camera) -> dict[str, Any]:
+    """Every field by its name, c2w as lists."""
+    return {**asdict(camera), "c2w": camera.c2w.tolist()}
+
+
+def camera_of(values: Mapping[str, Any]) -> Camera:
+    """The camera of `camera_values`. Raises ValueError, TypeError or OverflowError for anything else."""
+    if not isinstance(values, Mapping):
+        raise TypeError(f"{shorten(values)} is no object")
+    for name in NEEDED:
+        if name not in values:
+            raise ValueError(f"field {name} is missing")
+    lens = {f.name: _number(values, f.name) for f in fields(Camera) if f.name != "c2w"}
+    width, height = lens.pop("width"), lens.pop("height")
+    if not all(0 < side <= MOST_PIXELS and side.is_integer() for side in (width, height)):
+        raise ValueError(f"a picture of {width:g} × {height:g} pixels")
+    if not (FOCAL[0] <= lens["fx"] <= FOCAL[1] and FOCAL[0] <= lens["fy"] <= FOCAL[1]):
+        raise ValueError(f"fx and fy must lie between {FOCAL[0]:g} and {FOCAL[1]:g}")
+    for name in lens.keys() - {"fx", "fy"}:
+        most = FARTHEST if name[0] == "c" else LENS
+        if not abs(lens[name]) <= most:
+            raise ValueError(f"{name} must lie between ±{most:g}")
+    try:
+        c2w = np.array(values["c2w"], np.float64)
+    except (ValueError, TypeError, OverflowError):
+        c2w = np.zeros(0)
+    if c2w.shape != (3, 4) or not (np.abs(c2w) <= FARTHEST).all():
+        raise ValueError(f"c2w must be 3 × 4 numbers between ±{FARTHEST:g}")
+    if not (np.allclose(c2w[:, :3] @ c2w[:, :3].T, np.eye(3), atol=1e-4) and np.linalg.det(c2w[:, :3]) > 0):
+        raise ValueError("the first three columns of c2w must be a rotation")
+    return Camera(int(width), int(height), c2w=c2w, **lens)
+
+
+def _number(values: Mapping[str, Any], name: str) -> float:
+    """Of a lens' coefficient that is not given: 0."""
+    value = values.get(name, 0.0)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(f"{name} is {shorten(value)}: a number is needed")
+    return float(value)
+
+
+def picked_camera(scene: Scene, text: str) -> Camera:
+    """The camera that an option names: a photo of the scene, by its name or its end, or a .json file with a camera, as
+    an opened ray's. Raises UserError."""
+    if text.lower().endswith(".json"):
+        values = read_json(Path(text), CAMERA_FILE).values
+        if isinstance(rays := values.get("rays"), list) and rays and isinstance(rays[0], Mapping):
+            values = rays[0]  # of a file of several: what was opened comes before what was pinned
+        try:
+            return camera_of(values.get("camera", values))
+        except (TypeError, ValueError, OverflowError) as error:
+            what = f"holds no camera ({str(error)[:80]})"
+            raise UserError(f"--camera {shorten(text, 300)}: {what}: {CAMERA_FILE} is needed") from None
+    exact = [view for view in scene.views if view.name == text]
+    found = exact or [
+        view for view in scene.views if Path(view.name).stem in (Path(text).stem, Path(text).name) and text in view.name
+    ]
+    if len(found) == 1:
+        return found[0].camera
+    named = [shorten(view.name) for view in found or scene.views]
+    some = ", ".join(named[:3]) + (", …" if len(named) > 3 else "")
+    what = f"means {len(found)} photos" if found else f"is none of the {len(scene.views):,} photos"
+    raise UserError(f"--camera {shorten(text, 300)}: {what} ({some}): give a photo's whole name or a .json file")

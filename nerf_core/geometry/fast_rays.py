@@ -1,0 +1,45 @@
+"""Pixels to rays and colours on a CPU, through numba where there is one."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nerf_core.common.jit.cache import numba_obstacle
+from nerf_core.common.jit.shards import each_shard, shards_of, split
+
+
+def fast_rays(
+    index: Tensor, pixels: Tensor, focal: Tensor, principal: Tensor, lens: Tensor, c2w: Tensor, near: float, far: float
+) -> tuple[Tensor, Tensor, Tensor, Tensor] | None:
+    """Origins, directions (R, 3), near, far (R,) float32 as in `Cameras.rays`; None where numba is missing."""
+    if index.device.type != "cpu" or numba_obstacle():
+        return None
+    from nerf_core.geometry.numba_rays import rays
+
+    count = len(index)
+    found = torch.empty(count, 3), torch.empty(count, 3), torch.empty(count), torch.empty(count)
+    given = [v.contiguous().numpy() for v in (index, pixels.double(), focal, principal, lens, c2w)]
+    out = [v.numpy() for v in found]
+    shards = shards_of(count, torch.get_num_threads())
+    each_shard(shards, lambda s: rays(*given, near, far, *split(count, shards, s), *out))
+    return found
+
+
+def photo_colors(index: Tensor, pixel: Tensor, widths: Tensor, starts: Tensor, flat: np.ndarray) -> Tensor:
+    """What integer `pixel` (R, 2) of photos `index` (R,) show, (R, 3) float32 in [0, 1].
+
+    flat: (P, 3) uint16, in which photo n, `widths[n]` pixels wide, begins at `starts[n]`.
+    """
+    if numba_obstacle():
+        at = starts[index] + pixel[:, 1] * widths[index] + pixel[:, 0]
+        return torch.from_numpy(flat[at.numpy()].astype(np.float32) / 65535)
+    from nerf_core.geometry.numba_rays import colors
+
+    count = len(index)
+    found = torch.empty(count, 3)
+    given, out = [v.contiguous().numpy() for v in (index, pixel, widths, starts)], found.numpy()
+    shards = shards_of(count, torch.get_num_threads())
+    each_shard(shards, lambda s: colors(*given, flat, *split(count, shards, s), out))
+    return found

@@ -1,0 +1,65 @@
+"""Pixels to rays and colours, one by one: `nerf_core.geometry.cameras.Cameras.rays` without its temporary arrays."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from nerf_core.common.jit.vectors import jit
+
+UNDISTORT_STEPS = 10  # as `nerf_core.geometry.cameras.undistort`, which explains both
+SINGULAR = 1e-9
+FAR_OFF = 1e9  # as `nerf_core.geometry.cameras.FAR_OFF`
+SMALL = 1e-13  # of the image plane: Newton's next step is below what float32 directions can hold
+
+
+@jit
+def rays(
+    index: Any, pixels: Any, focal: Any, principal: Any, lens: Any, c2w: Any, near: Any, far: Any, first: Any,
+    last: Any, origins: Any, directions: Any, nears: Any, fars: Any,
+) -> None:  # fmt: skip
+    """Writes the rays first ≤ r < last through `pixels` of the cameras `index`."""
+    for r in range(first, last):
+        n = index[r]
+        x0, y0 = (pixels[r, 0] - principal[n, 0]) / focal[n, 0], (pixels[r, 1] - principal[n, 1]) / focal[n, 1]
+        x, y = x0, y0
+        k1, k2, k3, p1, p2 = lens[n, 0], lens[n, 1], lens[n, 2], lens[n, 3], lens[n, 4]
+        if k1 != 0 or k2 != 0 or k3 != 0 or p1 != 0 or p2 != 0:
+            for _ in range(UNDISTORT_STEPS):
+                r2 = x * x + y * y
+                radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+                slope = k1 + r2 * (2 * k2 + 3 * r2 * k3)
+                ex = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) - x0
+                ey = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y - y0
+                xx = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
+                xy = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
+                yy = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
+                det = xx * yy - xy * xy
+                if abs(det) <= SINGULAR:
+                    break
+                mx, my = (yy * ex - xy * ey) / det, (xx * ey - xy * ex) / det
+                x -= mx
+                y -= my
+                if abs(mx) + abs(my) < SMALL:
+                    break
+            if not abs(x) + abs(y) < FAR_OFF:
+                x, y = x0, y0
+        length = math.sqrt(x * x + y * y + 1)
+        lx, ly, lz = x / length, -y / length, -1 / length
+        for a in range(3):
+            origins[r, a] = c2w[n, a, 3]
+            directions[r, a] = c2w[n, a, 0] * lx + c2w[n, a, 1] * ly + c2w[n, a, 2] * lz
+        nears[r] = near * length
+        fars[r] = far * length
+
+
+@jit
+def colors(index: Any, pixels: Any, widths: Any, starts: Any, flat: Any, first: Any, last: Any, found: Any) -> None:
+    """Writes what integer `pixels` of photos `index` show; photo n begins at starts[n] of `flat` (P, 3) uint16."""
+    for r in range(first, last):
+        n = index[r]
+        at = starts[n] + pixels[r, 1] * widths[n] + pixels[r, 0]
+        for c in range(3):
+            found[r, c] = np.float32(flat[at, c]) / np.float32(65535)

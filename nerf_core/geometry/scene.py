@@ -1,0 +1,99 @@
+"""A capture as everything else sees it: posed photos, bounds, and the way back to the input's frame."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from nerf_core.common.errors import shorten
+from nerf_core.geometry.cameras import Camera, Ndc
+
+SPLITS = ("train", "val", "test")
+
+
+@dataclass(frozen=True)
+class View:
+    """One posed photo. `name` is unique in the scene (the path relative to its folder, as metrics report it)."""
+
+    name: str
+    camera: Camera
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Posed photos in the trainer's frame; frozen, safe to hand between threads.
+
+    images: per view uint16 (H, W, 3), sRGB-encoded, 65535 = 1, already composited over `background`: 16 bits
+    hold 8-bit and 16-bit photos exactly, and averaged ones without visible error.
+    near, far: z-depths (along the optical axis, not the ray) between which the content lies, in scene units.
+    synthetic: an object rendered on a plain background (Blender's format), not photos of a place.
+    disparity: whether samples are spaced linearly in 1/z (real captures without NDC).
+    ndc: the reference frustum when the scene is trained in normalised device coordinates.
+    center, radius, up: what an orbit circles, in scene units.
+    to_input: (4, 4) similarity that takes scene points to the frame of the input files.
+    notes: what the reader warned about, one line each.
+    """
+
+    name: str
+    format: str
+    views: tuple[View, ...]
+    images: tuple[np.ndarray, ...] = field(repr=False)
+    splits: dict[str, tuple[int, ...]]
+    near: float
+    far: float
+    background: tuple[float, float, float]
+    center: np.ndarray
+    radius: float
+    up: np.ndarray
+    to_input: np.ndarray
+    disparity: bool = False
+    synthetic: bool = False
+    ndc: Ndc | None = None
+    notes: tuple[str, ...] = ()
+
+    def split(self, name: str) -> tuple[int, ...]:
+        """Indices of the views of a split; empty when the capture has none."""
+        return self.splits.get(name, ())
+
+    def held_out(self) -> tuple[str, tuple[int, ...]]:
+        """The split that evaluation uses by default: test, else val."""
+        for name in ("test", "val"):
+            if self.split(name):
+                return name, self.split(name)
+        return "test", ()
+
+    def summary(self) -> str:
+        """What loading options change, in words."""
+        sizes = sorted({(view.camera.width, view.camera.height) for view in self.views})
+        size = f"{sizes[0][0]:,}×{sizes[0][1]:,}" + (f" to {sizes[-1][0]:,}×{sizes[-1][1]:,}" if sizes[1:] else "")
+        counts = ", ".join(f"{len(indices):,} {name}" for name, indices in self.splits.items())
+        ground = ", ".join(f"{channel:g}" for channel in self.background)
+        return f"photos of {size} pixels ({counts}){', NDC' if self.ndc else ''}, background {ground}"
+
+    def difference(self, description: Mapping[str, Any]) -> str:
+        """How this scene differs from that of a checkpoint's description, and what to do: the end of an error."""
+        name, there, here = description["scene_name"], description["scene_summary"], self.summary()
+        if there == here:
+            return f"trained on {shorten(name)}, whose photos, poses or bounds differ from {self.name}'s: open that one"
+        advice = "open that one"
+        if name == self.name:
+            advice = "open it as it was then (--downscale, --max-size, --format, …)"
+        return f"trained on {shorten(name)}, {shorten(there, 160)}; open now is {self.name}, {here!r}: {advice}"
+
+    def identity(self) -> str:
+        """Hash of poses, intrinsics, bounds, names, splits and a few pixels of each photo: a checkpoint stores it."""
+        digest = hashlib.sha256()
+        digest.update(repr((self.near, self.far, self.background, self.disparity, self.ndc)).encode())
+        digest.update(repr(sorted((k, tuple(v)) for k, v in self.splits.items())).encode())
+        for view, image in zip(self.views, self.images, strict=True):
+            digest.update(view.name.encode())
+            digest.update(repr(view.camera.intrinsics()).encode())
+            digest.update(np.ascontiguousarray(view.camera.c2w, dtype="<f8").tobytes())
+            digest.update(
+                np.ascontiguousarray(image[:: max(1, image.shape[0] // 16), :: max(1, image.shape[1] // 16)]).tobytes()
+            )
+        return digest.hexdigest()

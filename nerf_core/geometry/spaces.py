@@ -1,0 +1,119 @@
+"""Where a scene's content lies in a box: the world itself, normalised device coordinates, or contracted space.
+
+A grid needs a bounded box. An object has one; a forward-facing capture gets NDC's; all others are contracted: what the
+cameras circle fills the inner cube, and everything behind it up to infinity the shell between it and twice its size.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nerf_core.geometry.cameras import Ndc, camera_rays
+from nerf_core.geometry.rays import EMPTY, Rays, Rendering
+from nerf_core.geometry.scene import Scene
+
+MOST_NDC = 4.0  # a ray that is all but parallel to the image plane would stretch the box without end
+HORIZON = 1e6  # in units of the inner cube: farther than any cell of a grid can tell from infinity
+
+
+@dataclass(frozen=True)
+class BoxRays:
+    """R rays x = origins + t · directions in the coordinates of a `Space`, before contraction; views (R, 3) unit."""
+
+    origins: Tensor
+    directions: Tensor
+    views: Tensor
+    near: Tensor
+    far: Tensor
+
+    def __len__(self) -> int:
+        return self.origins.shape[0]
+
+
+@dataclass(frozen=True)
+class Space:
+    """Box coordinates of a scene. Under "world" and "contracted" t is the world distance, under "ndc" it is t′."""
+
+    kind: Literal["world", "ndc", "contracted"]
+    center: tuple[float, float, float]
+    extent: float  # half the side of the (inner) cube, in scene units
+    low: np.ndarray  # (3,) corners of the box, in box coordinates
+    high: np.ndarray
+    ndc: Ndc | None = None
+
+    @staticmethod
+    def of(scene: Scene) -> Space:
+        center = (float(scene.center[0]), float(scene.center[1]), float(scene.center[2]))
+        one = np.ones(3)
+        if scene.ndc is not None:
+            return Space("ndc", (0.0, 0.0, 0.0), 1.0, *_seen(scene, scene.ndc), scene.ndc)
+        if scene.synthetic:
+            return Space("world", center, (scene.far - scene.near) / 2, -one, one)
+        return Space("contracted", center, scene.radius, -2 * one, 2 * one)
+
+    def rays(self, rays: Rays) -> BoxRays:
+        if self.ndc is not None:
+            origins, directions, exists = self.ndc.rays(rays.origins, rays.directions)
+            near = self.ndc.first(rays.origins)
+            return BoxRays(origins, directions, rays.directions, near, torch.where(exists, 1.0, -1.0))
+        center = torch.tensor(self.center, dtype=torch.float32, device=rays.origins.device)
+        far = torch.full_like(rays.far, HORIZON * self.extent) if self.kind == "contracted" else rays.far
+        return BoxRays(
+            (rays.origins - center) / self.extent, rays.directions / self.extent, rays.directions, rays.near, far
+        )
+
+    def world_t(self, rays: Rays, t: Tensor) -> Tensor:
+        """t (R, S) of `rays()` → world distance (R, S)."""
+        return t if self.ndc is None else self.ndc.world_t(rays.origins, rays.directions, t)
+
+    def rendering(self, rays: Rays, pixel: Tensor) -> Rendering:
+        """Pixels (R, 5), colour, opacity and Σ w t as kernels give them, with their depth in the world."""
+        opacity = pixel[:, 3]
+        nothing = opacity < EMPTY
+        depth = self.world_t(rays, (pixel[:, 4] / torch.where(nothing, 1.0, opacity))[:, None])[:, 0]
+        return Rendering(pixel[:, :3], opacity, torch.where(nothing, torch.nan, depth))
+
+    def points(self, world: Tensor) -> Tensor:
+        """World points (P, 3) → box coordinates (P, 3), contracted where space is."""
+        if self.ndc is not None:
+            return self.ndc.point(world)
+        x = (world - torch.tensor(self.center, dtype=world.dtype, device=world.device)) / self.extent
+        return contract(x) if self.kind == "contracted" else x
+
+
+def pixel_size(scene: Scene, space: Space) -> float:
+    """Side of a training photo's pixel at what the cameras look at, in box coordinates; their median."""
+    cameras = [scene.views[i].camera for i in scene.split("train")]
+    if space.kind == "ndc":
+        return 2 / max(c.width for c in cameras)
+    distances = [np.linalg.norm(c.c2w[:, 3] - scene.center) / c.fx for c in cameras]
+    return float(np.median(distances)) / space.extent
+
+
+def _seen(scene: Scene, ndc: Ndc) -> tuple[np.ndarray, np.ndarray]:
+    """The corners of what the training photos' rays cross, in NDC: a box is convex, so their four corners tell."""
+    low, high = np.array([-1.0, -1.0, -1.0]), np.array([1.0, 1.0, 1.0])
+    for i in scene.split("train"):
+        camera = scene.views[i].camera
+        x, y = camera.width - 1, camera.height - 1
+        rays = camera_rays(camera, scene.near, scene.far, np.array([(0, 0), (x, 0), (0, y), (x, y)]))
+        origins, directions, exists = ndc.rays(rays.origins, rays.directions)
+        ends = torch.cat([origins[exists], (origins + directions)[exists]]).double().numpy()
+        if len(ends):
+            low[:2], high[:2] = np.minimum(low[:2], ends.min(0)[:2]), np.maximum(high[:2], ends.max(0)[:2])
+    return np.maximum(low, -MOST_NDC), np.minimum(high, MOST_NDC)
+
+
+def contract(x: Tensor) -> Tensor:
+    """x (P, 3) → x where ‖x‖∞ ≤ 1, else (2 − 1/‖x‖∞) x/‖x‖∞: all of space in the cube of half-side 2.
+
+    mip-NeRF 360's Eq. 10 (arXiv:2111.12077) with the maximum norm, whose balls are a grid's own cubes.
+    """
+    m = x.abs().amax(-1, keepdim=True)
+    s = 1 / m.clamp(min=1)
+    return torch.where(m > 1, (2 - s) * s * x, x)

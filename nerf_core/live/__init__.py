@@ -1,0 +1,1 @@
+"""The worker thread behind a window: training, previews and opened rays."""

@@ -1,0 +1,140 @@
+"""What the worker draws for the window: the preview of the newest view, and opened rays."""
+
+from __future__ import annotations
+
+import time
+
+from nerf_core.geometry.cameras import camera_rays
+from nerf_core.live.messages import Preview, ViewRequest
+from nerf_core.live.opened_rays import OpenedRays
+from nerf_core.live.refinement import Refinement, first_stride
+from nerf_core.methods import Method
+from nerf_core.rendering.modes import COLOR, shaded
+from nerf_core.training.trainer import Trainer
+
+MOVING_SECONDS = (
+    0.05  # the first pixels of a moving camera may cost so much: three frames, well under the eye's patience
+)
+RESTING_SECONDS = 0.3  # and of one that has come to rest
+WHOLE_SECONDS = 0.04  # a level that takes no longer is drawn in one go: copying the weights would take as long
+GUESSED_RATE = 4000.0  # rays a second, until a tile has been timed
+
+
+class Artist:
+    """Does one small piece of drawing at a time; remembers what is half done. Owned by the worker thread."""
+
+    def __init__(self) -> None:
+        self.rays = OpenedRays()
+        self._picture: Refinement | None = None
+        self._model: Method | None = None  # what draws the level under way, and
+        self._model_step = 0
+        self._whole = False  # the level under way is to be done before the next step
+        self._copy: Method | None = None
+        self._copy_step = -1
+        self._ready: Preview | None = None  # the newest picture that may be shown, and
+        self._shown: Preview | None = None  # the one that was handed out last
+        self._moving = False
+        self._rates: dict[tuple[str, str], float] = {}  # by quality and mode
+        self._level = 0, 0.0  # cells of the level under way that are drawn, and the seconds they took
+
+    def forget_pictures(self) -> None:
+        """The model was exchanged: everything is to be drawn again."""
+        self._picture = self._model = self._copy = self._ready = self._shown = None
+        self.rays.forget()
+
+    @property
+    def fresh(self) -> bool:
+        return self._ready is not self._shown or (self._picture is not None and self._picture.fresh)
+
+    def preview(self, previous: Preview | None) -> Preview | None:
+        """The newest picture that may be shown; the previous one until a new camera's first level is complete."""
+        picture = self._picture
+        if picture is not None and picture.fresh and picture.first_level_done and picture.coherent():
+            self._ready = picture.image()
+        self._shown = self._ready
+        return previous if self._ready is None else self._ready
+
+    def rays_per_second(self, quality: str) -> float:
+        return self._rates.get((quality, COLOR), 0.0)
+
+    def urgent(self, view: ViewRequest | None) -> bool:
+        """Whether `view` has nothing to show yet, or a level that is drawn whole is half done: these come before
+        training."""
+        picture = self._picture
+        if view is None:
+            return False
+        if picture is None or picture.stamp != view.stamp or not picture.first_level_done:
+            return True
+        return self._whole and not picture.begins and not picture.level_done
+
+    def draw(self, trainer: Trainer, view: ViewRequest | None, training: bool) -> bool:
+        """One piece; whether there was any to do. training: whether more steps are on their way."""
+        first_pixels = self.urgent(view) and not self.rays.urgent
+        if not first_pixels and self.rays.draw(trainer, training):
+            return True
+        if view is None:
+            return False
+        picture = self._current(view, trainer.method.born)
+        if not training and self._model_step != trainer.step_count and not picture.begins:
+            picture.begin_again()  # what is under way shows a model of before the pause
+        if not picture.advance(trainer.step_count, training, time.monotonic()):
+            return False
+        if picture.begins or self._model is None:
+            self._model_step = trainer.step_count
+            # A new view's first level is done before the next step, and so is any that is soon done.
+            seconds = picture.cells_left / self._rates.get((picture.quality, picture.mode), GUESSED_RATE)
+            self._whole = not picture.first_level_done or seconds < WHOLE_SECONDS
+            self._model = trainer.method if self._whole else self._frozen(trainer)
+            self._level = 0, 0.0
+        begin = time.perf_counter()
+        cells = picture.take(self._model.tile)
+        rays = camera_rays(picture.camera, trainer.scene.near, trainer.scene.far, picture.pixels(cells))
+        if picture.mode == COLOR:
+            drawn = self._model.render(rays, picture.quality)
+            color = drawn.color.cpu().numpy()
+        else:
+            trace = self._model.trace(rays)
+            drawn, color = trace.rendering, shaded(self._model, rays, trace, picture.mode)
+        # distance along the ray → depth along the optical axis: `far`, never 0, is that axis' bound on every ray
+        z = drawn.depth.cpu() * trainer.scene.far / rays.far
+        picture.write(cells, color, z.numpy(), self._model_step)
+        if picture.level_done and picture.coherent():  # the next piece may be of the next level, with other weights
+            self._ready = picture.image()
+        self._note_rate(picture, len(cells), time.perf_counter() - begin)
+        return True
+
+    def _note_rate(self, picture: Refinement, cells: int, seconds: float) -> None:
+        """Rays a second over whole levels: at its rim a picture is emptier, and faster, than in its middle."""
+        assert self._model is not None
+        self._level = self._level[0] + cells, self._level[1] + seconds
+        kind = picture.quality, picture.mode
+        known = self._rates.get(kind)
+        if self._level[0] >= self._model.tile and (picture.level_done or known is None):  # less is padded to a tile
+            rate = self._level[0] / max(self._level[1], 1e-6)
+            self._rates[kind] = rate if known is None else 0.5 * known + 0.5 * rate
+
+    def _frozen(self, trainer: Trainer) -> Method:
+        """The model of now, which stays as it is while training goes on."""
+        if self._copy is None or self._copy_step != trainer.step_count:
+            self._copy, self._copy_step = trainer.frozen_method(), trainer.step_count
+        return self._copy
+
+    def _current(self, view: ViewRequest, born: int) -> Refinement:
+        """The picture to work on: the newest view's, but a moving camera's few pixels are finished first.
+
+        Otherwise a hand that never rests would see no new pixel at all. Where other weights draw it by now, all begins
+        anew.
+        """
+        picture = self._picture
+        finish = picture is not None and self._moving and not picture.first_level_done
+        if picture is not None and picture.born != born:
+            picture = None
+            self._rates.clear()
+        if picture is None or (picture.stamp != view.stamp and not finish):
+            quality = "coarse" if view.moving else "fine"
+            rate = self._rates.get((quality, view.mode), GUESSED_RATE)
+            affordable = rate * (MOVING_SECONDS if view.moving else RESTING_SECONDS)
+            stride = first_stride(view.camera.width, view.camera.height, affordable)
+            picture = self._picture = Refinement(view.camera, view.stamp, stride, quality, view.mode, born)
+            self._moving = view.moving
+        return picture

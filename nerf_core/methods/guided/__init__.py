@@ -1,0 +1,1 @@
+"""The paper's network with samples placed by a voxel grid."""

@@ -1,0 +1,58 @@
+"""The constants of the guided method: the paper's network, and how long its guide learns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import torch
+
+from nerf_core.common.configs import changed, check_ranges, restored
+from nerf_core.common.device import fast_precision
+from nerf_core.common.errors import UserError, shorten
+from nerf_core.geometry.scene import Scene
+from nerf_core.methods.mlp.config import MlpConfig
+from nerf_core.methods.voxels.config import VoxelConfig
+
+GUIDE = "guide."  # what the grid's constants are set with: --set guide.growth=1.5
+
+
+@dataclass(frozen=True)
+class GuidedConfig(MlpConfig):
+    """See `MlpConfig`. guide_steps: of the voxel grid, before the network's first; `total_steps` counts them.
+
+    least: the network is asked about those samples of the grid that weigh more. guide: the grid's own constants.
+    As configured, training differs from the paper's: a higher learning rate, which decays over fewer steps, and fewer
+    rays a step on a CPU.
+    """
+
+    guide_steps: int = 500
+    least: float = 0.01
+    guide: VoxelConfig = field(default_factory=VoxelConfig)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_ranges(self, {"guide_steps": 1}, {"guide_steps": 10**6, "least": 0.5})
+
+    @staticmethod
+    def configure(scene: Scene, preset: str, changes: Mapping[str, str], device: torch.device) -> GuidedConfig:
+        if preset != "auto":
+            raise UserError(
+                f"--preset {shorten(preset)}: method nerf-guided has none but auto; change constants with --set"
+            )
+        config = GuidedConfig(
+            rays=4096 if device.type == "cuda" else 512, learning_rate=1e-3, decay_steps=30_000, total_steps=30_000,
+            precision=fast_precision(device),
+        )  # fmt: skip
+        own = {name: text for name, text in changes.items() if not name.startswith(GUIDE)}
+        guides = {name.removeprefix(GUIDE): text for name, text in changes.items() if name.startswith(GUIDE)}
+        guide = VoxelConfig.configure(scene, "auto", guides, device)
+        return changed(replace(config, guide=guide), own, "nerf-guided")
+
+    @staticmethod
+    def restore(config: Mapping[str, Any]) -> GuidedConfig:
+        guide = config.get("guide")
+        if not isinstance(guide, Mapping):
+            raise UserError("the checkpoint's nerf-guided configuration has no guide: made by another version")
+        return restored(GuidedConfig, {**config, "guide": VoxelConfig.restore(guide)}, "nerf-guided")

@@ -1,0 +1,246 @@
+"""The paper's NeRF made fast without touching its model: a voxel grid, trained first, says where samples are spent.
+
+The network, its encoding and volume rendering are those of `nerf_core.methods.nerf.method`. What the paper's coarse
+network is for, finding the few depths that matter, a voxel grid does better after seconds: of the samples that it
+takes along a ray, those that weigh more than `least` in its own picture are kept, with their δ, and only they are put
+to the network.
+A ray then needs some 3 samples instead of 192 + 64, and one that hits nothing needs none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from copy import copy
+from typing import ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from nerf_core.geometry.rays import Rays, Rendering, Trace
+from nerf_core.geometry.scene import Scene
+from nerf_core.kernels.choice import packed_kernels
+from nerf_core.methods import METHODS, Draw
+from nerf_core.methods.guided.config import GuidedConfig
+from nerf_core.methods.mlp.model import MlpModel, Parametrised
+from nerf_core.methods.stages import Marks, Station, Stems, absorption_station, field_station, nothing_station
+from nerf_core.methods.voxels.model import VoxelModel
+from nerf_core.volume.packed import Packed, opened
+
+CPU = torch.device("cpu")
+TILE = 512  # rays: some 10 ms on two cores
+PIECE = 1024  # samples whose gradient is computed at once on a CPU: some 10 ms
+# Rows of one evaluation where pictures are drawn: always the same, so that what a pixel is does not depend on its
+# neighbours (a matrix product's rounding depends on its size).
+ROWS = 1024
+BLOCK = 256  # rows in training are rounded up to a multiple: oneDNN compiles a kernel for every size it has not seen
+
+
+@METHODS.register("nerf-guided")
+class GuidedNerf(MlpModel):
+    """See the module."""
+
+    summary: ClassVar[str] = "The paper's network, its samples placed by a voxel grid trained first: minutes on a CPU."
+    coarse: ClassVar[str] = "the guide's picture"
+    alone: ClassVar[bool] = False
+
+    configure = staticmethod(GuidedConfig.configure)
+    restore = staticmethod(GuidedConfig.restore)
+
+    config: GuidedConfig
+
+    def __init__(self, scene: Scene, config: GuidedConfig, device: torch.device, seed: int) -> None:
+        super().__init__(scene, config, device, torch.Generator().manual_seed(seed), ("fine",))
+        self.guide = VoxelModel(scene, config.guide, device, seed)
+        self.space = self.guide.space
+        self.kernels = packed_kernels(device)
+        self.tile = config.tile or TILE
+        self.guided = 0  # steps that the guide has had
+        self.average = 8.0  # samples a ray needed lately
+
+    @property
+    def stage(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]  only read
+        if self._ready:
+            return ""
+        return f"the guide learns, {self.guided:,} of {self.config.guide_steps:,} steps: the picture is its own"
+
+    @property
+    def born(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]  only read
+        return self.config.guide_steps if self._ready else 0
+
+    @property
+    def _ready(self) -> bool:
+        return self.guided >= self.config.guide_steps
+
+    # ---- sampling ---------------------------------------------------------------------------------------------------
+
+    def _placed(self, rays: Rays, offsets: Tensor) -> Packed:
+        """The samples that the network is asked about, on its device.
+
+        Where space has no end, all that the guide sees beyond `far` becomes one sample there whose δ is `last_delta`.
+        """
+        near = rays.to(CPU)
+        found = self.guide.traced(near, offsets)
+        weight, ray = found.alpha * found.light, found.ray
+        inside = found.t <= near.far[ray]
+        kept = (inside & (weight > self.config.least)).nonzero()[:, 0]
+        ray, t, width = ray[kept], found.t[kept], found.width[kept]
+        if self.space.kind == "contracted":
+            beyond = torch.zeros(len(rays)).index_add(0, found.ray, torch.where(inside, 0, weight))
+            open_ended = (beyond > self.config.least).nonzero()[:, 0]
+            ray, order = torch.cat([ray, open_ended]).sort(stable=True)
+            t = torch.cat([t, near.far[open_ended]])[order]
+            width = torch.cat([width, torch.full((len(open_ended),), self.config.last_delta)])[order]
+        ends = torch.searchsorted(ray, torch.arange(len(rays) + 1))
+        return Packed(*(v.to(self.device) for v in (ends, t, width)))
+
+    # ---- evaluating -------------------------------------------------------------------------------------------------
+
+    def _inputs(self, p: Parametrised, samples: Packed, rows: int) -> tuple[Tensor, Tensor]:
+        """x and γ(d) of all samples, filled up to a multiple of `rows`."""
+        ray = samples.ray
+        x = p.origins[ray] + samples.t[:, None] * p.directions[ray]
+        missing = -len(x) % rows
+        return functional.pad(x, (0, 0, 0, missing)), functional.pad(p.encoded[ray], (0, 0, 0, missing))
+
+    def _tau(self, raw: Tensor, p: Parametrised, samples: Packed) -> Tensor:
+        """Optical depth: ReLU density times δ (NeRF, Eq. 3), nothing on rays that do not exist under NDC."""
+        ray = samples.ray
+        return torch.relu(raw) * samples.width * p.length[ray] * p.exists[ray]
+
+    # ---- training ---------------------------------------------------------------------------------------------------
+
+    def draw(self, step: int) -> Draw:
+        return Draw(self.config.rays) if self._ready else self.guide.draw(step)
+
+    def train(self, rays: Rays, truth: Tensor, step: int, steps: int | None, pump: Callable[[], None]) -> float:
+        """First the guide's steps; then MSE of the network's colour, Adam under an exponential decay."""
+        if not self._ready:
+            error = self.guide.train(rays, truth, step, None, pump)
+            self.guided += 1
+            if self._ready:
+                self.guide.finish()
+            return error
+        self.begin_step(step, steps)
+        drawn = self.generator.get_state()
+        offsets = torch.rand(len(rays), generator=self.generator)
+        piece = max(1, int(PIECE / self.average)) if self.device == CPU else len(rays)
+        error, found = 0.0, 0
+        try:
+            for start in range(0, len(rays), piece):
+                part = slice(start, start + piece)
+                one, count = self._accumulate(rays[part], offsets[part], truth[part], 2 / truth.numel())
+                error, found = error + one, found + count
+                pump()
+        except BaseException:  # gradients are no state, but the random numbers drawn for them must be drawn again
+            self.generator.set_state(drawn)
+            raise
+        self.optimizer.step()
+        self.average = max(1.0, 0.9 * self.average + 0.1 * found / len(rays))
+        return error / truth.numel()
+
+    def _accumulate(self, rays: Rays, offsets: Tensor, truth: Tensor, scale: float) -> tuple[float, int]:
+        """Add the gradient of `scale`/2 times the squared error; returns that error, and how many samples it took."""
+        p, samples = self.parametrise(rays), self._placed(rays, offsets)
+        count = len(samples.t)
+        raw, rgb = (v[:count] for v in self.final(*self._inputs(p, samples, BLOCK)))
+        tau = self._tau(raw, p, samples)
+        known = tau.detach(), rgb.detach(), samples, self.background
+        off = self.kernels.composite(*known)[:, :3] - truth
+        if count:
+            torch.autograd.backward([tau, rgb], self.kernels.composite_gradient(off * scale, *known))
+        return float(off.square().sum()), count
+
+    def halve(self) -> bool:
+        return False
+
+    # ---- rendering --------------------------------------------------------------------------------------------------
+
+    @torch.no_grad()
+    def _evaluated(self, rays: Rays) -> tuple[Packed, Tensor, Tensor, Tensor]:
+        """Samples of at most a tile of rays, their optical depths and colours, and the pixels (R, 5)."""
+        p, samples = self.parametrise(rays), self._placed(rays, torch.full((len(rays),), 0.5))
+        count = len(samples.t)
+        x, d = self._inputs(p, samples, ROWS)
+        done = [self.final(x[i : i + ROWS], d[i : i + ROWS]) for i in range(0, len(x), ROWS)]
+        raw, rgb = (torch.cat(v)[:count] for v in zip(*done, strict=True)) if done else (x[:, 0], x)
+        tau = self._tau(raw, p, samples)
+        return samples, tau, rgb, self.kernels.composite(tau, rgb, samples, self.background)
+
+    def render(self, rays: Rays, quality: str = "fine") -> Rendering:
+        """ "coarse", and all there is before the network begins: the guide's picture."""
+        if quality == "coarse" or not self._ready:
+            return self.guide.render(rays).to(self.device)
+        rays = rays.to(self.device)
+        parts = [rays[i : i + self.tile] for i in range(0, len(rays), self.tile)]
+        return Rendering.cat([self.space.rendering(part, self._evaluated(part)[3]) for part in parts])
+
+    def trace(self, rays: Rays) -> Trace:
+        """The guide's pass, before those of its samples that the network was asked about."""
+        guide = self.guide.trace(rays)
+        if not self._ready:
+            return guide
+        rays = rays.to(self.device)
+        samples, tau, rgb, pixel = self._evaluated(rays)
+        passes = (*guide.passes, opened("fine", self.space, rays, samples, tau, rgb))
+        return Trace(self.space.rendering(rays, pixel), passes)
+
+    def radiance(self, points: Tensor, directions: Tensor) -> Tensor:
+        return super().radiance(points, directions) if self._ready else self.guide.radiance(points, directions)
+
+    def density(self, points: Tensor) -> Tensor:
+        return super().density(points) if self._ready else self.guide.density(points)
+
+    def explain(self, rays: Rays) -> tuple[Station, ...]:
+        if not self._ready:
+            return self.guide.explain(rays)
+        guide, fine = self.trace(rays).passes
+        t, weights = (v[0].cpu().numpy() for v in (guide.t, guide.weights))
+        count = 0 if fine.count is None else int(fine.count[0])
+        found = (
+            Station(
+                "The guide",
+                "A voxel grid that was trained first knows where the ray meets something: its samples' weights.",
+                (Stems("guide's w", t, weights),),
+            ),
+            Station(
+                "Placed samples",
+                f"Those that weigh more than {self.config.least:g} are kept, {count} of {len(t)}: only they are put to "
+                "the network, where the paper's method would ask at 256.",
+                (Marks(fine.t[0, :count].cpu().numpy(), np.zeros(0, np.float32)),),
+            ),
+        )
+        if not count:
+            return (*found, nothing_station())
+        return (
+            *found,
+            self.code_station(rays, fine),
+            field_station(fine, f"The paper's network is asked at each: how dense, and which colour {self.towards}?"),
+            absorption_station(fine),
+        )
+
+    # ---- state ------------------------------------------------------------------------------------------------------
+
+    def frozen(self) -> GuidedNerf:
+        frozen = super().frozen()
+        frozen.guide = copy(self.guide) if self._ready else self.guide.frozen()
+        return frozen
+
+    def state(self) -> dict[str, Tensor]:
+        numbers = {"guided": torch.tensor(self.guided), "average": torch.tensor(self.average, dtype=torch.float64)}
+        guide = self.guide.grid_state() if self._ready else self.guide.state()
+        return super().state() | numbers | {f"guide.{k}": v for k, v in guide.items()}
+
+    def load_state(self, state: Mapping[str, Tensor]) -> None:
+        guided, average = int(state["guided"]), float(state["average"])
+        if guided < 0 or not 1 <= average < 1e6:
+            raise ValueError("the guide's progress is not of the kind that is written")
+        guide = {k.removeprefix("guide."): v for k, v in state.items() if k.startswith("guide.")}
+        if guided >= self.config.guide_steps:
+            self.guide.load_grid(guide)
+            self.guide.finish()
+        else:
+            self.guide.load_state(guide)
+        super().load_state(state)
+        self.guided, self.average = guided, average

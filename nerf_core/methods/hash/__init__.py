@@ -1,0 +1,1 @@
+"""Instant-ngp's hash grid with two small networks."""

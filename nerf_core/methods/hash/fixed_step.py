@@ -1,0 +1,91 @@
+"""The hash method's training step on shapes that never change, so that CUDA can replay it as one graph.
+
+Launching some hundred small kernels one by one takes a GPU longer than running them. A graph records them once; what
+changes from step to step is copied into tensors that stay where they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields, replace
+
+import torch
+from torch import Tensor
+
+from nerf_core.geometry.spaces import BoxRays
+from nerf_core.kernels.packed_kernels import PackedKernels
+from nerf_core.methods.hash.field import HashField
+from nerf_core.volume.cells import Cells
+from nerf_core.volume.occupancy import softened
+
+EAGER = 3  # steps before the recording: kernels are compiled and libraries set up in them
+
+
+class FixedStep:
+    """Gradients and updates for `rays` rays with at most `room` samples in all.
+
+    A ray whose samples do not all find room has no say in the step: it would be composited wrongly.
+    step: of the march, in cells; length: of a sample, which turns density into optical depth. into: the table's
+    gradient. update: what follows the gradients, the optimisers' steps; recorded as well.
+    """
+
+    def __init__(
+        self, field: HashField, kernels: PackedKernels, cells: Cells, rays: int, room: int, step: float, length: float,
+        background: Tensor, into: Tensor, update: Callable[[], None],
+    ) -> None:  # fmt: skip
+        self.field, self.kernels, self.room, self.step, self.length = field, kernels, room, step, length
+        self.background, self.into, self.update = background, into, update
+        self.cells = replace(cells, occupied=cells.occupied.clone(), leap=cells.leap.clone())
+        device = background.device
+        one, three = torch.zeros(rays, device=device), torch.zeros(rays, 3, device=device)
+        self.rays = BoxRays(three, three.clone(), three.clone(), one, one.clone())
+        self.offsets, self.truth = one.clone(), three.clone()
+        self.error, self.found = torch.zeros((), device=device), torch.zeros((), dtype=torch.long, device=device)
+        self.calls = 0
+        self.graph: torch.cuda.CUDAGraph | None = None
+
+    def __call__(self, cells: Cells, rays: BoxRays, offsets: Tensor, truth: Tensor) -> tuple[float, int]:
+        """One step; returns the summed squared error, rays without room counted like the others, and the samples."""
+        for f in fields(BoxRays):
+            getattr(self.rays, f.name).copy_(getattr(rays, f.name))
+        self.offsets.copy_(offsets)
+        self.truth.copy_(truth)
+        self.cells.occupied.copy_(cells.occupied)
+        self.cells.leap.copy_(cells.leap)
+        self.calls += 1
+        if self.background.device.type != "cuda":
+            self.run()
+        elif self.calls <= EAGER:  # on a stream of its own, as recording will be
+            stream = torch.cuda.Stream()
+            stream.wait_stream(torch.cuda.current_stream())
+            with torch.cuda.stream(stream):
+                self.run()
+            torch.cuda.current_stream().wait_stream(stream)
+        else:
+            if self.graph is None:
+                self.graph = torch.cuda.CUDAGraph()
+                with torch.cuda.graph(self.graph):
+                    self.run()
+            self.graph.replay()
+        return float(self.error), int(self.found)
+
+    def run(self) -> None:
+        """The step itself: nothing in it waits for the device, and every shape is known before it begins."""
+        samples = self.kernels.march(self.cells, self.rays, self.step, self.offsets, self.room)
+        total = samples.ends[-1]
+        place = torch.arange(self.room, device=total.device)
+        ray = (torch.searchsorted(samples.ends, place, right=True) - 1).clamp(max=len(self.rays) - 1)
+        whole = samples.ends[1:] < self.room
+        features = self.field.encode(samples.x).requires_grad_()
+        raw, geometry = self.field.geometry(features)
+        rgb = self.field.radiance(geometry, self.rays.views[ray])
+        tau = softened(raw) * self.length * (place < total)
+        known = tau.detach(), rgb.detach(), samples, self.background
+        off = torch.where(whole[:, None], self.kernels.composite(*known)[:, :3] - self.truth, 0)
+        scale = 2 / self.truth.numel()
+        torch.autograd.backward([tau, rgb], self.kernels.composite_gradient(off * scale, *known))
+        assert features.grad is not None
+        self.kernels.encode_gradient(features.grad, self.field.levels, samples.x, self.into)
+        self.update()
+        self.error.copy_(off.square().sum() * len(whole) / whole.sum().clamp(min=1))
+        self.found.copy_(total)

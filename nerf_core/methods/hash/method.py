@@ -1,0 +1,333 @@
+"""A multiresolution hash grid with two small networks, sampled where an occupancy grid says that something may be.
+
+Müller et al. 2022 ("instant-ngp", arXiv:2201.05989). Features are looked up in L grids of growing resolution whose
+vertices share a table of T rows by a spatial hash; collisions are left to the networks to sort out. Samples of all rays
+lie packed in one list, since rays need different numbers of them. Pictures show the average of the last steps' weights
+(Polyak and Juditsky 1992), in which the noise of single batches has settled.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nerf_core.geometry.rays import Rays, Rendering, Trace
+from nerf_core.geometry.scene import Scene
+from nerf_core.geometry.spaces import Space, pixel_size
+from nerf_core.kernels.choice import packed_kernels
+from nerf_core.kernels.packed_kernels import BETA1, BETA2, EPSILON, HashLevels, Samples, adam_numbers
+from nerf_core.methods import METHODS, Draw
+from nerf_core.methods.adam_state import adam_state, load_adam
+from nerf_core.methods.hash.config import HashConfig
+from nerf_core.methods.hash.field import HashField
+from nerf_core.methods.hash.fixed_step import FixedStep
+from nerf_core.methods.stages import (
+    BarCode,
+    Station,
+    absorption_station,
+    field_station,
+    nothing_station,
+    skipped_station,
+)
+from nerf_core.volume.cells import Cells
+from nerf_core.volume.encodings import spherical_harmonics
+from nerf_core.volume.occupancy import Occupancy, softened
+from nerf_core.volume.packed import to_trace
+
+TILE = 2048  # rays drawn at once on a CPU: some 10 ms
+TILE_SAMPLES = 1 << 20  # drawn at once on a GPU: enough to keep it busy, under a gigabyte of activations
+PIECE = 1 << 13  # samples between two pumps on a CPU: some 10 ms
+ROOM = 1.25  # times the samples asked for: so many a recorded step can hold
+FEWEST = 1 << 12  # samples a step that can still be halved
+AVERAGE_EVERY = 4  # steps: the table is large, and neighbouring steps differ little
+FOLLOW = 0.1  # of the way to the weights that the average then goes: it spans some 40 steps
+YOUNG = 4.0  # in its first moves the average spans a quarter of the steps made: those before are old already
+STOP = 1e-3  # transmittance behind which no colour is looked up: it could not change an 8-bit pixel by one step
+
+
+@METHODS.register("hash")
+class Hash:
+    """See the module."""
+
+    summary: ClassVar[str] = "Instant-ngp (2022): a hash grid and two small MLPs; made for a GPU."
+    coarse: ClassVar[str] = ""
+    alone: ClassVar[bool] = True
+    stage: ClassVar[str] = ""
+    born: ClassVar[int] = 0
+
+    configure = staticmethod(HashConfig.configure)
+    restore = staticmethod(HashConfig.restore)
+
+    def __init__(self, scene: Scene, config: HashConfig, device: torch.device, seed: int) -> None:
+        self.config, self.device = config, device
+        self.space = Space.of(scene)
+        self.background = torch.tensor(scene.background, device=device)
+        self.generator = torch.Generator().manual_seed(seed)
+        self.kernels = packed_kernels(device)
+        sides = self.space.high - self.space.low
+        voxel = np.full(3, sides.max() / config.cells)
+        size = np.maximum(np.ceil(sides / voxel - 1e-6).astype(int), 1)
+        everything = torch.ones(*size.tolist(), dtype=torch.bool, device=device)
+        cells = Cells.of(self.space.low, voxel, everything, self.space.kind == "contracted")
+        self.occupancy = Occupancy(cells, config.empty, config.decay)
+        pixel = pixel_size(scene, self.space)
+        self.step_cells = float(config.pixels * pixel / voxel[0])
+        self.length = config.pixels * pixel  # of a sample, in box coordinates
+        finest = config.finest or max(config.coarsest, round(float(sides.max()) / pixel))
+        growth = (finest / config.coarsest) ** (1 / max(1, config.levels - 1))
+        resolutions = tuple(int(config.coarsest * growth**i + 1e-6) for i in range(config.levels))
+        self.field = HashField(
+            HashLevels(resolutions), 2**config.log2_rows, config.features, config.hidden, self.kernels
+        )
+        self.field.initialise(torch.Generator().manual_seed(seed))
+        self.field.to(device)
+        self.shown = deepcopy(self.field).requires_grad_(False)  # the average, which pictures show
+        self.table_gradient = torch.zeros_like(self.field.table)
+        self.moments = torch.zeros_like(self.field.table), torch.zeros_like(self.field.table)
+        # what changes from step to step lies in tensors: a recorded step reads it there
+        self.rate, self.numbers = torch.tensor(config.learning_rate, device=device), torch.zeros(3, device=device)
+        self.optimizer = torch.optim.Adam(
+            self.field.networks(), lr=self.rate, betas=(BETA1, BETA2), eps=EPSILON, fused=True,
+            capturable=device.type == "cuda",
+        )  # fmt: skip
+        for parameter in self.field.networks():
+            parameter.grad = torch.zeros_like(parameter)
+        self.updates = 0
+        self.needed = 4.0 * config.cells  # samples a ray took lately
+        self.fixed: FixedStep | None = None
+
+    # ---- training ---------------------------------------------------------------------------------------------------
+
+    def draw(self, step: int) -> Draw:
+        count = int(min(max(self.config.samples / self.needed, 64), self.config.most_rays))
+        if self.kernels.name == "triton":  # one of few numbers, since each takes a recording
+            now = len(self.fixed.rays) if self.fixed is not None else 0
+            count = now if 0.4 * count <= now <= 1.1 * count else 2 ** int(math.log2(count))
+        return Draw(count)
+
+    def train(self, rays: Rays, truth: Tensor, step: int, steps: int | None, pump: Callable[[], None]) -> float:
+        """Mean squared error; Adam on the networks and on the table's touched rows."""
+        rate = self.config.learning_rate / (1 + step / self.config.slowdown)
+        self.numbers.copy_(adam_numbers(rate, self.updates + 1))
+        self.rate.fill_(rate)
+        for group in self.optimizer.param_groups:  # loading a state puts another tensor there
+            group["lr"] = self.rate
+        self.optimizer.zero_grad(set_to_none=False)
+        drawn = self.generator.get_state()
+        offsets = torch.rand(len(rays), generator=self.generator).to(self.device)
+        try:
+            # after memory ran out, rays drawn for a larger batch come once more, in pieces
+            if self.kernels.name == "triton" and len(rays) == self.draw(step).rays:
+                error, found = self._fixed(len(rays))(self.occupancy.cells, self.space.rays(rays), offsets, truth)
+            else:
+                error, found = self._pieces(rays, offsets, truth, pump)
+                self._update()
+        except BaseException:
+            self.generator.set_state(drawn)
+            self.table_gradient.zero_()
+            raise
+        self.updates += 1
+        if self.updates % AVERAGE_EVERY == 0:
+            self._follow(self.updates // AVERAGE_EVERY)
+        self.needed = max(1.0, 0.9 * self.needed + 0.1 * found / len(rays))
+        if self.updates % self.config.update_every == 0:
+            whole = self.updates <= self.config.update_every * self.config.warm_updates
+            self.occupancy.update(self._tau, whole, self.generator)
+        return error / truth.numel()
+
+    def _pieces(self, rays: Rays, offsets: Tensor, truth: Tensor, pump: Callable[[], None]) -> tuple[float, int]:
+        """The gradient of all rays; returns the summed squared error and the number of samples."""
+        error, found = 0.0, 0
+        piece = max(1, int((PIECE if self.device.type == "cpu" else self.config.samples) / self.needed))
+        for start in range(0, len(rays), piece):
+            part = slice(start, start + piece)
+            one, samples = self._accumulate(rays[part], offsets[part], truth[part], 2 / truth.numel())
+            error, found = error + one, found + samples
+            pump()
+        return error, found
+
+    def _fixed(self, rays: int) -> FixedStep:
+        if self.fixed is None or len(self.fixed.rays) != rays:
+            self.fixed = None  # its memory first
+            self.fixed = FixedStep(
+                self.field, self.kernels, self.occupancy.cells, rays, int(ROOM * self.config.samples),
+                self.step_cells, self.length, self.background, self.table_gradient, self._update,
+            )  # fmt: skip
+        return self.fixed
+
+    @torch.no_grad()
+    def _follow(self, move: int) -> None:
+        """Take the average, in its move 1, 2, …, some of the way to the weights."""
+        share = max(FOLLOW, YOUNG / (YOUNG + move - 1))
+        for mean, now in zip(self.shown.parameters(), self.field.parameters(), strict=True):
+            mean.lerp_(now, share)
+
+    def _update(self) -> None:
+        self.optimizer.step()
+        self.kernels.adam(self.field.table.detach(), self.table_gradient, self.moments, self.numbers)
+
+    def _accumulate(self, rays: Rays, offsets: Tensor, truth: Tensor, scale: float) -> tuple[float, int]:
+        """Add the gradient of `scale`/2 times the squared error; returns that error, and how many samples it took."""
+        samples = self.kernels.march(self.occupancy.cells, self.space.rays(rays), self.step_cells, offsets)
+        features = self.field.encode(samples.x)
+        with torch.no_grad():  # what lies in the dark has no gradient: it is left out before anything costly begins
+            lit = self._lit(softened(self.field.geometry(features)[0]) * self.length, samples)
+        samples, features = samples.at(lit), features[lit].requires_grad_()
+        raw, geometry = self.field.geometry(features)
+        rgb = self.field.radiance(geometry, rays.directions[samples.ray])
+        tau = softened(raw) * self.length
+        known = tau.detach(), rgb.detach(), samples, self.background
+        off = self.kernels.composite(*known)[:, :3] - truth
+        if len(samples.t):
+            torch.autograd.backward([tau, rgb], self.kernels.composite_gradient(off * scale, *known))
+            assert features.grad is not None
+            self.kernels.encode_gradient(features.grad, self.field.levels, samples.x, self.table_gradient)
+        return float(off.square().sum()), len(samples.t)
+
+    @torch.no_grad()
+    def _tau(self, x: Tensor) -> Tensor:
+        return softened(self.field.geometry(self.field.encode(x))[0]) * self.length
+
+    def _lit(self, tau: Tensor, samples: Samples) -> Tensor:
+        """Indices of the samples that light still reaches."""
+        return (torch.exp(-samples.before(tau)) > STOP).nonzero()[:, 0]
+
+    def halve(self) -> bool:
+        if self.config.samples <= FEWEST:
+            return False
+        self.config, self.fixed = replace(self.config, samples=self.config.samples // 2), None
+        return True
+
+    # ---- rendering --------------------------------------------------------------------------------------------------
+
+    @property
+    def tile(self) -> int:
+        return TILE if self.device.type == "cpu" else int(min(max(TILE_SAMPLES / self.needed, 2**10), 2**17))
+
+    @torch.no_grad()
+    def _evaluated(self, rays: Rays) -> tuple[Samples, Tensor, Tensor, Tensor]:
+        """The samples of at most a tile of rays, with their optical depths and colours, and the pixels (R, 5)."""
+        offsets = torch.full((len(rays),), 0.5, device=self.device)
+        samples = self.kernels.march(self.occupancy.cells, self.space.rays(rays), self.step_cells, offsets)
+        raw, geometry = self.shown.geometry(self.shown.encode(samples.x))
+        tau, ray = softened(raw) * self.length, samples.ray
+        lit = self._lit(tau, samples)
+        rgb = torch.zeros(len(tau), 3, device=self.device)
+        rgb[lit] = self.shown.radiance(geometry[lit], rays.directions[ray[lit]])
+        return samples, tau, rgb, self.kernels.composite(tau, rgb, samples, self.background)
+
+    def render(self, rays: Rays, quality: str = "fine") -> Rendering:
+        rays = rays.to(self.device)
+        parts = [rays[i : i + self.tile] for i in range(0, len(rays), self.tile)]
+        return Rendering.cat([self.space.rendering(part, self._evaluated(part)[3]) for part in parts])
+
+    def trace(self, rays: Rays) -> Trace:
+        rays = rays.to(self.device)
+        samples, tau, rgb, pixel = self._evaluated(rays)
+        return to_trace("hash", self.space, rays, samples, tau, rgb, pixel)
+
+    @torch.no_grad()
+    def radiance(self, points: Tensor, directions: Tensor) -> Tensor:
+        _, geometry = self._geometry(points)
+        return self.shown.colors(geometry, directions.to(self.device, torch.float32))
+
+    @torch.no_grad()
+    def density(self, points: Tensor) -> Tensor:
+        """Where the occupancy grid lets rays look; 0 elsewhere."""
+        raw, _ = self._geometry(points)
+        cell, _ = self.occupancy.cells.cells_of(self.space.points(points.to(self.device, torch.float32)))
+        return torch.where(self.occupancy.cells.occupied[tuple(cell.unbind(-1))], softened(raw) / self.space.extent, 0)
+
+    def _geometry(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        return self.shown.geometry(self.shown.encode(self._unit(points)))
+
+    def _unit(self, points: Tensor) -> Tensor:
+        """World points (P, 3) → (P, 3) in [0, 1], as the field sees them."""
+        box = self.space.points(points.to(self.device, torch.float32))
+        cells = self.occupancy.cells
+        low, sides = (torch.from_numpy(v).to(box) for v in (cells.origin, cells.voxel * np.array(cells.size)))
+        return ((box - low) / sides).clamp(0, 1)
+
+    @torch.no_grad()
+    def explain(self, rays: Rays) -> tuple[Station, ...]:
+        samples = self.trace(rays).passes[0]
+        skipped = skipped_station(samples, self.occupancy.cells, self.step_cells)
+        if samples.count is not None and not int(samples.count[0]):
+            return skipped, nothing_station()
+        strongest = int(samples.weights[0].argmax())
+        rays = rays.to(self.device)
+        point = rays.origins + samples.t[:, strongest, None] * rays.directions
+        features = self.shown.encode(self._unit(point))
+        _, geometry = self.shown.geometry(features)
+        resolutions = self.shown.levels.resolutions
+        levels = features[0].view(len(resolutions), -1).cpu().numpy()
+        vector, harmonics = geometry[0].cpu().numpy(), spherical_harmonics(rays.directions)[0].cpu().numpy()
+        peak = max(float(np.abs(vector).max()), float(np.abs(harmonics).max()))
+        return (
+            skipped,
+            Station(
+                "Hash grid",
+                f"{len(levels)} grids, each finer than the last, hold {levels.shape[1]} numbers a corner; the finer "
+                "ones share their rows by a hash. The heaviest sample's are blended within its cell on each level.",
+                (BarCode(tuple(f"{r}³" for r in resolutions), tuple(levels), float(np.abs(levels).max())),),
+            ),
+            Station(
+                "Networks",
+                "A small network turns them into 16 numbers, of which the first is the density's logarithm; a second "
+                "one turns those and the direction's spherical harmonics into colour.",
+                (BarCode(("geometry", "Y(d)"), (vector, harmonics), peak),),
+            ),
+            field_station(samples, "The same at every sample that the occupancy grid let through."),
+            absorption_station(samples),
+        )
+
+    # ---- state ------------------------------------------------------------------------------------------------------
+
+    def frozen(self) -> Hash:
+        copy = object.__new__(Hash)
+        copy.__dict__ |= self.__dict__
+        copy.field = copy.shown = deepcopy(self.shown)
+        copy.fixed = None
+        copy.occupancy = Occupancy(self.occupancy.cells, self.config.empty, self.config.decay)
+        return copy
+
+    def parameters(self) -> list[Tensor]:
+        return list(self.field.parameters())
+
+    def state(self) -> dict[str, Tensor]:
+        state = {f"field.{k}": v for k, v in self.field.state_dict().items()}
+        state |= {f"shown.{k}": v for k, v in self.shown.state_dict().items()}
+        return state | adam_state(self.optimizer) | {
+            "table_mean": self.moments[0], "table_square": self.moments[1], "absorbed": self.occupancy.absorbed,
+            "occupied": self.occupancy.cells.occupied, "updates": torch.tensor(self.updates),
+            "needed": torch.tensor(self.needed, dtype=torch.float64), "generator": self.generator.get_state(),
+        }  # fmt: skip
+
+    def load_state(self, state: Mapping[str, Tensor]) -> None:
+        fits = {"table_mean": self.moments[0], "table_square": self.moments[1], "absorbed": self.occupancy.absorbed,
+                "occupied": self.occupancy.cells.occupied}  # fmt: skip
+        for name, own in fits.items():
+            if state[name].shape != own.shape or state[name].dtype != own.dtype:
+                raise ValueError(f"{name} does not fit")
+        updates, needed = int(state["updates"]), float(state["needed"])
+        if updates < 0 or not 1 <= needed < 1e9:
+            raise ValueError("the progress of training is not of the kind that is written")
+        self.fixed = None  # what it recorded writes to the optimiser's old moments
+        self.table_gradient.zero_()
+        for own, name in ((self.field, "field"), (self.shown, "shown")):
+            own.load_state_dict({k: state[f"{name}.{k}"] for k in own.state_dict()})
+        load_adam(self.optimizer, self.field.networks(), state)
+        for own, name in zip(self.moments, ("table_mean", "table_square"), strict=True):
+            own.copy_(state[name])
+        self.occupancy.absorbed.copy_(state["absorbed"])
+        c = self.occupancy.cells
+        self.occupancy.cells = Cells.of(c.origin, c.voxel, state["occupied"].to(self.device, copy=True), c.contracted)
+        self.updates, self.needed = updates, needed
+        self.generator.set_state(state["generator"].cpu())

@@ -1,0 +1,1 @@
+"""The paper's network and its optimiser; methods place its samples."""

@@ -1,0 +1,145 @@
+"""The paper's networks with their optimiser, and rays as the networks see them; methods differ in placing samples."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nerf_core.geometry.rays import Rays, Samples
+from nerf_core.geometry.scene import Scene
+from nerf_core.methods.adam_state import adam_state, load_adam
+from nerf_core.methods.mlp.field import MlpField
+from nerf_core.methods.stages import BarCode, Station, triple
+
+
+class Parametrised(NamedTuple):
+    """Rays in the space that the network sees: x = origins + u · directions, u in [near, far]; see `Ndc`."""
+
+    origins: Tensor
+    directions: Tensor
+    near: Tensor
+    far: Tensor
+    length: Tensor  # of `directions`: what turns steps of u into δ
+    exists: Tensor  # rays that never enter the frustum of NDC show background
+    encoded: Tensor  # γ(d)
+
+
+class MlpModel:
+    """Networks by name, the last one making the picture. `config`: some `MlpConfig`."""
+
+    def __init__(
+        self, scene: Scene, config: Any, device: torch.device, generator: torch.Generator, names: Sequence[str]
+    ) -> None:
+        self.config, self.device, self.generator = config, device, generator
+        self.ndc = scene.ndc
+        self.background = torch.tensor(scene.background, device=device)
+        start = torch.Generator().manual_seed(generator.initial_seed())
+        self.networks = {name: self._network(start) for name in names}
+        # Adam's fused form reads and writes each parameter once; the equations are the same.
+        self.optimizer = torch.optim.Adam(
+            self.parameters(), lr=config.learning_rate, eps=config.adam_epsilon, fused=True
+        )
+        for parameter in self.parameters():  # Adam skips what has no gradient: a resumed run must not differ by that
+            parameter.grad = torch.zeros_like(parameter)
+
+    def _network(self, start: torch.Generator) -> MlpField:
+        c = self.config
+        precision = torch.bfloat16 if c.precision == "bfloat16" else torch.float32
+        field = MlpField(
+            c.depth, c.width, c.position_frequencies, c.direction_frequencies, c.include_input, c.pi, c.view_directions,
+            precision,
+        )  # fmt: skip
+        field.initialise(start)
+        return field.to(self.device)
+
+    stage, born = "", 0
+
+    @property
+    def final(self) -> MlpField:
+        """The network that makes the picture."""
+        return list(self.networks.values())[-1]
+
+    def parametrise(self, rays: Rays) -> Parametrised:
+        encoded = self.final.encode_directions(rays.directions)
+        if self.ndc is None:
+            one = torch.ones_like(rays.near)
+            return Parametrised(rays.origins, rays.directions, rays.near, rays.far, one, one.bool(), encoded)
+        origins, directions, exists = self.ndc.rays(rays.origins, rays.directions)
+        first, one = self.ndc.first(rays.origins), torch.ones_like(rays.near)
+        return Parametrised(origins, directions, first, one, directions.norm(dim=-1), exists, encoded)
+
+    def begin_step(self, step: int, steps: int | None) -> None:
+        """Gradients cleared, the learning rate where its exponential decay has it."""
+        rate = self.config.learning_rate * self.config.decay ** (step / (steps or self.config.decay_steps))
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+        self.optimizer.zero_grad(set_to_none=False)
+
+    @torch.no_grad()
+    def radiance(self, points: Tensor, directions: Tensor) -> Tensor:
+        """The trunk once a point, then only the view branch over the directions (K, 3)."""
+        _, trunk = self.final.geometry(self._seen(points))
+        encoded = self.final.encode_directions(directions.to(self.device, torch.float32))
+        return self.final.colors(trunk, encoded)
+
+    @torch.no_grad()
+    def density(self, points: Tensor) -> Tensor:
+        return torch.relu(self.final.geometry(self._seen(points))[0])
+
+    def _seen(self, points: Tensor) -> Tensor:
+        """World points (P, 3) as the networks see them."""
+        x = points.to(self.device, torch.float32)
+        return x if self.ndc is None else self.ndc.point(x)
+
+    @torch.no_grad()
+    def code_station(self, rays: Rays, samples: Samples) -> Station:
+        """γ at the heaviest of the first ray's samples: what the network is given of it."""
+        strongest = int(samples.weights[0].argmax())
+        point = (rays.origins + samples.t[:1, strongest, None].to(rays.origins) * rays.directions).to(self.device)
+        x, field = self._seen(point), self.final
+        position = field.encode_positions(x)[0].float().cpu().numpy()
+        direction = self.parametrise(rays.to(self.device)).encoded[0].float().cpu().numpy()
+        codes = {"γ(x)": position, "γ(d)": direction} if self.config.view_directions else {"γ(x)": position}
+        what = "The network is given bare coordinates, without sines and cosines: near points look alike to it. "
+        if self.config.position_frequencies:
+            what = ("The network is not given bare coordinates: γ adds sines and cosines of doubling frequency, so "
+                    "that near points look different to it. ")  # fmt: skip
+        return Station(
+            "Encoding",
+            what
+            + "Here the heaviest sample's place x"
+            + (", and the direction d." if self.config.view_directions else "; of the direction it is told nothing."),
+            (BarCode(tuple(codes), tuple(codes.values()), max(float(np.abs(code).max()) for code in codes.values())),),
+            (("x", triple(x[0].cpu().numpy())), ("numbers", " + ".join(str(len(code)) for code in codes.values()))),
+        )
+
+    @property
+    def towards(self) -> str:
+        """Whom the network's colours are for."""
+        return "towards the camera" if self.config.view_directions else "to all sides"
+
+    def frozen(self) -> Self:
+        copy = object.__new__(type(self))
+        copy.__dict__ |= self.__dict__
+        copy.networks = {name: deepcopy(net) for name, net in self.networks.items()}
+        return copy
+
+    def parameters(self) -> list[Tensor]:
+        return [p for net in self.networks.values() for p in net.parameters()]
+
+    def state(self) -> dict[str, Tensor]:
+        state = {f"{name}.{k}": v for name, net in self.networks.items() for k, v in net.state_dict().items()}
+        return state | adam_state(self.optimizer) | {"generator": self.generator.get_state()}
+
+    def load_state(self, state: Mapping[str, Tensor]) -> None:
+        for name, net in self.networks.items():
+            net.load_state_dict({k: state[f"{name}.{k}"] for k in net.state_dict()})
+        load_adam(self.optimizer, self.parameters(), state)
+        generator = state["generator"].cpu()
+        if len(generator) == len(self.generator.get_state()):  # else of another kind of device: draws begin at the seed
+            self.generator.set_state(generator)

@@ -1,0 +1,1 @@
+"""The paper's NeRF: stratified, then importance sampling."""

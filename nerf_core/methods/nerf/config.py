@@ -1,0 +1,92 @@
+"""Every constant of the paper's method, its official values, and the presets that change a few of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+
+from nerf_core.common.configs import changed, check_ranges, restored
+from nerf_core.common.device import fast_precision
+from nerf_core.common.errors import UserError, shorten
+from nerf_core.geometry.scene import Scene
+from nerf_core.methods.mlp.config import MlpConfig
+
+LEAST = {"coarse_samples": 3, "chunk_rays": 1}
+MOST = {"chunk_rays": 2**22, "coarse_samples": 2**14, "fine_samples": 2**14, "precrop_steps": 10**9}
+
+
+@dataclass(frozen=True)
+class NerfConfig(MlpConfig):
+    """See `MlpConfig`; and how the paper places samples.
+
+    one_image: each step's rays come from one photo. precrop_steps: so long, rays come from the middle `precrop` of a
+    photo. chunk_rays: rays whose gradient is computed at once; part of what a seed fixes.
+    """
+
+    coarse_samples: int = 64
+    fine_samples: int = 128
+    density_noise: float = 0.0
+    one_image: bool = True
+    precrop_steps: int = 0
+    precrop: float = 0.5
+    chunk_rays: int = 32
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_ranges(self, LEAST, MOST)
+        if not 0 < self.precrop <= 1:
+            raise UserError(f"--set precrop={self.precrop}: must lie in (0, 1]")
+
+    @staticmethod
+    def configure(scene: Scene, preset: str, changes: Mapping[str, str], device: torch.device) -> NerfConfig:
+        """Official values for this kind of scene, then the preset's, then `changes` ({"rays": "256"})."""
+        config = NerfConfig()
+        if not scene.synthetic:
+            # LLFF's official configuration; other captures of real photos have none of their own
+            config = replace(
+                config, rays=4096, one_image=False, decay_steps=250_000, total_steps=200_000, density_noise=1.0
+            )
+        if device.type == "cuda":
+            config = replace(config, chunk_rays=4096)
+        config = replace(config, precision=fast_precision(device))
+        return changed(replace(config, **PRESETS[preset_name(preset, device)]), changes, "nerf")
+
+    @staticmethod
+    def restore(config: Mapping[str, Any]) -> NerfConfig:
+        return restored(NerfConfig, config, "nerf")
+
+
+# The rows of the ablation table (NeRF, table 2) differ from the complete model in nothing but what they say.
+PRESETS: dict[str, dict[str, Any]] = {
+    "complete": {},
+    "no-pe-viewdirs-hierarchy": {
+        "position_frequencies": 0, "view_directions": False, "coarse_samples": 256, "fine_samples": 0,
+    },
+    "no-pe": {"position_frequencies": 0, "direction_frequencies": 0},
+    "no-viewdirs": {"view_directions": False},
+    "no-hierarchy": {"coarse_samples": 256, "fine_samples": 0},
+    "far-fewer-images": {"train_images": 25},
+    "fewer-images": {"train_images": 50},
+    "fewer-frequencies": {"position_frequencies": 5, "direction_frequencies": 2},
+    "more-frequencies": {"position_frequencies": 15, "direction_frequencies": 6},
+    # Not of the table: the same method, smaller, where a machine does hundreds of rays a second of the whole model.
+    # In its first minutes it gains most from many small steps over all photos; half the width and fewer samples give
+    # three times as many.
+    "quick": {
+        "width": 128, "coarse_samples": 24, "fine_samples": 32, "rays": 64, "chunk_rays": 64, "one_image": False,
+        "learning_rate": 1.5e-3,
+        "precrop_steps": 100, "density_noise": 0.0, "total_steps": 60_000, "decay_steps": 60_000,
+    },
+}  # fmt: skip
+
+
+def preset_name(preset: str, device: torch.device) -> str:
+    """`auto` is "complete" on CUDA and "quick" on a CPU, where the official batch takes seconds a step."""
+    if preset == "auto":
+        return "complete" if device.type == "cuda" else "quick"
+    if preset not in PRESETS:
+        raise UserError(f"--preset {shorten(preset)}: choose one of auto, {', '.join(PRESETS)}")
+    return preset

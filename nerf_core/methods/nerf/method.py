@@ -1,0 +1,279 @@
+"""The paper's NeRF: two networks, stratified then importance sampling (Mildenhall et al. 2020, arXiv:2003.08934)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from nerf_core.geometry.rays import Rays, Rendering, Samples, Trace
+from nerf_core.geometry.scene import Scene
+from nerf_core.methods import METHODS, Draw
+from nerf_core.methods.mlp.model import MlpModel, Parametrised
+from nerf_core.methods.nerf.config import NerfConfig
+from nerf_core.methods.stages import Marks, Station, Stems, Transfer, absorption_station, field_station
+from nerf_core.volume.compositing import absorb, composite, expected_depth
+from nerf_core.volume.sampling import cumulative, inverse_transform, spaced, stratified
+
+# A gradient is needed only where it is not zero. Behind ReLU, empty space has none: when less than this share of
+# samples is alive, evaluating everything without a graph and the living again with one is cheaper than one dense
+# pass (forward : backward = 1 : 2, hence 1 + 3f < 3).
+SPARSE_BELOW = 0.6
+# Their number is rounded up to a multiple of this: oneDNN compiles a kernel for every number of rows it has not seen,
+# which takes longer than to run it.
+BLOCK = 256
+TILE_PRODUCTS = 2.5e9  # multiplications of one tile on a CPU: some 10 ms on two cores that are fast at bfloat16
+
+
+class _Pass(NamedTuple):
+    """One network along R rays: parameters u, and what was composited."""
+
+    name: str
+    u: Tensor
+    delta: Tensor
+    sigma: Tensor
+    alpha: Tensor
+    transmittance: Tensor
+    weights: Tensor
+    rgb: Tensor
+
+
+@METHODS.register("nerf")
+class Nerf(MlpModel):
+    """The published method, complete; on a CPU its matrix products run in bfloat16 where that is fast."""
+
+    summary: ClassVar[str] = (
+        "The paper's NeRF (2020): two MLPs, every sample through a network; slow, and the reference."
+    )
+
+    coarse: ClassVar[str] = "coarse network"
+    alone: ClassVar[bool] = False
+
+    configure = staticmethod(NerfConfig.configure)
+    restore = staticmethod(NerfConfig.restore)
+
+    config: NerfConfig
+
+    def __init__(self, scene: Scene, config: NerfConfig, device: torch.device, seed: int) -> None:
+        names = ("coarse", "fine") if config.fine_samples else ("coarse",)
+        super().__init__(scene, config, device, torch.Generator(device).manual_seed(seed), names)
+        self.disparity = scene.disparity
+        self.tile = config.tile or self._fitting_tile()
+        self._alive = dict.fromkeys(self.networks, 1.0)
+
+    def _fitting_tile(self) -> int:
+        """As many rays as make products large enough for the device to be fast, and small enough to be done soon."""
+        if self.device.type != "cpu":
+            return 4096
+        # a sample takes about as many multiplications as its network has weights
+        ray = sum(self._samples(name) * sum(p.numel() for p in net.parameters()) for name, net in self.networks.items())
+        return 2 ** int(min(max(math.log2(TILE_PRODUCTS / ray), 3), 9))
+
+    # ---- sampling -------------------------------------------------------------------------------------------------
+
+    def _coarse_u(self, p: Parametrised, random: bool) -> Tensor:
+        u = spaced(p.near, p.far, self.config.coarse_samples, self.disparity and self.ndc is None)
+        return stratified(u, self.generator) if random else u
+
+    def _fine_u(self, coarse_u: Tensor, weights: Tensor, random: bool) -> Tensor:
+        """The sorted union of the coarse depths and N_f draws from their weights (ends left out, as in the code)."""
+        middle = (coarse_u[:, 1:] + coarse_u[:, :-1]) / 2
+        draws = inverse_transform(
+            middle, weights[:, 1:-1], self.config.fine_samples, self.generator if random else None
+        )
+        return torch.cat([coarse_u, draws], -1).sort(-1).values
+
+    # ---- evaluating -----------------------------------------------------------------------------------------------
+
+    def _field(self, name: str, p: Parametrised, u: Tensor, index: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Raw density (P,) and colour (P, 3) at all samples u (R, S), or at the flat `index` of some."""
+        samples = u.shape[1]
+        x = (p.origins[:, None] + u[..., None] * p.directions[:, None]).flatten(0, 1)
+        if index is None:
+            d = p.encoded.repeat_interleave(samples, 0)
+        else:
+            x, d = x[index], p.encoded[torch.div(index, samples, rounding_mode="floor")]
+        return self.networks[name](x, d)
+
+    def _composite(self, name: str, p: Parametrised, u: Tensor, raw: Tensor, rgb: Tensor, noise: bool) -> _Pass:
+        steps = u[:, 1:] - u[:, :-1]
+        last = torch.full_like(u[:, :1], self.config.last_delta)
+        delta = torch.cat([steps, last], -1) * p.length[:, None]
+        raw = raw.view(u.shape)
+        if noise and self.config.density_noise > 0:
+            raw = raw + self.config.density_noise * torch.randn(
+                u.shape, generator=self.generator, device=u.device, dtype=u.dtype
+            )
+        sigma = torch.relu(raw) * p.exists[:, None]
+        return _Pass(name, u, delta, sigma, *absorb(sigma, delta), rgb.view(*u.shape, 3))
+
+    # ---- training -------------------------------------------------------------------------------------------------
+
+    def draw(self, step: int) -> Draw:
+        c = self.config
+        return Draw(c.rays, c.one_image, c.precrop if step < c.precrop_steps else 1.0)
+
+    def train(self, rays: Rays, truth: Tensor, step: int, steps: int | None, pump: Callable[[], None]) -> float:
+        """Loss: MSE of the coarse colour plus MSE of the fine one; Adam under an exponential decay."""
+        self.begin_step(step, steps)
+        scale = 1 / truth.numel()
+        drawn = self.generator.get_state()
+        try:
+            error, alive = self._gradients(rays, truth, scale, pump)
+        except BaseException:  # gradients are no state, but the random numbers drawn for them must be drawn again
+            self.generator.set_state(drawn)
+            raise
+        self.optimizer.step()
+        for name, living in alive.items():
+            self._alive[name] = living / (len(rays) * self._samples(name))
+        return float(error * scale)
+
+    def _gradients(
+        self, rays: Rays, truth: Tensor, scale: float, pump: Callable[[], None]
+    ) -> tuple[Tensor, dict[str, int]]:
+        """Add up the gradient over all chunks; returns the summed squared error and how many samples were alive."""
+        error = torch.zeros((), device=self.device)
+        alive = dict.fromkeys(self.networks, 0)
+        for start in range(0, len(rays), self.config.chunk_rays):
+            chunk = slice(start, start + self.config.chunk_rays)
+            p = self.parametrise(rays[chunk])
+            u, weights, squared = self._coarse_u(p, random=True), torch.empty(0), error
+            for name in self.networks:
+                if name == "fine":
+                    u = self._fine_u(u, weights, random=True)
+                weights, squared, living = self._supervise(name, p, u, truth[chunk], scale)
+                alive[name] += living
+                pump()
+            error = error + squared  # of the last network: the one that makes the picture
+        return error, alive
+
+    def _supervise(
+        self, name: str, p: Parametrised, u: Tensor, truth: Tensor, scale: float
+    ) -> tuple[Tensor, Tensor, int]:
+        """Add one network's gradient of the loss; returns weights, summed squared error, number of living samples."""
+        dense = self._alive[name] >= SPARSE_BELOW
+        with torch.set_grad_enabled(dense):
+            raw, rgb = self._field(name, p, u)
+        leaves = raw.detach().requires_grad_(), rgb.detach().requires_grad_()
+        done = self._composite(name, p, u, *leaves, noise=True)
+        color, _ = composite(done.weights, done.rgb, self.background)
+        squared = (color - truth).square().sum()
+        raw_grad, rgb_grad = torch.autograd.grad(squared * scale, leaves)
+        living = ((raw_grad != 0) | (rgb_grad != 0).any(-1)).nonzero().squeeze(-1)
+        alive = len(living)
+        if not dense and alive:
+            living = functional.pad(living, (0, -alive % BLOCK))  # samples that are there again, without a gradient
+            raw, rgb = self._field(name, p, u, living)
+            raw_grad, rgb_grad = raw_grad[living], rgb_grad[living]
+            raw_grad[alive:], rgb_grad[alive:] = 0, 0
+        if alive:
+            torch.autograd.backward([raw, rgb], [raw_grad, rgb_grad])
+        return done.weights.detach(), squared.detach(), alive
+
+    def halve(self) -> bool:
+        if self.config.chunk_rays == 1:
+            return False
+        self.config = replace(self.config, chunk_rays=self.config.chunk_rays // 2)
+        return True
+
+    def _samples(self, name: str) -> int:
+        return self.config.coarse_samples + (self.config.fine_samples if name == "fine" else 0)
+
+    # ---- rendering ------------------------------------------------------------------------------------------------
+
+    @torch.no_grad()
+    def _tile(self, rays: Rays, quality: str) -> Trace:
+        """At most `tile` rays, always evaluated as a full tile: what a pixel is does not depend on its neighbours."""
+        count = len(rays)
+        padded = rays.to(self.device).padded(self.tile)
+        p = self.parametrise(padded)
+        u = self._coarse_u(p, random=False)
+        passes: list[_Pass] = []
+        for name in self.networks:
+            if name == "fine":
+                if quality == "coarse":
+                    break
+                u = self._fine_u(u, passes[-1].weights, random=False)
+            passes.append(self._composite(name, p, u, *self._field(name, p, u), noise=False))
+        color, opacity = composite(passes[-1].weights, passes[-1].rgb, self.background)
+        depth = expected_depth(passes[-1].weights, passes[-1].u)
+        if self.ndc is not None:  # averaged in t′, then mapped
+            depth = self.ndc.world_t(padded.origins, padded.directions, depth[:, None])[:, 0]
+        samples = tuple(self._exported(done, padded, count) for done in passes)
+        return Trace(Rendering(color[:count], opacity[:count], depth[:count]), samples)
+
+    def _exported(self, done: _Pass, rays: Rays, count: int) -> Samples:
+        t = done.u if self.ndc is None else self.ndc.world_t(rays.origins, rays.directions, done.u)
+        return Samples(done.name, *(v[:count] for v in (t, *done[2:])))
+
+    def render(self, rays: Rays, quality: str = "fine") -> Rendering:
+        return Rendering.cat(
+            [self._tile(rays[i : i + self.tile], quality).rendering for i in range(0, len(rays), self.tile)]
+        )
+
+    def trace(self, rays: Rays) -> Trace:
+        if len(rays) > self.tile:
+            raise ValueError(f"trace opens at most {self.tile} rays at a time, got {len(rays)}")
+        return self._tile(rays, "fine")
+
+    def explain(self, rays: Rays) -> tuple[Station, ...]:
+        passes = self.trace(rays).passes
+        p, world = self.parametrise(rays.to(self.device)), partial(self._world_t, rays.to(self.device))
+        u = self._coarse_u(p, random=False)
+        edges = torch.cat([u[:, :1], (u[:, 1:] + u[:, :-1]) / 2, u[:, -1:]], 1)
+        spacing = "1/t" if self.disparity and self.ndc is None else "t" if self.ndc is None else "disparity (NDC)"
+        stations = [
+            Station(
+                "Stratified samples",
+                f"{u.shape[1]} depths, evenly spaced in {spacing}. In training each is drawn anew from its bin, so "
+                "that in the long run every depth is looked at; for a picture they stay where they are here.",
+                (Marks(world(u), world(edges)),),
+            ),
+            self.code_station(rays, passes[0]),
+            field_station(passes[0], "A network is asked at every sample: how dense is it there, and which colour "
+                          f"does it emit {self.towards}?"),
+            absorption_station(passes[0]),
+        ]  # fmt: skip
+        if len(passes) > 1:
+            middle, weights = (u[:, 1:] + u[:, :-1]) / 2, passes[0].weights[:, 1:-1]
+            count, cdf = self.config.fine_samples, cumulative(weights)[0].cpu().numpy()
+            draws = inverse_transform(middle, weights, count, None)
+            levels = np.linspace(0, 1, count, dtype=np.float32)
+            stations += [
+                Station(
+                    "Resampling",
+                    f"The coarse weights, made a PDF, say where {count} more samples are worth it: evenly spaced "
+                    "levels (random ones in training), sent through the inverse of its sum, fall where that climbs.",
+                    (
+                        Stems("PDF, a bin's share", world((middle[:, 1:] + middle[:, :-1]) / 2), np.diff(cdf)),
+                        Transfer(world(middle), cdf, levels, world(draws)),
+                    ),
+                ),
+                field_station(
+                    passes[1], "The fine network is asked at all samples, old and new.", "Fine density, colour"
+                ),
+                absorption_station(passes[1], "Fine α, T and w"),
+            ]
+        return tuple(stations)
+
+    def _world_t(self, rays: Rays, u: Tensor) -> np.ndarray:
+        t = u if self.ndc is None else self.ndc.world_t(rays.origins, rays.directions, u)
+        return t[0].cpu().numpy()
+
+    # ---- state ----------------------------------------------------------------------------------------------------
+
+    def state(self) -> dict[str, Tensor]:
+        shares = {f"alive.{name}": torch.tensor(share, dtype=torch.float64) for name, share in self._alive.items()}
+        return super().state() | shares
+
+    def load_state(self, state: Mapping[str, Tensor]) -> None:
+        shares = {name: float(state[f"alive.{name}"]) for name in self.networks}
+        super().load_state(state)
+        self._alive = shares

@@ -1,0 +1,1 @@
+"""A sparse voxel grid of density and spherical-harmonic colour, trained directly."""

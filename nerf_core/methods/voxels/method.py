@@ -1,0 +1,21 @@
+"""A grid of density and spherical-harmonic colour, trained directly: `nerf_core.methods.voxels.model`, as a method."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from nerf_core.methods import METHODS
+from nerf_core.methods.voxels.config import VoxelConfig
+from nerf_core.methods.voxels.model import VoxelModel
+
+
+@METHODS.register("voxels")
+class Voxels(VoxelModel):
+    """See the module."""
+
+    summary: ClassVar[str] = "A voxel grid with view-dependent colour, trained directly: seconds on a CPU."
+    coarse: ClassVar[str] = ""
+    alone: ClassVar[bool] = True
+
+    configure = staticmethod(VoxelConfig.configure)
+    restore = staticmethod(VoxelConfig.restore)

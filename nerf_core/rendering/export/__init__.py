@@ -1,0 +1,1 @@
+"""Jobs that write files from a model while training goes on."""

@@ -1,0 +1,38 @@
+"""What an export job is asked for and how far it is: numpy only, so that messages can carry it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from nerf_core.geometry.cameras import Camera
+
+
+@dataclass(frozen=True)
+class ExportPath:
+    """Render a camera path to an MP4 (and PNG frames beside it) while training goes on."""
+
+    cameras: tuple[Camera, ...]
+    fps: float
+    file: Path
+    frames: bool = False  # also write FILE's stem + "_frames"/00000.png …
+
+
+@dataclass(frozen=True)
+class ExportStill:
+    """Render one camera at full resolution to a .png, or a .npy of float32 (H, W, 3) before rounding."""
+
+    camera: Camera
+    file: Path
+
+
+@dataclass(frozen=True)
+class Export:
+    """An export in progress or just over; done and total count the renderer's tiles."""
+
+    file: Path
+    done: int
+    total: int
+    seconds_left: float | None
+    state: Literal["running", "done", "cancelled", "failed"] = "running"

@@ -1,0 +1,74 @@
+"""How much a point's colour depends on the direction from which it is seen."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nerf_core.common.colormaps import Name
+from nerf_core.geometry.rays import Rays, Samples, Trace
+from nerf_core.methods import Method
+from nerf_core.rendering.modes import MODES
+
+COMPARED = 64  # directions whose colours are compared
+NOTHING = 0.05  # opacity under which a pixel shows nothing that a number could be told of
+
+
+@MODES.register("view-dependence")
+class ViewDependence:
+    """The standard deviation of the emitted colour over the hemisphere of directions that face the camera."""
+
+    order: ClassVar[int] = 1
+    label: ClassVar[str] = "View-dependence"
+    tip: ClassVar[str] = (
+        "how much the colour at a pixel's point differs over the directions that face the camera: 0 is matt"
+    )
+    low: ClassVar[float] = 0.0
+    high: ClassVar[float] = 0.25
+    colors: ClassVar[Name] = "viridis"
+
+    @staticmethod
+    def values(method: Method, rays: Rays, trace: Trace) -> Tensor:
+        """(R,), see `view_dependence`; NaN where the ray hits nothing."""
+        t = depths(trace.passes[-1]).cpu()
+        hit = torch.isfinite(t).nonzero()[:, 0]
+        origins, directions = rays.origins.cpu().double()[hit], rays.directions.cpu().double()[hit]
+        found = torch.full_like(t, torch.nan)
+        if len(hit):
+            found[hit] = view_dependence(method, origins + t[hit, None] * directions, -directions).to(found)
+        return found
+
+
+def depths(samples: Samples) -> Tensor:
+    """The distance (R,) of each ray's point: the median of its weights, else the strongest sample; NaN: no point."""
+    weights = samples.weights.double()
+    median = (weights.cumsum(-1) < 0.5).sum(-1)
+    strongest = weights.argmax(-1)
+    index = torch.where(median < weights.shape[1], median, strongest)
+    t = samples.t.gather(1, index[:, None])[:, 0]
+    return torch.where(weights.sum(-1) >= NOTHING, t, torch.nan)
+
+
+def view_dependence(method: Method, points: Tensor, towards: Tensor) -> Tensor:
+    """How much the colours differ that points (P, 3) emit over the hemispheres that face `towards` (P, 3): (P,).
+
+    The root of the mean square by which a channel differs from its mean over the hemisphere's directions, each as
+    often as any other; 0 of a matt point, ½ at most. Directions that nobody has seen count as well.
+    """
+    directions = torch.from_numpy(_spread(2 * COMPARED)).to(points)
+    rgb = method.radiance(points, -directions).to(points)
+    facing = (towards.to(points) @ directions.T > 0).to(rgb)[..., None]
+    count = facing.sum(1)
+    mean = (rgb * facing).sum(1) / count
+    return ((rgb - mean[:, None]).square() * facing).sum(1).div(count).mean(-1).sqrt()
+
+
+def _spread(count: int) -> np.ndarray:
+    """Unit directions (count, 3), evenly over the sphere: a spiral of equal areas that turns by the golden angle."""
+    k = np.arange(count) + 0.5
+    z, angle = 1 - 2 * k / count, np.pi * (3 - np.sqrt(5)) * k
+    r = np.sqrt(1 - z * z)
+    return np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)

@@ -1,0 +1,119 @@
+"""A run on disk: one safetensors file with JSON inside, written whole or not at all, nothing in it can execute."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.files import write_atomically
+
+VERSION = 1
+SUFFIX = ".safetensors"
+# The description's fields, their types, and for numbers the largest (the least is 0).
+REQUIRED: dict[str, tuple[type, float]] = {
+    "method": (str, 0), "config": (dict, 0), "steps": (int, 2**53), "seed": (int, 2**63 - 1), "threads": (int, 1024),
+    "step": (int, 2**53), "seconds": (float, 1e12), "scene": (str, 0), "scene_name": (str, 0),
+    "scene_summary": (str, 0),
+}  # fmt: skip
+
+
+def save(path: Path, description: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
+    """Write `Trainer.describe()` and `.state()` to `path`, atomically. Raises UserError; the old file then stands."""
+    from safetensors.torch import save as serialise
+
+    arrays = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+    text = json.dumps(description, sort_keys=True)
+    metadata = {"nerf": text, "version": str(VERSION), "sha256": _digest(str(VERSION), text, arrays)}
+    write_atomically(path, serialise(arrays, metadata=metadata))
+
+
+def load(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    """The description and tensors of a checkpoint. Raises UserError: missing, foreign, damaged, newer."""
+    metadata, arrays = _read(path, tensors=True)
+    if metadata["sha256"] != _digest(metadata["version"], metadata["nerf"], arrays):
+        raise UserError(f"{path}: damaged: its checksum does not match; use an earlier checkpoint")
+    return _described(path, metadata["nerf"]), arrays
+
+
+def describe(path: Path) -> dict[str, Any]:
+    """The description alone, which is quickly read. Raises UserError as `load` does, for all but damaged tensors."""
+    return _described(path, _read(path, tensors=False)[0]["nerf"])
+
+
+def _read(path: Path, *, tensors: bool) -> tuple[dict[str, str], dict[str, Tensor]]:
+    from safetensors import SafetensorError, safe_open
+
+    if not path.is_file():
+        raise UserError(f"{path}: no such checkpoint; give a {SUFFIX} file that `nerf-core train` or Save wrote")
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata = file.metadata() or {}
+            arrays = {name: file.get_tensor(name) for name in file.keys()} if tensors else {}  # noqa: SIM118  no dict
+    except (SafetensorError, OSError, ValueError):
+        raise UserError(
+            f"{path}: not a readable checkpoint: cut short, damaged or no {SUFFIX} file; use an earlier one"
+        ) from None
+    if not {"nerf", "version", "sha256"} <= set(metadata):
+        raise UserError(f"{path}: a safetensors file, but not a checkpoint of nerf-viewer")
+    if metadata["version"] not in {str(v) for v in range(1, VERSION + 1)}:
+        raise UserError(
+            f"{path}: checkpoint version {shorten(metadata['version'])}, this program reads up to {VERSION}: update it"
+        )
+    return metadata, arrays
+
+
+def _described(path: Path, text: str) -> dict[str, Any]:
+    try:
+        description = json.loads(text)
+    except (ValueError, RecursionError):
+        description = None
+    if not isinstance(description, dict):
+        raise UserError(f"{path}: its description is no JSON object: not a checkpoint of nerf-viewer")
+    for name, (kind, most) in REQUIRED.items():
+        value = description.get(name)
+        if type(value) is not kind or (isinstance(value, (int, float)) and not 0 <= value <= most):
+            raise UserError(
+                f"{path}: field {name} is missing, no {kind.__name__} or out of range: made by another version"
+            )
+    return description
+
+
+def _digest(version: str, text: str, arrays: Mapping[str, Tensor]) -> str:
+    """SHA-256 over version, JSON and every tensor's name, type, shape and bytes: safetensors itself has no checksum."""
+    digest = hashlib.sha256(f"{version} {text}".encode())
+    for name in sorted(arrays):
+        value = arrays[name]
+        digest.update(f"{name} {value.dtype} {tuple(value.shape)}".encode())
+        if value.numel():  # an empty tensor cannot be viewed as bytes
+            digest.update(value.reshape(-1).view(torch.uint8).numpy().data)
+    return digest.hexdigest()
+
+
+def newest(folder: Path) -> tuple[Path, dict[str, Any], dict[str, Tensor], tuple[str, ...]]:
+    """The newest intact checkpoint of a run folder: its path, contents, and what was said of damaged newer ones."""
+    rejected: list[str] = []
+    for path in sorted(folder.glob(f"checkpoints/*{SUFFIX}"), reverse=True):
+        try:
+            return path, *load(path), tuple(rejected)
+        except UserError as error:
+            rejected.append(str(error))
+    advice = f"train first: nerf-core train DATA --out {folder}"
+    reason = rejected[0] if rejected else f"no checkpoints/*{SUFFIX} in it: {advice}"
+    raise UserError(f"{folder}: not a run that can be continued: {reason}")
+
+
+def step_path(folder: Path, step: int) -> Path:
+    return folder / "checkpoints" / f"step_{step:08d}{SUFFIX}"
+
+
+def keep_newest(folder: Path, count: int = 2) -> None:
+    """Delete all but the newest `count` checkpoints of a run folder: one intact predecessor is enough."""
+    for path in sorted(folder.glob(f"checkpoints/*{SUFFIX}"))[:-count]:
+        path.unlink(missing_ok=True)

@@ -1,0 +1,109 @@
+"""How close a trained model comes to photos that it has not seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nerf_core.common.errors import UserError, shorten
+from nerf_core.geometry.scene import SPLITS, Scene
+from nerf_core.rendering.images import render_camera, to_bytes
+from nerf_core.rendering.video import write_png
+from nerf_core.training.metrics import Lpips, psnr, ssim
+from nerf_core.training.trainer import Trainer
+
+EVERY = 8  # a capture without held-out photos is measured on every 8th of those it was trained on
+PERFECT_PSNR = 100.0  # dB of an identical picture: JSON has no infinity
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Photos to compare with, as indices into `Scene.views`. subset: how they were chosen, if not the whole split."""
+
+    split: str
+    views: tuple[int, ...]
+    subset: str | None = None
+
+
+def select(scene: Scene, split: str | None = None, count: int | None = None) -> Selection:
+    """The photos of `split` (None: test, else val, else every 8th of train), at most `count` evenly spread ones.
+
+    Raises UserError for a split that the capture has not.
+    """
+    name, views = (split, scene.split(split)) if split else scene.held_out()
+    notes = []
+    if split and not views:
+        has = ", ".join(f"{s} ({len(scene.split(s))})" for s in SPLITS if scene.split(s))
+        raise UserError(f"--split {shorten(split)}: {scene.name} has no such photos, but {has}")
+    if not views:
+        name, whole = "train", scene.split("train")
+        views = whole[::EVERY]
+        notes.append(f"every {EVERY}th photo: {len(views)} of {len(whole)}")
+    if count is not None:
+        if count < 1:
+            raise UserError(f"--views {count}: give a whole number from 1 up")
+        if count < len(views):
+            notes.append(f"{count} of {len(views)} photos, evenly spread")
+            views = tuple(views[i] for i in np.linspace(0, len(views) - 1, count).round().astype(int))
+    return Selection(name, views, "; ".join(notes) or None)
+
+
+def evaluate(
+    trainer: Trainer,
+    selection: Selection,
+    *,
+    lpips: Lpips | None = None,
+    pictures: Path | None = None,
+    progress: Callable[[int, float], None] | None = None,
+) -> dict[str, Any]:
+    """Render the selected views and compare: what `nerf-core eval` writes to metrics.json, finite JSON values only.
+
+    Metrics are taken on float colours in [0, 1] and averaged over the images; lpips is null without weights.
+    pictures: a folder for each rendering, left, beside the photo, right. progress: called after every tile with
+    the number of finished images and the fraction of all work; it may raise to cancel.
+    Raises UserError: images too small for a metric, an unwritable folder.
+    """
+    images: list[dict[str, Any]] = []
+    count = len(selection.views)
+
+    def tile_done(done: int, total: int) -> None:
+        if progress is not None:
+            progress(len(images), (len(images) + done / total) / count)
+
+    for index in selection.views:
+        view = trainer.scene.views[index]
+        truth = trainer.scene.images[index].astype(np.float32) / 65535
+        color, _ = render_camera(trainer.method, view.camera, trainer.scene, tile_done)
+        images.append({
+            "name": view.name,
+            "psnr": min(psnr(color, truth), PERFECT_PSNR),
+            "ssim": ssim(color, truth),
+            "lpips": None if lpips is None else lpips(color, truth),
+        })  # fmt: skip
+        if pictures is not None:
+            write_png(picture_path(pictures, view.name), to_bytes(np.concatenate([color, truth], 1)))
+    result = {
+        "mean": {name: _mean([image[name] for image in images]) for name in ("psnr", "ssim", "lpips")},
+        "images": images,
+        "split": selection.split,
+        "method": trainer.method_name,
+        "step": trainer.step_count,
+        "seconds": trainer.seconds,
+    }
+    if selection.subset is not None:
+        result["subset"] = selection.subset
+    return result
+
+
+def picture_path(folder: Path, name: str) -> Path:
+    """Where the picture of the view `name` lies: its own name, with .png appended to other kinds of photo."""
+    return folder / (name if name.lower().endswith(".png") else f"{name}.png")
+
+
+def _mean(values: list[float | None]) -> float | None:
+    known = [v for v in values if v is not None]
+    return sum(known) / len(known) if known else None

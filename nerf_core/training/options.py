@@ -1,0 +1,96 @@
+"""The options of training, the same on every command line; plain dataclasses, so that any parser can fill them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from nerf_core.common.errors import UserError, shorten
+from nerf_core.datasets import LoadOptions, check_options
+from nerf_core.training.loop import Goal
+from nerf_core.training.settings import RunSettings
+
+
+@dataclass(frozen=True)
+class TrainOptions:
+    """Dataset, method and training."""
+
+    format: str = "auto"
+    """What the data is: blender, transforms, llff, colmap or demo; auto recognises it by content."""
+    downscale: int = 1
+    """Average photos over blocks of so many pixels a side."""
+    max_size: int = 0
+    """Limit of a photo's longer side in pixels; 0: none."""
+    ndc: Literal["auto", "on", "off"] = "auto"
+    """Normalised device coordinates; auto: for forward-facing captures where that is possible."""
+    background: Literal["auto", "white", "black"] = "auto"
+    """What transparent photos lie on; auto: white if they have alpha, else black."""
+    memory_gb: float = 8.0
+    """What all photos together may take; they are downscaled further to fit."""
+    method: str = "auto"
+    """How the scene is learnt; auto: the default for the device."""
+    preset: str = "auto"
+    """A named set of the method's constants; auto: by device."""
+    set: list[str] = field(default_factory=list)
+    """NAME=VALUE changes one constant of the method; repeatable."""
+    steps: int | None = None
+    """Train until this step; the learning schedule spans so many."""
+    seconds: float | None = None
+    """Train for so many seconds of training steps alone (loading and pictures are not counted). With --steps,
+    whichever comes first. The learning schedule never follows the clock."""
+    seed: int = 0
+    """Of everything random: the same seed gives the same weights on one CPU."""
+    device: str = "auto"
+    """auto, cpu, cuda or cuda:N."""
+    threads: int = 0
+    """Of a CPU, fixed for the whole run; 0: all usable cores."""
+
+    def settings(self) -> RunSettings:
+        """Raises UserError naming the option that is wrong."""
+        if self.steps is not None and self.steps < 1:
+            raise UserError(f"--steps {self.steps}: give a whole number from 1 up")
+        if self.seconds is not None and not 0 < self.seconds < math.inf:
+            raise UserError(f"--seconds {self.seconds}: give a number above 0")
+        if not 0 <= self.seed < 2**63:
+            raise UserError(f"--seed {shorten(self.seed)}: give a whole number from 0 to 2⁶³ − 1")
+        if not 0 <= self.threads <= 1024:
+            raise UserError(
+                f"--threads {shorten(self.threads)}: give a whole number from 1 to 1024, or 0 for all cores"
+            )
+        load = LoadOptions(self.format, self.downscale, self.max_size, self.ndc, self.background, self.memory_gb)
+        check_options(load)
+        return RunSettings(
+            load=load,
+            method=self.method,
+            preset=self.preset,
+            changes=self._changes(),
+            steps=self.steps or 0,
+            seed=self.seed,
+            device=self.device,
+            threads=self.threads,
+        )
+
+    def goal(self, total_steps: int) -> Goal:
+        """When training ends, for a method whose schedule has `total_steps`."""
+        return Goal(self.steps or total_steps, self.seconds or math.inf)
+
+    def _changes(self) -> dict[str, str]:
+        changes: dict[str, str] = {}
+        for text in self.set:
+            name, equals, value = text.partition("=")
+            if not equals or not name or not value:
+                raise UserError(f"--set {shorten(text)}: write NAME=VALUE, as in --set rays=256")
+            if changes.get(name, value) != value:
+                raise UserError(f"--set {name}: given as {shorten(changes[name])} and {shorten(value)}; choose one")
+            changes[name] = value
+        return changes
+
+
+def run_name(data: Path | None, method: str) -> str:
+    """What a run is called when it is not told: scene-method."""
+    if data is None:
+        return f"demo-{method}"
+    folder = data.parent if data.is_file() else data
+    return f"{folder.resolve().name}-{method}"

@@ -1,0 +1,220 @@
+"""A run folder: config.json, log.jsonl and checkpoints/; `nerf-core eval` adds metrics.json and eval/."""
+
+from __future__ import annotations
+
+import json
+import platform
+import shutil
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, fields, replace
+from importlib import metadata
+from pathlib import Path
+from typing import Any, BinaryIO, TypeVar
+
+from torch import Tensor
+
+from nerf_core.common import device
+from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.files import write_atomically
+from nerf_core.common.json_files import Fields, read_json
+from nerf_core.datasets import LoadOptions, load_scene
+from nerf_core.training import checkpoint
+from nerf_core.training.settings import RunSettings
+from nerf_core.training.trainer import Trainer
+
+T = TypeVar("T")
+CONFIG = "the object that `nerf-core train` wrote"
+OPTION_NAMES = {"changes": "set"}  # where a setting is not called like its option
+
+
+class RunFolder:
+    """One training on disk. Whoever writes to it holds it with `claimed()`; anyone may read at any time."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.config_file = path / "config.json"
+        self.log_file = path / "log.jsonl"
+
+    @contextmanager
+    def claimed(self) -> Iterator[None]:
+        """Make the folder if need be and keep other processes from training in it.
+
+        A folder that was made for this and comes to nothing is removed. Raises UserError: another process has it, or
+        it cannot be written.
+        """
+        existed = self.path.exists()
+        try:
+            (self.path / "checkpoints").mkdir(parents=True, exist_ok=True)
+            file = (self.path / ".lock").open("ab+")
+        except OSError as error:
+            raise self._unwritable(error) from None
+        with file:
+            if not _locked(file):
+                raise UserError(
+                    f"{self.path}: another process trains in this folder: wait for it or choose another --out"
+                )
+            for part in (self.path / "checkpoints").glob(".*.part"):  # of a process that was killed while saving
+                part.unlink(missing_ok=True)
+            try:
+                yield
+            finally:
+                if not existed and not self.config_file.exists():
+                    file.close()
+                    shutil.rmtree(self.path)
+
+    # ---- writing --------------------------------------------------------------------------------------------------
+
+    def must_be_new(self) -> None:
+        """Raises UserError where a run is to begin but the folder holds one, or somebody else's config.json."""
+        if self.checkpoints():
+            raise UserError(f"{self.path}: holds a run already: continue it with --resume or choose another --out")
+        if self.config_file.exists() and "settings" not in read_json(self.config_file, CONFIG):
+            raise UserError(f"{self.config_file}: not written by a training: choose another --out")
+
+    def begin(self, data: Path | None, settings: RunSettings, trainer: Trainer) -> None:
+        """Write config.json for a new run and empty the log of one that never came to a checkpoint."""
+        settings = replace(settings, method=trainer.method_name)
+        config = {
+            "data": None if data is None else str(data.resolve()),
+            "settings": asdict(settings),
+            "method": trainer.config.to_json(),
+            "device": device.describe(trainer.device),
+            "versions": _versions(),
+        }
+        write_atomically(self.config_file, json.dumps(config, indent=2) + "\n")
+        write_atomically(self.log_file, "")
+
+    def log(self, line: Mapping[str, float]) -> None:
+        """Append one JSON object to log.jsonl. Raises UserError."""
+        try:
+            with self.log_file.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(line) + "\n")
+        except OSError as error:
+            raise self._unwritable(error) from None
+
+    def save(self, description: Mapping[str, Any], state: Mapping[str, Tensor]) -> Path:
+        """Write a checkpoint of `Trainer.describe()` and `.state()` unless that step has one; keep the newest two."""
+        path = checkpoint.step_path(self.path, description["step"])
+        if not path.exists():
+            checkpoint.save(path, description, state)
+            checkpoint.keep_newest(self.path)
+        return path
+
+    # ---- reading --------------------------------------------------------------------------------------------------
+
+    def checkpoints(self) -> list[Path]:
+        """The checkpoints, oldest first."""
+        return sorted(self.path.glob(f"checkpoints/*{checkpoint.SUFFIX}"))
+
+    def config(self) -> tuple[Path | None, RunSettings]:
+        """The dataset (None: the demo scene) and the settings. Raises UserError for a folder without sound ones."""
+        if not self.config_file.is_file():
+            raise UserError(
+                f"{self.path}: not a run: it has no config.json; give the folder that `nerf-core train` wrote"
+            )
+        document = read_json(self.config_file, CONFIG)
+        settings = document.values.get("settings")
+        if not isinstance(settings, dict):
+            raise document.error("settings", "an object is needed: was this file written by `nerf-core train`?")
+        load = settings.get("load")
+        if not isinstance(load, dict):
+            raise document.error("settings.load", "an object is needed: was this file written by `nerf-core train`?")
+        options = _filled(LoadOptions, Fields(load, self.config_file, "settings.load."))
+        given = {**settings, "load": options}
+        data = Path(document.text("data")) if "data" in document else None
+        return data, _filled(RunSettings, Fields(given, self.config_file, "settings."))
+
+    def restore(
+        self, data: Path | None = None, on: str = "auto", progress: Callable[[int, int], None] | None = None
+    ) -> tuple[Trainer, tuple[str, ...]]:
+        """The trainer of the newest intact checkpoint, with its scene, on device `on`; also what is to be told.
+
+        data: where the dataset is now, if it moved. Raises UserError: no checkpoint, another scene, another version.
+        """
+        stored, settings = self.config()
+        path, description, state, rejected = checkpoint.newest(self.path)
+        scene = load_scene(data or stored, settings.load, progress)
+        if description["scene"] != scene.identity():
+            raise UserError(f"{path}: {scene.difference(description)}")
+        trainer = Trainer.resume(scene, description, state, on)
+        return trainer, (*rejected, *scene.notes, *trainer.notes(description))
+
+    def rewind(self, step: int) -> None:
+        """Before a run continues from `step`: set aside what was written after it. Raises UserError."""
+        try:
+            for path in self.checkpoints():
+                if path > checkpoint.step_path(self.path, step):  # damaged, or it would have been taken
+                    path.replace(path.with_name(f"{path.name}.damaged"))
+            lines = self.log_file.read_text(encoding="utf-8").splitlines(True) if self.log_file.exists() else []
+        except OSError as error:
+            raise self._unwritable(error) from None
+        write_atomically(self.log_file, "".join(line for line in lines if _step_of(line) <= step))
+
+    def _unwritable(self, error: OSError) -> UserError:
+        where = error.filename or self.path
+        return UserError(f"{where}: cannot be written ({error.strerror or error}): choose another --out")
+
+
+def must_agree(given: RunSettings, run: RunFolder) -> None:
+    """Raises UserError where an option given to continue a run is not what the run was begun with.
+
+    What was left at its default is taken from the run. The goal and the device may change; the schedule does not.
+    """
+    stored, plain = run.config()[1], RunSettings()
+    pairs = [(f.name, given, stored, plain) for f in fields(RunSettings) if f.name not in ("load", "steps", "device")]
+    pairs += [(f.name, given.load, stored.load, plain.load) for f in fields(LoadOptions)]
+    for name, *owners in pairs:
+        new, old, default = (getattr(owner, name) for owner in owners)
+        if new not in (default, old):
+            option = OPTION_NAMES.get(name, name).replace("_", "-")
+            raise UserError(
+                f"--{option}: {run.path} was begun with {shorten(old)} and cannot continue with {shorten(new)}: "
+                "leave the option out, or begin anew in another --out"
+            )
+
+
+def _step_of(line: str) -> float:
+    """The step of a log line; of one that a crash cut short, infinity."""
+    try:
+        return json.loads(line)["step"]
+    except (ValueError, KeyError, TypeError):
+        return float("inf")
+
+
+def _filled(kind: type[T], values: Fields) -> T:
+    """A settings dataclass from a JSON object whose values are of the types of its defaults. Raises UserError."""
+    defaults = kind()
+    for f in fields(kind):  # pyright: ignore[reportArgumentType]: T is one of two dataclasses
+        default, value = getattr(defaults, f.name), values.values.get(f.name)
+        if isinstance(default, float) and type(value) is int:
+            continue
+        if type(value) is not type(default):
+            raise values.error(f.name, f"a {type(default).__name__} is needed: was this written by another version?")
+    known = {f.name for f in fields(kind)}  # pyright: ignore[reportArgumentType]
+    for name in sorted(set(values.values) - known):
+        raise values.error(name, "no such setting: was this written by another version?")
+    return kind(**values.values)
+
+
+def _versions() -> dict[str, str]:
+    names = ("nerf-viewer", "torch", "numpy", "safetensors")
+    found = {d.metadata["Name"]: d.version for name in names for d in metadata.distributions(name=name)}
+    return {"python": platform.python_version(), "system": platform.platform(), **found}
+
+
+def _locked(file: BinaryIO) -> bool:
+    """Take the lock that the system drops when the process ends, however it ends; False if another has it."""
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True

@@ -1,0 +1,201 @@
+"""One scene, one model, one step at a time: no input or output, no threads, no clock that decides anything."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from nerf_core.common.device import pick_device, usable_cores
+from nerf_core.common.errors import UserError, shorten
+from nerf_core.geometry.scene import Scene
+from nerf_core.methods import METHODS, Method
+from nerf_core.training.batches import PixelSampler
+from nerf_core.training.loss_history import HistoryLog
+from nerf_core.training.settings import RunSettings
+
+
+def nothing() -> None:
+    """The pump of whoever has nothing to do between gradient chunks."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a step did. loss: mean squared error of the batch; psnr: −10 log₁₀ of it, in dB; seconds: its duration.
+
+    note: what the user should know of it; mostly nothing.
+    """
+
+    step: int
+    loss: float
+    psnr: float
+    rays: int
+    seconds: float
+    note: str = ""
+
+
+class Diverged(UserError):
+    """The loss stopped being a number."""
+
+
+class Trainer:
+    """Owns the method and draws its batches.
+
+    Everything that decides the weights (configuration, seed, thread count, chunk size, schedule) is fixed here and
+    travels in `describe()`; a run is then bit-identical on one CPU, watched or not, saved and resumed or not.
+    """
+
+    def __init__(self, scene: Scene, settings: RunSettings) -> None:
+        self.device = pick_device(settings.device)
+        name, self.reason = choose_method(settings.method, self.device)
+        config = METHODS.get(name).configure(scene, settings.preset, settings.changes, self.device)
+        self._build(scene, name, config, settings.steps, settings.seed, settings.threads or usable_cores())
+
+    @classmethod
+    def resume(
+        cls, scene: Scene, description: Mapping[str, Any], state: Mapping[str, Tensor], device: str = "auto"
+    ) -> Trainer:
+        """The trainer that `describe()` and `state()` came from. Raises UserError when it cannot be rebuilt here."""
+        trainer = cls.__new__(cls)
+        trainer.device, trainer.reason = pick_device(device), ""
+        config = METHODS.get(description["method"]).restore(description["config"])
+        # more threads than cores, as a checkpoint of a larger machine asks for, would spin against each other
+        threads = min(description["threads"], usable_cores())
+        trainer._build(scene, description["method"], config, description["steps"], description["seed"], threads)
+        try:
+            trainer.go_to(description, state)
+        except (KeyError, RuntimeError, ValueError, TypeError, IndexError) as error:
+            reason = shorten(" ".join(str(error).split()), 120)
+            raise UserError(
+                f"the checkpoint does not fit method {description['method']} ({reason}): made by another version"
+            ) from None
+        return trainer
+
+    def restarted(self) -> Trainer:
+        """The same run from its beginning."""
+        trainer = Trainer.__new__(Trainer)
+        trainer.device, trainer.reason = self.device, self.reason
+        trainer._build(self.scene, self.method_name, self.config, self.steps, self.seed, self.threads)
+        return trainer
+
+    def _build(self, scene: Scene, name: str, config: Any, steps: int, seed: int, threads: int) -> None:
+        torch.set_num_threads(max(threads, 1))  # some methods use the CPU on any device
+        self.scene, self.method_name = scene, name
+        self.steps, self.seed, self.threads = steps, seed, max(threads, 1)
+        self.total_steps: int = steps or config.total_steps
+        self.method: Method = METHODS.get(name)(scene, config, self.device, seed)
+        self.device = self.method.device
+        self.batches = PixelSampler(scene, config.train_images, self.device, seed)
+        self.history = HistoryLog()
+        self.step_count = 0
+        self.seconds = 0.0
+
+    @property
+    def config(self) -> Any:
+        """The method's configuration, as it now is."""
+        return self.method.config
+
+    def step(self, pump: Callable[[], None] = nothing) -> Report:
+        """One optimiser step. `pump` runs between gradient chunks; its time is not counted as training.
+
+        What `pump` raises abandons the step, which then has not happened: the state is what it was before, but for
+        notes on where something was seen, which the same step, done later, takes again.
+        Out of device memory, the step is tried again in chunks of half the size, as often as they can be halved.
+        Raises Diverged when the loss is not finite, torch.OutOfMemoryError when chunks cannot be smaller.
+        """
+        waited = 0.0
+
+        def timed_pump() -> None:
+            nonlocal waited
+            begin = time.perf_counter()
+            pump()
+            waited += time.perf_counter() - begin
+
+        start = time.perf_counter()
+        drawn, note = self.batches.state(), ""
+        rays, truth = self.batches.draw(self.method.draw(self.step_count))
+        while True:
+            try:
+                loss = self.method.train(rays, truth, self.step_count, self.steps or None, timed_pump)
+                break
+            except torch.OutOfMemoryError:
+                if not self.method.halve():
+                    self.batches.load_state(drawn)
+                    raise
+                note = f"out of device memory at step {self.step_count + 1:,}: going on in chunks of half the size"
+            except BaseException:
+                self.batches.load_state(drawn)
+                raise
+            torch.cuda.empty_cache()  # outside the handler: its traceback holds the tensors that did not fit
+        seconds = time.perf_counter() - start - waited
+        self.seconds += seconds
+        self.step_count += 1
+        if not math.isfinite(loss):
+            raise Diverged(
+                f"step {self.step_count}: the loss is {loss}; lower the learning rate (--set learning_rate=…)"
+            )
+        self.history.add(self.step_count, loss)
+        return Report(self.step_count, loss, psnr_of(loss), len(rays), seconds, note)
+
+    def frozen_method(self) -> Method:
+        """The model as it is now, with weights of its own: training on does not change it."""
+        return self.method.frozen()
+
+    def describe(self) -> dict[str, Any]:
+        """What a checkpoint stores beside the tensors, as JSON values."""
+        return {
+            "method": self.method_name,
+            "config": self.config.to_json(),
+            "steps": self.steps,
+            "seed": self.seed,
+            "threads": self.threads,
+            "step": self.step_count,
+            "seconds": self.seconds,
+            "scene": self.scene.identity(),
+            "scene_name": self.scene.name,
+            "scene_summary": self.scene.summary(),
+        }
+
+    def state(self) -> dict[str, Tensor]:
+        """All tensors that a resumed run needs, by name."""
+        parts = {"method": self.method.state(), "batches": self.batches.state(), "history": self.history.state()}
+        return {f"{part}.{key}": value for part, tensors in parts.items() for key, value in tensors.items()}
+
+    def notes(self, description: Mapping[str, Any]) -> tuple[str, ...]:
+        """What is to be told of a run resumed from `describe()`."""
+        if self.threads == description["threads"] or self.device.type != "cpu":
+            return ()
+        return (
+            f"begun on {description['threads']} threads, continued on the {self.threads} there are here: "
+            "its weights will differ in rounding from an uninterrupted run's",
+        )
+
+    def go_to(self, description: Mapping[str, Any], state: Mapping[str, Tensor]) -> None:
+        """Be where `describe()` and `state()` were taken."""
+        parts = {
+            part: {key.removeprefix(part): v for key, v in state.items() if key.startswith(part)}
+            for part in ("method.", "batches.", "history.")
+        }
+        self.method.load_state(parts["method."])
+        self.batches.load_state(parts["batches."])
+        self.history.load_state(parts["history."], description["step"])
+        self.step_count, self.seconds = description["step"], description["seconds"]
+
+
+def choose_method(asked: str, device: torch.device) -> tuple[str, str]:
+    """The name in METHODS of what an option asks for; "auto" takes what is fast on the device, and says why."""
+    if asked != "auto":
+        return asked, ""
+    if device.type == "cpu":
+        return "voxels", "auto: it is the fast one on a CPU"
+    return "hash", "auto: it is the fast one on a GPU"
+
+
+def psnr_of(mse: float) -> float:
+    """20 log₁₀(1/√MSE) in dB; 100 stands for a perfect picture, whose logarithm has no value."""
+    return -10 * math.log10(mse) if mse > 1e-10 else 100.0

@@ -1,0 +1,1 @@
+"""Samples along rays and the pixels that they composite to."""

@@ -1,0 +1,40 @@
+"""Where compiled loops are kept, and for how long."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from nerf_core.common.jit import cache as numba_here
+
+
+@pytest.fixture
+def caches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr("platformdirs.user_cache_path", lambda name: tmp_path / name)
+    return tmp_path / "nerf-viewer"
+
+
+def test_only_what_was_not_used_for_long_is_deleted(caches: Path) -> None:
+    now = time.time()
+    for name, days in (("numba-old", 31), ("numba-recent", 29), ("other", 99)):
+        (caches / name).mkdir(parents=True)
+        (caches / name / "loop.nbi").write_bytes(b"x")
+        os.utime(caches / name, (now - days * 86400, now - days * 86400))
+    own = numba_here._own_folder()
+    assert own.parent == caches
+    assert {folder.name for folder in caches.iterdir()} == {own.name, "numba-recent", "other"}
+    os.utime(own, (now - 99 * 86400, now - 99 * 86400))
+    assert numba_here._own_folder() == own  # being used keeps it
+    assert own.is_dir()
+
+
+def test_where_nothing_can_be_kept_a_folder_that_nobody_can_guess_is_used(
+    caches: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    caches.parent.joinpath("nerf-viewer").write_text("a file in the way")
+    first, second = numba_here._own_folder(), numba_here._own_folder()
+    assert first != second
+    assert first.stat().st_mode & 0o077 == 0

@@ -1,0 +1,181 @@
+"""Camera paths: where they go, what they look at, and that they close."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nerf_core.common.errors import UserError
+from nerf_core.geometry.cameras import Camera, Ndc
+from nerf_core.geometry.paths import PATHS, capture_distance, held_out_views, orbit, spiral
+from nerf_core.geometry.scene import Scene, View
+from nerf_core.geometry.turntable import angles_from, looking_along, rotation_from
+
+
+def make_scene(poses: list[np.ndarray], sizes: list[tuple[int, int]] | None = None, **changes: object) -> Scene:
+    sizes = sizes or [(40, 30)] * len(poses)
+    cameras = [Camera(w, h, 50.0, 50.0, w / 2, h / 2, pose) for pose, (w, h) in zip(poses, sizes, strict=True)]
+    held = tuple(range(0, len(poses), 4))
+    scene = Scene(
+        name="made",
+        format="blender",
+        views=tuple(View(f"{i}.png", camera) for i, camera in enumerate(cameras)),
+        images=tuple(np.zeros((h, w, 3), np.uint16) for w, h in sizes),
+        splits={"train": tuple(i for i in range(len(poses)) if i not in held), "test": held},
+        near=1.0,
+        far=8.0,
+        background=(1.0, 1.0, 1.0),
+        center=np.array([0.3, -0.2, 0.5]),
+        radius=1.0,
+        up=np.array([0.0, 0.6, 0.8]),
+        to_input=np.eye(4),
+    )
+    return replace(scene, **changes)  # pyright: ignore[reportArgumentType]
+
+
+def around(count: int = 16, distance: float = 4.0) -> Scene:
+    """Cameras on a ring about the centre, looking at it."""
+    scene = make_scene([np.eye(4)[:3]])
+    rotations = [rotation_from(2 * np.pi * k / count, 0.4, 0.0, scene.up) for k in range(count)]
+    return make_scene([np.column_stack([r, scene.center + distance * r[:, 2]]) for r in rotations])
+
+
+def forward(count: int = 20) -> Scene:
+    """Cameras on a small patch of the plane z = 0, all looking about along −z, y up; NDC."""
+    rng = np.random.default_rng(3)
+    up = np.array([0.0, 1.0, 0.0])
+    poses = []
+    for _ in range(count):
+        position = rng.uniform([-0.5, -0.2, -0.1], [0.5, 0.2, 0.1])
+        direction = np.array([0.0, 0.0, -4.0]) - position
+        rotation = looking_along(direction / np.linalg.norm(direction), np.eye(3), up)
+        poses.append(np.column_stack([rotation, position]))
+    return make_scene(poses, up=up, center=np.array([0.0, 0.0, -4.0]), ndc=Ndc(40, 30, 50.0, 1.0, 8.0))
+
+
+def test_orbit_circles_the_centre() -> None:
+    scene = around()
+    path = orbit(scene, 12, elevation_degrees=20, radius=2.5)
+    assert len(path) == 12
+    axis = scene.up / np.linalg.norm(scene.up)
+    for camera in path:
+        offset = camera.c2w[:, 3] - scene.center
+        assert np.linalg.norm(offset) == pytest.approx(2.5)
+        assert np.degrees(np.arcsin(offset @ axis / 2.5)) == pytest.approx(20)
+        assert camera.project(scene.center[None])[0][0] == pytest.approx([20, 15])
+        assert camera.c2w[:, 0] @ axis == pytest.approx(0, abs=1e-12)
+        assert camera.c2w[:, 1] @ axis > 0
+
+
+@pytest.mark.parametrize(
+    "make", [lambda: orbit(around(), 10), lambda: spiral(forward(), 40), lambda: spiral(around(), 40)]
+)
+def test_a_path_closes_without_repeating_a_frame(make) -> None:
+    path = make()
+    positions = np.stack([c.c2w[:, 3] for c in path])
+    steps = np.linalg.norm(np.roll(positions, -1, axis=0) - positions, axis=1)
+    assert steps.min() > 0.2 * steps.max()
+    assert steps[-1] <= 1.01 * steps[:-1].max()
+
+
+def test_orbit_starts_beside_the_first_training_view_at_its_distance() -> None:
+    scene = around()
+    path = orbit(scene)
+    first = scene.views[scene.split("train")[0]].camera
+    assert len(path) == 60
+    azimuth = [angles_from(c.c2w[:, :3], scene.up)[0] for c in (path[0], first)]
+    assert azimuth[0] == pytest.approx(azimuth[1])
+    assert np.linalg.norm(path[0].c2w[:, 3] - scene.center) == pytest.approx(4.0)
+    assert (path[0].width, path[0].height, path[0].fy) == (40, 30, first.fy)
+
+
+def test_distance_of_a_panorama_is_the_scenes_radius() -> None:
+    scene = around(distance=0.0)
+    assert capture_distance(scene) == scene.radius
+
+
+def test_orbit_of_an_ndc_scene_stays_before_it() -> None:
+    scene = forward()
+    for camera in orbit(scene, 30, elevation_degrees=80):
+        assert camera.c2w[2, 3] > -0.5
+        assert -camera.c2w[2, 2] < -0.9
+
+
+def test_spiral_stays_within_the_cameras_and_looks_at_one_point() -> None:
+    scene = forward()
+    positions = np.stack([scene.views[i].camera.c2w[:, 3] for i in scene.split("train")])
+    mean, spread = positions.mean(0), np.ptp(positions, axis=0)
+    path = spiral(scene)
+    assert len(path) == 120
+    assert all((np.abs(c.c2w[:, 3] - mean) < spread).all() for c in path)
+    reach = np.abs(np.stack([c.c2w[:, 3] for c in path]) - mean).max(0)
+    assert reach[0] == pytest.approx(np.percentile(np.abs(positions[:, 0] - mean[0]), 90), rel=0.1)
+    # All the optical axes pass the focus: the least-squares meeting point of lines is at no distance from any.
+    projectors = [np.eye(3) - np.outer(c.c2w[:, 2], c.c2w[:, 2]) for c in path]
+    focus = np.linalg.solve(sum(projectors), sum(p @ c.c2w[:, 3] for p, c in zip(projectors, path, strict=True)))
+    for p, camera in zip(projectors, path, strict=True):
+        assert np.linalg.norm(p @ (focus - camera.c2w[:, 3])) < 1e-9
+    depth = 1 / (0.25 / scene.near + 0.75 / (5 * scene.far))
+    assert np.linalg.norm(focus - mean) == pytest.approx(depth)
+
+
+def test_spiral_of_a_surrounding_capture_stays_by_its_first_view() -> None:
+    scene = around()
+    first = scene.views[scene.split("train")[0]].camera.c2w
+    for camera in spiral(scene, 20):
+        assert np.linalg.norm(camera.c2w[:, 3] - first[:, 3]) < 0.3 * 4.0
+        assert camera.project(scene.center[None])[0][0] == pytest.approx([20, 15])
+
+
+@pytest.mark.parametrize("name", PATHS)
+def test_every_path_is_made_of_proper_cameras(name: str) -> None:
+    for scene in (around(), forward()):
+        for camera in PATHS[name](scene, 3, 64, 20):
+            assert (camera.width, camera.height) == (64, 20)
+            rotation = camera.c2w[:, :3]
+            np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
+            assert np.linalg.det(rotation) == pytest.approx(1)
+
+
+def test_field_of_view() -> None:
+    camera = orbit(around(), 1, 200, 100, fov_y_degrees=90)[0]
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((50, 50, 100, 50))
+    assert orbit(around(), 1, 100, 60)[0].fy == pytest.approx(100)  # 50 over 30 rows
+
+
+def test_held_out_views_keep_lens_and_pixel_shape() -> None:
+    poses = [view.camera.c2w for view in around().views]
+    sizes = [(30, 40) if i == 4 else (40, 30) for i in range(len(poses))]
+    scene = make_scene(poses, sizes)
+    views = list(scene.views)
+    views[0] = replace(views[0], camera=replace(views[0].camera, k1=0.1, cx=17.0))
+    scene = replace(scene, views=tuple(views))
+    path = held_out_views(scene)
+    assert path[0] == scene.views[0].camera
+    assert len(path) == len(scene.split("test"))
+    assert {(c.width, c.height) for c in path} == {(40, 30)}
+    assert path[1].fx == path[1].fy == pytest.approx(50 * 30 / 40)
+    assert (path[1].cx, path[1].cy) == (20, 15)
+    assert held_out_views(scene, 2) == path[:2]
+    double = held_out_views(scene, 1, 80, 60)[0]
+    assert double.intrinsics() == scene.views[0].camera.resized(80, 60).intrinsics()
+
+
+def test_errors_say_what_to_do() -> None:
+    scene = around()
+    with pytest.raises(UserError, match="path of 0 frames is empty: take 1 or more"):
+        orbit(scene, 0)
+    with pytest.raises(UserError, match="-3 pixels' width"):
+        spiral(scene, 4, -3)
+    with pytest.raises(UserError, match="elevation of 91°"):
+        orbit(scene, elevation_degrees=91)
+    with pytest.raises(UserError, match="elevation of nan°"):
+        orbit(scene, elevation_degrees=float("nan"))
+    with pytest.raises(UserError, match="radius of -1"):
+        orbit(scene, radius=-1)
+    with pytest.raises(UserError, match="field of view of 180°"):
+        orbit(scene, fov_y_degrees=180)
+    with pytest.raises(UserError, match="scene made has no test views to render: take the path orbit or spiral"):
+        held_out_views(replace(scene, splits={"train": scene.split("train")}))

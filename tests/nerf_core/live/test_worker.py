@@ -1,0 +1,192 @@
+"""The real thread on a tiny scene: its life, checkpoints, every way to fail, and its end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from desk import PATIENCE, Desk, orbit, view_of
+
+from nerf_core.live.messages import (
+    Command,
+    ExportPath,
+    LoadCheckpoint,
+    OpenScene,
+    Pause,
+    Reset,
+    SaveCheckpoint,
+    Train,
+    UseMethod,
+)
+from nerf_core.live.worker import Worker
+from nerf_core.training import checkpoint
+from nerf_core.training.settings import RunSettings
+
+OpenDesk = Callable[..., Desk]
+
+
+def test_a_life(open_desk: OpenDesk, capture: Path) -> None:
+    desk = open_desk(opened=False, steps=20)
+    assert desk.worker.snapshot().status == "empty"
+    desk.send(OpenScene(capture, desk.settings))
+    shown = desk.until(lambda s: s.status == "ready")
+    assert shown.scene is not None
+    assert (shown.scene.format, shown.loaded, shown.step, shown.total_steps) == ("blender", 1, 0, 20)
+    desk.send(Train())
+    desk.until(lambda s: s.status == "training" and s.step >= 3)
+    desk.send(Pause())
+    paused = desk.until(lambda s: s.status == "paused")
+    time.sleep(0.05)
+    assert desk.worker.snapshot().step == paused.step
+    assert paused.history.step.tolist() == list(range(1, paused.step + 1))
+    assert paused.seconds > 0
+    desk.send(Reset())
+    desk.until(lambda s: s.status == "ready" and s.step == 0 and len(s.history.step) == 0)
+    assert desk.trained(3).status == "paused"
+    assert desk.trained(20 - 3).status == "finished"
+    desk.send(Train())
+    assert desk.until_told("all 20 steps of the schedule are done").level == "info"
+
+
+def test_save_load_and_go_on(open_desk: OpenDesk, tmp_path: Path) -> None:
+    desk, a, b = open_desk(), tmp_path / "a.safetensors", tmp_path / "b.safetensors"
+    desk.trained(3)
+    desk.send(SaveCheckpoint(a))
+    assert desk.until_told(f"saved step 3 to {a}").path == a
+    desk.trained(2)
+    desk.send(LoadCheckpoint(a))
+    assert desk.until_told("loaded a.safetensors: step 3").level == "info"
+    desk.until(lambda s: s.step == 3 and s.status == "paused")
+    desk.send(SaveCheckpoint(b))
+    desk.until_told(f"saved step 3 to {b}")
+    (description_a, state_a), (description_b, state_b) = checkpoint.load(a), checkpoint.load(b)
+    assert description_a == description_b
+    assert [name for name in state_a if not torch.equal(state_a[name], state_b[name])] == []
+
+
+def test_what_cannot_be_loaded_leaves_the_model(open_desk: OpenDesk, tmp_path: Path) -> None:
+    desk, path = open_desk(), tmp_path / "x.safetensors"
+    desk.trained(2)
+    desk.send(LoadCheckpoint(tmp_path / "none.safetensors"))
+    desk.until_told("none.safetensors: no such checkpoint")
+    desk.send(SaveCheckpoint(path))
+    desk.until_told("saved step 2")
+    description, state = checkpoint.load(path)
+    checkpoint.save(path, description | {"scene": "another", "scene_name": "elsewhere"}, state)
+    desk.send(LoadCheckpoint(path))
+    desk.until_told("trained on 'elsewhere', whose photos, poses or bounds differ from ball0's: open that one")
+    other = {"scene": "another", "scene_summary": "photos of 8×8 pixels"}
+    checkpoint.save(path, description | other, state)
+    desk.send(LoadCheckpoint(path))
+    desk.until_told("trained on 'ball0', 'photos of 8×8 pixels'; open now is ball0, 'photos of 16×16 pixels (5 train")
+    desk.until_told("open it as it was then (--downscale, --max-size, --format, …)")
+    assert desk.trained(1).step == 3
+
+
+def test_a_wrong_path_leaves_the_scene_alive(open_desk: OpenDesk, tmp_path: Path) -> None:
+    desk = open_desk()
+    desk.trained(1)
+    desk.send(OpenScene(tmp_path / "nowhere", desk.settings))
+    assert desk.until_told("nowhere").level == "error"
+    shown = desk.until(lambda s: s.loading == "" and s.status == "paused")
+    assert (shown.loaded, shown.step) == (1, 1)
+    assert desk.trained(1).step == 2
+
+
+def test_another_method_begins_anew_on_the_same_scene(open_desk: OpenDesk) -> None:
+    desk = open_desk()
+    scene = desk.trained(2).scene
+    desk.send(UseMethod("voxels"))
+    begun = desk.until(lambda s: s.method == "voxels" and s.status == "ready")
+    assert begun.step == 0
+    assert begun.scene is scene
+    assert desk.trained(3).step == 3
+    desk.send(UseMethod("wings"))
+    desk.until_told("unknown method 'wings'")
+    assert desk.worker.snapshot().method == "voxels"
+    assert desk.worker.snapshot().step == 3
+
+
+@pytest.mark.parametrize("command", [Train(), Reset(), SaveCheckpoint(Path("x")), LoadCheckpoint(Path("x"))])
+def test_without_a_scene_commands_say_so(open_desk: OpenDesk, command: Command) -> None:
+    desk = open_desk(opened=False)
+    desk.send(command)
+    desk.until(lambda _: len(desk.heard) == 1)
+    assert desk.heard[0].text.startswith(("no scene is open: open one first", "x: no such checkpoint"))
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")  # it ends the thread
+def test_what_breaks_the_state_that_is_published_is_told_all_the_same(
+    open_desk: OpenDesk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk = open_desk()
+
+    def lost(device: object) -> int:
+        raise OSError("the device is lost")
+
+    monkeypatch.setattr("nerf_core.live.worker.memory_held", lost)
+    desk.send(Pause())
+    assert desk.until_told("the device is lost").level == "error"
+
+
+def test_an_exception_is_told_once_and_the_thread_lives(open_desk: OpenDesk, monkeypatch: pytest.MonkeyPatch) -> None:
+    def boom(*_: object) -> None:
+        raise RuntimeError("boom\nand more")
+
+    desk = open_desk()
+    scene = desk.worker.snapshot().scene
+    with monkeypatch.context() as context:
+        context.setattr("nerf_core.live.artist.camera_rays", boom)
+        desk.worker.request_view(view_of(scene, 1))
+        notice = desk.until_told("the worker failed: RuntimeError: boom")
+        assert notice.detail.startswith("Traceback")
+        assert "\n" not in notice.text
+        desk.until(lambda s: s.status == "failed")
+        time.sleep(0.6)  # two of the worker's idle turns
+        desk.until(lambda _: True)
+        assert len(desk.heard) == 1
+    desk.trained(1)  # the same view is tried again once there is something new to show
+    desk.until(lambda s: s.preview is not None and s.preview.stamp == 1)
+    desk.worker.request_view(view_of(scene, 2))
+    desk.until(lambda s: s.preview is not None and s.preview.stamp == 2)
+    assert desk.trained(1).status == "paused"
+
+
+def test_a_loss_that_is_no_number_goes_back_to_good_weights(open_desk: OpenDesk, tmp_path: Path) -> None:
+    desk = open_desk(learning_rate="1e38")
+    for _ in range(2):  # the state to go back to is not touched by training on
+        desk.heard.clear()
+        desk.send(Train())
+        assert desk.until_told("the loss is nan; lower the learning rate").text.endswith("back at step 0, paused")
+        desk.until(lambda s: s.status == "failed" and s.step == 0)
+    desk.send(SaveCheckpoint(tmp_path / "good.safetensors"))
+    desk.until_told("saved step 0")
+    state = checkpoint.load(tmp_path / "good.safetensors")[1]
+    assert all(value.isfinite().all() for value in state.values())
+
+
+def test_closing_ends_everything_and_keeps_what_was_asked_before(open_desk: OpenDesk, tmp_path: Path) -> None:
+    desk, path = open_desk(), tmp_path / "last.safetensors"
+    desk.send(Train(), ExportPath(orbit(desk.worker.snapshot().scene, 5000), 30.0, tmp_path / "long.mp4"))
+    desk.until(lambda s: s.step > 1 and s.export is not None)
+    desk.send(SaveCheckpoint(path))
+    assert desk.worker.stop(5.0)
+    assert not desk.worker.alive
+    assert list(tmp_path.iterdir()) == [path]
+    assert checkpoint.load(path)[0]["step"] == desk.worker.snapshot().step
+
+
+def test_whoever_listens_is_woken(tiny: RunSettings, capture: Path) -> None:
+    calls: list[Any] = []
+    worker = Worker(tiny, wake=lambda: calls.append(1))
+    worker.start()
+    worker.send(OpenScene(capture, tiny))
+    end = time.monotonic() + PATIENCE
+    while worker.snapshot().status != "ready" and time.monotonic() < end:
+        time.sleep(0.01)
+    assert worker.stop()
+    assert calls

@@ -1,0 +1,257 @@
+"""What the worker draws beside training: previews, an opened ray, films; and weights that do not care who watches."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from desk import Desk, orbit, view_of
+
+from nerf_core.datasets import load_scene
+from nerf_core.geometry.scene import Scene
+from nerf_core.live.artist import Artist
+from nerf_core.live.messages import (
+    CancelExport,
+    ExportPath,
+    Inspect,
+    Pause,
+    SaveCheckpoint,
+    SetShare,
+    StopInspecting,
+    Train,
+    ViewRequest,
+)
+from nerf_core.live.worker import Worker
+from nerf_core.rendering.images import render_camera, to_bytes
+from nerf_core.training import checkpoint
+from nerf_core.training.settings import RunSettings
+from nerf_core.training.trainer import Trainer
+
+OpenDesk = Callable[..., Desk]
+
+
+@pytest.fixture
+def on_disk(capture: Path, tiny: RunSettings) -> Scene:
+    return load_scene(capture, tiny.load)
+
+
+def plain(scene: Scene, settings: RunSettings, steps: int) -> Trainer:
+    """The same run without a worker."""
+    trainer = Trainer(scene, settings)
+    for _ in range(steps):
+        trainer.step()
+    return trainer
+
+
+def test_a_picture_sharpens_until_it_is_the_renderers(open_desk: OpenDesk, on_disk: Scene, tiny: RunSettings) -> None:
+    desk = open_desk()
+    desk.trained(2)
+    wanted = view_of(on_disk, stamp=7)
+    desk.worker.request_view(wanted)
+    shown = desk.until(lambda s: s.preview is not None and s.preview.stamp == 7 and s.preview.complete).preview
+    assert shown is not None
+    assert (shown.stride, shown.step, shown.quality, shown.camera) == (1, 2, "fine", wanted.camera)
+    color, depth = render_camera(plain(on_disk, tiny, 2).method, wanted.camera, on_disk)
+    difference = shown.rgba[..., :3].astype(int) - to_bytes(color)
+    assert np.abs(difference).max() <= 1  # a value between two levels may round either way
+    rows, columns = np.mgrid[:13, :13]
+    x, y = (columns + 0.5 - 6.5) / wanted.camera.fx, (rows + 0.5 - 6.5) / wanted.camera.fy
+    np.testing.assert_allclose(shown.depth, depth / np.sqrt(x * x + y * y + 1), rtol=1e-4)
+
+
+def test_the_newest_view_counts(open_desk: OpenDesk) -> None:
+    desk = open_desk()
+    scene = desk.worker.snapshot().scene
+    desk.send(SetShare(0.3), Train())
+    for stamp in range(1, 30):
+        desk.worker.request_view(view_of(scene, stamp, moving=stamp < 29))
+        time.sleep(0.003)
+    shown = desk.until(lambda s: s.preview is not None and s.preview.stamp == 29)
+    assert shown.wanted_share == 0.3
+    step = shown.step
+    desk.until(lambda s: s.step > step and s.preview is not None and s.preview.complete and s.preview.step > step)
+
+
+def test_a_moving_camera_waits_while_the_budget_says_so_and_a_resting_one_never(
+    open_desk: OpenDesk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk = open_desk()
+    scene = desk.worker.snapshot().scene
+    begun = []
+    monkeypatch.setattr(desk.worker._budget, "may_follow", lambda: False)
+    monkeypatch.setattr(desk.worker._budget, "followed", begun.append)
+    desk.send(Train())
+    step = desk.until(lambda s: s.step > 2).step
+    desk.worker.request_view(view_of(scene, 1, moving=True))
+    shown = desk.until(lambda s: s.step > step + 10)
+    assert shown.preview is None
+    desk.worker.request_view(view_of(scene, 2))
+    desk.until(lambda s: s.preview is not None and s.preview.stamp == 2)
+    assert begun
+    monkeypatch.setattr(desk.worker._budget, "may_follow", lambda: True)
+    desk.worker.request_view(view_of(scene, 3, moving=True))
+    desk.until(lambda s: s.preview is not None and s.preview.stamp == 3)
+
+
+def test_the_windows_frames_are_no_training(tiny: RunSettings) -> None:
+    worker = Worker(tiny, share=0.6)
+    worker.painted(0.25)
+    worker._accounted = time.perf_counter() - 1.0
+    worker._account_for_training(100)
+    assert worker._budget.train_share() == pytest.approx(0.75, abs=0.01)
+
+
+def test_an_opened_ray_stays_live(open_desk: OpenDesk) -> None:
+    desk = open_desk(steps=100_000)
+    scene = desk.worker.snapshot().scene
+    assert scene is not None
+    camera = scene.views[0].camera
+    desk.send(Inspect(camera, (8, 8)))
+    desk.until(lambda s: s.ray is not None and s.ray.pixel == (8, 8) and s.ray.step == 0)
+    desk.send(Train())
+    shown = desk.until(lambda s: s.ray is not None and s.ray.step > 0 and s.radiance is not None)
+    assert shown.ray is not None
+    assert shown.radiance is not None
+    np.testing.assert_allclose(shown.ray.color, shown.ray.rendered_color, atol=1e-5)
+    desk.send(Inspect(camera, (3, 4), point_t=3.5))
+    moved = desk.until(lambda s: s.ray is not None and s.ray.pixel == (3, 4) and s.radiance is not None)
+    assert moved.radiance is not None
+    assert moved.radiance.t == 3.5
+    desk.send(Inspect(camera, (99, 0)))
+    assert desk.until_told("pixel 99 0: outside the picture, columns 0 … 15, rows 0 … 15").level == "error"
+    desk.send(StopInspecting())
+    desk.until(lambda s: s.ray is None and s.radiance is None and s.status == "training")
+
+
+def test_watched_or_not_the_weights_are_the_same(
+    open_desk: OpenDesk, on_disk: Scene, tiny: RunSettings, tmp_path: Path
+) -> None:
+    desk = open_desk()
+    desk.send(Inspect(on_disk.views[0].camera, (8, 8)), Train(12))
+    for stamp in range(1, 200):
+        desk.worker.request_view(view_of(on_disk, stamp, moving=stamp % 5 > 0))
+        time.sleep(0.005)
+        if desk.worker.snapshot().step == 12:
+            break
+    desk.until(lambda s: s.step == 12 and s.status == "paused")
+    desk.send(SaveCheckpoint(tmp_path / "watched.safetensors"))
+    desk.until_told("saved step 12")
+    state, alone = checkpoint.load(tmp_path / "watched.safetensors")[1], plain(on_disk, tiny, 12).state()
+    assert state.keys() == alone.keys()
+    assert [name for name in alone if not torch.equal(state[name], alone[name])] == []
+
+
+def test_a_film_is_an_mp4(open_desk: OpenDesk, tmp_path: Path) -> None:
+    desk = open_desk()
+    desk.send(ExportPath(orbit(desk.worker.snapshot().scene, 3), 30.0, tmp_path / "orbit.avi"))
+    desk.until_told("orbit.avi: a film is written as MP4: name a .mp4 file")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_long_step_keeps_nobody_waiting(open_desk: OpenDesk, tmp_path: Path) -> None:
+    """A step of the official batch takes seconds on a CPU; this one would take minutes."""
+    desk, path = open_desk(rays="60000", chunk_rays="1"), tmp_path / "model.safetensors"
+    scene = desk.worker.snapshot().scene
+    assert scene is not None
+    desk.send(Train())
+    desk.until(lambda s: s.status == "training")
+    begin = time.monotonic()
+    desk.send(Inspect(scene.views[0].camera, (3, 4)))
+    desk.until(lambda s: s.ray is not None and s.ray.pixel == (3, 4))
+    desk.send(ExportPath(orbit(scene, 2), 30.0, tmp_path / "film.mp4"))
+    desk.until_told("exported")
+    desk.send(Pause())
+    assert desk.until(lambda s: s.status == "ready").step == 0  # the step was given up
+    desk.send(Train())
+    desk.until(lambda s: s.status == "training")
+    desk.send(SaveCheckpoint(path))
+    assert desk.worker.stop(5.0)
+    assert checkpoint.load(path)[0]["step"] == 0
+    assert time.monotonic() - begin < 30
+
+
+def test_a_film_is_made_while_training_goes_on(open_desk: OpenDesk, tmp_path: Path) -> None:
+    desk, film = open_desk(), tmp_path / "orbit.mp4"
+    desk.send(Train(), ExportPath(orbit(desk.worker.snapshot().scene, 20), 30.0, film, frames=True))
+    shown = desk.until(lambda s: s.export is not None and s.export.state == "done")
+    assert shown.export is not None
+    assert shown.export.done == shown.export.total > 0
+    assert shown.step > 0
+    assert desk.until_told("exported").path == film
+    assert film.stat().st_size > 500
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["orbit.mp4", "orbit_frames"]
+    assert sorted(p.name for p in (tmp_path / "orbit_frames").iterdir()) == [f"{k:05d}.png" for k in range(20)]
+
+
+def test_a_cancelled_film_leaves_nothing(open_desk: OpenDesk, tmp_path: Path) -> None:
+    desk = open_desk()
+    scene = desk.worker.snapshot().scene
+    desk.send(ExportPath(orbit(scene, 5000), 30.0, tmp_path / "long.mp4", frames=True))
+    desk.until(lambda s: s.export is not None and s.export.state == "running" and s.export.done > 30)
+    assert list(tmp_path.glob("long_frames/*.png"))
+    desk.send(ExportPath(orbit(scene, 1), 30.0, tmp_path / "second.mp4"))
+    desk.until_told("long.mp4 is running: cancel it or wait for it")
+    desk.send(CancelExport())
+    desk.until(lambda s: s.export is not None and s.export.state == "cancelled")
+    assert list(tmp_path.iterdir()) == []
+    desk.send(ExportPath(orbit(scene, 1), 30.0, tmp_path / "second.mp4"))
+    desk.until(lambda s: s.export is not None and s.export.state == "done")
+
+
+def test_a_picture_that_training_overtakes_is_shown_whole(
+    make_trainer: Callable[..., Trainer], scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A step passes with every tile: the picture is in the colours of the step at which it began, and it is there
+    although the next one has begun before anybody looked."""
+    monkeypatch.setattr("nerf_core.live.artist.WHOLE_SECONDS", 0.0)  # as if a level took longer than this small one
+    trainer, artist = make_trainer(tile=16), Artist()
+    view, tiles = ViewRequest(1, scene.views[5].camera, moving=False), 16 * 16 // 16
+    for _ in range(tiles):
+        assert artist.draw(trainer, view, training=True)
+    trainer.step()
+    began, frozen = trainer.step_count, trainer.frozen_method()
+    for _ in range(tiles + 1):
+        assert artist.draw(trainer, view, training=True)
+        trainer.step()
+    picture = artist.preview(None)
+    assert picture is not None
+    assert (picture.step, picture.complete) == (began, True)
+    color, _ = render_camera(frozen, view.camera, scene)
+    assert np.abs(picture.rgba[..., :3].astype(int) - to_bytes(color)).max() <= 1
+
+
+def test_a_pause_drops_what_shows_an_older_model(make_trainer: Callable[..., Trainer], scene: Scene) -> None:
+    trainer, artist = make_trainer(tile=16), Artist()
+    view, tiles = ViewRequest(1, scene.views[5].camera, moving=False), 16 * 16 // 16
+    for _ in range(tiles):
+        artist.draw(trainer, view, training=True)
+    trainer.step()
+    artist.draw(trainer, view, training=True)
+    trainer.step()
+    drawn = 0
+    while artist.draw(trainer, view, training=False):
+        drawn += 1
+    assert drawn == tiles
+    picture = artist.preview(None)
+    assert picture is not None
+    assert picture.step == trainer.step_count
+
+
+def test_other_weights_draw_another_picture(make_trainer: Callable[..., Trainer], scene: Scene) -> None:
+    """Where a network takes over from what guided it, nothing that was seen or timed before counts."""
+    trainer, artist = make_trainer(tile=16), Artist()
+    view = ViewRequest(1, scene.views[5].camera, moving=False)
+    while artist.draw(trainer, view, training=False):
+        assert artist.preview(None) is None or not artist.urgent(view)
+    assert artist.rays_per_second("fine") > 0
+    trainer.method.born = 7  # type: ignore[misc]  as if
+    assert artist.draw(trainer, view, training=False)
+    assert artist.urgent(view)
+    assert artist.rays_per_second("fine") > 0  # of the one piece that the new weights drew
+    kept = artist.preview(None)
+    assert kept is not None
+    assert kept.complete  # until the first level is there

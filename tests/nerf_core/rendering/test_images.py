@@ -1,0 +1,46 @@
+"""Whole pictures are made of the method's tiles, in row order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+
+from nerf_core.geometry.cameras import camera_rays
+from nerf_core.geometry.scene import Scene
+from nerf_core.rendering.images import render_camera, tiles, to_bytes
+from nerf_core.training.trainer import Trainer
+
+
+def test_tiles_are_the_pixels_row_by_row(make_trainer: Callable[..., Trainer], scene: Scene) -> None:
+    method, camera = make_trainer(tile=37).method, scene.views[0].camera
+    parts = list(tiles(method, camera, scene))
+    assert [len(p) for p in parts] == [37] * 6 + [34]
+    whole = camera_rays(camera, scene.near, scene.far)
+    assert torch.equal(torch.cat([p.directions for p in parts]), whole.directions)
+
+
+def test_a_picture_is_its_pixels_and_tells_its_progress(make_trainer: Callable[..., Trainer], scene: Scene) -> None:
+    trainer, camera = make_trainer(tile=37), scene.views[0].camera.resized(9, 7)
+    trainer.step()
+    heard: list[tuple[int, int]] = []
+    color, depth = render_camera(trainer.method, camera, scene, lambda done, total: heard.append((done, total)))
+    assert color.shape == (7, 9, 3)
+    assert depth.shape == (7, 9)
+    assert heard == [(37, 63), (63, 63)]
+    one = trainer.method.render(camera_rays(camera, scene.near, scene.far, np.array([[8, 2]])))
+    np.testing.assert_allclose(color[2, 8], one.color[0].numpy(), atol=1e-5)
+
+
+def test_progress_may_cancel(make_trainer: Callable[..., Trainer], scene: Scene) -> None:
+    def cancel(done: int, total: int) -> None:
+        raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        render_camera(make_trainer().method, scene.views[0].camera, scene, cancel)
+
+
+def test_bytes_are_rounded_and_clipped() -> None:
+    assert to_bytes(np.array([-1, 0, 0.5 / 255 - 1e-9, 0.5 / 255 + 1e-9, 1, 3])).tolist() == [0, 0, 0, 1, 255, 255]

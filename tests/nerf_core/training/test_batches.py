@@ -1,0 +1,100 @@
+"""Which pixels are drawn, and whether their rays and colours belong together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from nerf_core.common.errors import UserError
+from nerf_core.geometry.scene import Scene
+from nerf_core.training.batches import Draw, PixelSampler, flattened
+
+CPU = torch.device("cpu")
+
+
+def coded(scene: Scene) -> Scene:
+    """The scene with photos of two sizes whose pixels say where they are: (view, column, row) · 100."""
+    views, images = [], []
+    for i, view in enumerate(scene.views):
+        width, height = (16, 16) if i % 2 else (10, 24)
+        rows, columns = np.mgrid[:height, :width]
+        images.append((np.stack([np.full_like(rows, i), columns, rows], -1) * 100).astype(np.uint16))
+        views.append(replace(view, camera=view.camera.resized(width, height)))
+    return replace(scene, views=tuple(views), images=tuple(images))
+
+
+def decoded(truth: torch.Tensor) -> np.ndarray:
+    return np.rint(truth.numpy() * 655.35).astype(int)
+
+
+@pytest.mark.parametrize("one_image", [True, False])
+def test_a_ray_goes_through_the_pixel_whose_colour_it_gets(scene: Scene, one_image: bool) -> None:
+    scene = coded(scene)
+    sampler = PixelSampler(scene, 0, CPU, seed=1)
+    for _ in range(5):
+        rays, truth = sampler.draw(Draw(200, one_image))
+        meant = decoded(truth)
+        assert (len(set(meant[:, 0])) == 1) is one_image
+        assert set(meant[:, 0]) <= {0, 1, 2, 3, 4}  # none of the held-out view
+        points = (rays.origins + rays.near[:, None] * rays.directions).double().numpy()
+        for view, column, row, point in zip(*meant.T, points, strict=True):
+            where, _ = scene.views[view].camera.project(point[None])
+            np.testing.assert_allclose(where[0], [column + 0.5, row + 0.5], atol=1e-3)
+
+
+def test_every_pixel_is_drawn_alike(scene: Scene) -> None:
+    sampler = PixelSampler(coded(scene), 0, CPU, seed=0)
+    counts = {v: (16 * 16 if v % 2 else 10 * 24) for v in range(5)}
+    found = np.bincount(decoded(sampler.draw(Draw(50_000))[1])[:, 0], minlength=5)
+    expected = np.array([counts[v] for v in range(5)]) / sum(counts.values()) * 50_000
+    np.testing.assert_allclose(found, expected, atol=4 * np.sqrt(expected.max()))
+
+
+def test_a_crop_is_the_middle_of_each_photo(scene: Scene) -> None:
+    sampler = PixelSampler(coded(scene), 0, CPU, 0)
+    for crop, (low, high) in {0.5: (4, 11), 1.0: (0, 15)}.items():
+        meant = decoded(sampler.draw(Draw(4000, crop=crop))[1])
+        square = meant[meant[:, 0] % 2 == 1]  # the photos of 16 × 16 pixels
+        assert square[:, 1:].min() == low
+        assert square[:, 1:].max() == high
+
+
+def test_shrunken_photos_are_block_means_and_their_rays_go_through_the_blocks_middle(scene: Scene) -> None:
+    scene = coded(scene)
+    rays, truth = PixelSampler(scene, 0, CPU, 0).draw(Draw(300, shrink=4))
+    points = (rays.origins + rays.near[:, None] * rays.directions).double().numpy()
+    for color, point in zip(truth.numpy() * 655.35, points, strict=True):
+        where, _ = scene.views[round(color[0])].camera.project(point[None])
+        # a mean of four columns c … c + 3 is c + 1.5, and the block's middle lies at c + 2
+        np.testing.assert_allclose(where[0] - color[1:], [0.5, 0.5], atol=1e-2)
+
+
+def test_photos_that_lie_in_one_array_are_not_copied(scene: Scene) -> None:
+    whole = np.arange(3 * 100, dtype=np.uint16).reshape(100, 3)
+    images = [whole[40:52].reshape(3, 4, 3), whole[10:30].reshape(4, 5, 3)]
+    flat, starts = flattened(images)
+    assert np.shares_memory(flat, whole)
+    assert starts.tolist() == [40, 10]
+    apart, places = flattened([image.copy() for image in images])
+    assert places.tolist() == [0, 12]
+    np.testing.assert_array_equal(apart, np.concatenate([whole[40:52], whole[10:30]]))
+
+
+def test_fewer_images_are_spread_evenly(scene: Scene) -> None:
+    sampler = PixelSampler(coded(scene), 3, CPU, seed=0)
+    assert set(decoded(sampler.draw(Draw(500))[1])[:, 0]) == {0, 2, 4}
+
+
+def test_the_same_state_draws_the_same_rays(scene: Scene) -> None:
+    a, b = (PixelSampler(scene, 0, CPU, seed) for seed in (0, 1))
+    assert not torch.equal(a.draw(Draw(9))[0].directions, b.draw(Draw(9))[0].directions)
+    b.load_state(a.state())
+    assert torch.equal(a.draw(Draw(9, True))[0].directions, b.draw(Draw(9, True))[0].directions)
+
+
+def test_a_scene_without_training_photos_is_refused(scene: Scene) -> None:
+    with pytest.raises(UserError, match="ball: no training photos: every photo is held out"):
+        PixelSampler(replace(scene, splits={"test": (0, 1)}), 0, CPU, 0)

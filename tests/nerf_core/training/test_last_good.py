@@ -1,0 +1,40 @@
+"""The copy to fall back on is whole, finite and untouched by training on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+import torch
+
+from nerf_core.training.last_good import LastGood
+from nerf_core.training.trainer import Diverged, Trainer
+
+MakeTrainer = Callable[..., Trainer]
+
+
+def test_goes_back_to_where_it_was_remembered(make_trainer: MakeTrainer) -> None:
+    trainer, straight = make_trainer(), make_trainer()
+    trainer.step()
+    good = LastGood(trainer)
+    for _ in range(3):
+        trainer.step()
+    good.restore(trainer)
+    assert trainer.step_count == 1
+    for _ in range(2):
+        straight.step()
+    trainer.step()
+    ours, theirs = trainer.state(), straight.state()
+    assert [name for name in ours if not torch.equal(ours[name], theirs[name])] == []
+
+
+def test_broken_weights_are_not_remembered(make_trainer: MakeTrainer) -> None:
+    trainer = make_trainer()
+    good = LastGood(trainer)
+    trainer.step()
+    trainer.method.parameters()[0].data[0, 0] = torch.nan
+    with pytest.raises(Diverged, match=r"step 1: method\..* is not finite"):
+        good.remember(trainer)
+    good.restore(trainer)
+    assert trainer.step_count == 0
+    assert all(bool(v.isfinite().all()) for v in trainer.state().values())

@@ -1,0 +1,153 @@
+"""A training that is interrupted, resumed or broken leaves the same run as one that is not, or its last good state."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import torch
+
+from nerf_core.training import checkpoint
+from nerf_core.training.loop import Goal, Progress, train_run
+from nerf_core.training.run_folder import RunFolder
+from nerf_core.training.settings import RunSettings
+from nerf_core.training.trainer import Diverged, Trainer
+
+Make = Callable[..., Trainer]
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Iterator[RunFolder]:
+    folder = RunFolder(tmp_path / "run")
+    with folder.claimed():
+        yield folder
+
+
+def assert_same(one: Trainer, other: Trainer) -> None:
+    assert one.step_count == other.step_count
+    a, b = one.state(), other.state()
+    assert a.keys() == b.keys()
+    assert [name for name in a if not torch.equal(a[name], b[name])] == []
+
+
+def reloaded(run: RunFolder, trainer: Trainer) -> Trainer:
+    _, description, state, rejected = checkpoint.newest(run.path)
+    assert rejected == ()
+    return Trainer.resume(trainer.scene, description, state, "cpu")
+
+
+def test_a_given_up_step_has_not_happened(make_trainer: Make) -> None:
+    straight, given_up = make_trainer(), make_trainer()
+    for _ in range(3):
+        straight.step()
+    given_up.step()
+    calls = 0
+
+    def pump() -> None:
+        nonlocal calls
+        calls += 1
+        if calls == 3:  # of 4: two chunks, two networks
+            raise InterruptedError
+
+    seconds = given_up.seconds
+    with pytest.raises(InterruptedError):
+        given_up.step(pump)
+    assert (given_up.step_count, given_up.seconds) == (1, seconds)
+    given_up.step()
+    given_up.step()
+    assert_same(given_up, straight)
+
+
+def test_stopped_and_resumed_is_bit_identical(run: RunFolder, make_trainer: Make) -> None:
+    straight, first = make_trainer(), make_trainer()
+    for _ in range(6):
+        straight.step()
+    asked = 0
+
+    def stop() -> bool:
+        nonlocal asked
+        asked += 1
+        return asked > 18  # 5 questions a step: in the middle of the fourth
+
+    assert train_run(run, first, Goal(6), stop=stop) is False
+    second = reloaded(run, first)
+    assert second.step_count == 3
+    assert train_run(run, second, Goal(6)) is True
+    assert_same(second, straight)
+    assert_same(reloaded(run, second), straight)
+
+
+def test_ends_at_the_first_of_two_limits(run: RunFolder, make_trainer: Make) -> None:
+    trainer = make_trainer()
+    assert train_run(run, trainer, Goal(10_000, seconds=1e-6))
+    assert trainer.step_count == 1
+    assert train_run(run, trainer, Goal(4, seconds=1e6))
+    assert trainer.step_count == 4
+
+
+def test_saves_on_the_way_and_keeps_two(run: RunFolder, make_trainer: Make) -> None:
+    train_run(run, make_trainer(), Goal(5), save_every=1e-9)
+    assert [p.stem for p in run.checkpoints()] == ["step_00000004", "step_00000005"]
+
+
+def test_log_and_progress(
+    run: RunFolder, make_trainer: Make, tiny: RunSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nerf_core.training.loop.LOG_SECONDS", 0.0)
+    monkeypatch.setattr("nerf_core.training.loop.SHOW_SECONDS", 0.0)
+    shown: list[Progress] = []
+    trainer = make_trainer()
+    run.begin(None, tiny, trainer)
+    train_run(run, trainer, Goal(4), show=shown.append)
+    lines = [json.loads(line) for line in run.log_file.read_text(encoding="utf-8").splitlines()]
+    assert [line["step"] for line in lines] == [1, 2, 3, 4]
+    assert all(set(line) == {"step", "loss", "psnr", "rays_per_second", "seconds"} for line in lines)
+    assert all(math.isclose(line["psnr"], -10 * math.log10(line["loss"])) for line in lines)
+    assert lines[-1]["seconds"] == trainer.seconds
+    assert [p.fraction for p in shown] == [0.25, 0.5, 0.75, 1.0]
+    assert shown[0].rays_per_second == pytest.approx(lines[0]["rays_per_second"])
+    assert shown[-1].seconds_left == 0.0
+
+
+def test_diverged_leaves_the_last_good_state(run: RunFolder, make_trainer: Make) -> None:
+    trainer = make_trainer(learning_rate=1e30)
+    with pytest.raises(Diverged, match=r"lower the learning rate.*; went back to step 0 and saved it"):
+        train_run(run, trainer, Goal(50))
+    good = reloaded(run, trainer)
+    assert good.step_count == 0
+    assert all(v.isfinite().all() for v in good.state().values())
+
+
+def test_broken_weights_are_never_saved(run: RunFolder, make_trainer: Make) -> None:
+    """The loss of a step is that of the weights before it: it may be finite while the weights are not."""
+    trainer = make_trainer()
+
+    def show(progress: Progress) -> None:
+        if progress.step == 3:
+            trainer.method.parameters()[0].data[0, 0] = torch.nan
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("nerf_core.training.loop.SHOW_SECONDS", 0.0)
+        with pytest.raises(Diverged, match=r"step 3: method.* is not finite; .* went back to step 2 and saved it"):
+            train_run(run, trainer, Goal(5), save_every=1e-9, show=show)
+    assert [p.stem for p in run.checkpoints()] == ["step_00000001", "step_00000002"]
+
+
+def test_a_full_disk_on_the_way_is_a_warning(run: RunFolder, make_trainer: Make) -> None:
+    folder, warnings = run.path / "checkpoints", []
+    folder.rmdir()
+    folder.write_text("in the way")
+
+    def warn(text: str) -> None:
+        warnings.append(text)
+        folder.unlink(missing_ok=True)
+
+    assert train_run(run, make_trainer(), Goal(3), save_every=1e-9, warn=warn)
+    assert len(warnings) == 1
+    assert str(folder / "step_00000001.safetensors") in warnings[0]
+    assert [p.stem for p in run.checkpoints()] == ["step_00000002", "step_00000003"]
+    shutil.rmtree(folder)

@@ -1,0 +1,98 @@
+"""A plot of a long training stays small and true."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from nerf_core.training.loss_history import LIMIT, HistoryLog
+
+
+@pytest.mark.parametrize("steps", [1, LIMIT - 1, LIMIT, LIMIT + 1, 3 * LIMIT, 10 * LIMIT + 7])
+def test_points_are_means_of_equally_many_steps(steps: int) -> None:
+    losses = np.random.default_rng(0).uniform(0.01, 1, steps)
+    log = HistoryLog()
+    for step, loss in enumerate(losses, 1):
+        log.add(step, float(loss))
+    view = log.view()
+    points = steps // log.every
+    assert points + 1 >= LIMIT // 2 or log.every == 1
+    assert len(view.step) == points < LIMIT
+    np.testing.assert_array_equal(view.step, np.arange(1, points + 1) * log.every)
+    means = losses[: points * log.every].reshape(points, log.every).mean(-1)
+    np.testing.assert_allclose(view.loss, means, rtol=1e-5)
+    np.testing.assert_allclose(view.psnr, -10 * np.log10(means), rtol=1e-4)
+
+
+def test_a_view_is_made_once_for_what_it_shows() -> None:
+    log = HistoryLog()
+    assert len(log.view().step) == 0
+    log.add(1, 0.5)
+    first = log.view()
+    assert log.view() is first
+    log.add(2, 0.0)
+    assert len(first.step) == 1
+    assert log.view().psnr[1] == pytest.approx(100)  # not infinity
+
+
+@pytest.mark.parametrize("steps", [0, 3, LIMIT + 5, 5 * LIMIT + 3])
+def test_a_log_goes_on_from_its_state(steps: int) -> None:
+    losses = np.random.default_rng(0).uniform(0.01, 1, steps + 700).tolist()
+    whole, first, second = HistoryLog(), HistoryLog(), HistoryLog()
+    second.add(1, 0.3)  # of another run: forgotten
+    for step, loss in enumerate(losses, 1):
+        whole.add(step, loss)
+        (first if step <= steps else second).add(step, loss)
+        if step == steps:
+            second.load_state(first.state(), steps)
+    if not steps:
+        second.load_state({}, 5)
+        for step, loss in enumerate(losses, 1):
+            second.add(step, loss)
+    for name in ("step", "loss", "psnr"):
+        np.testing.assert_array_equal(getattr(second.view(), name), getattr(whole.view(), name))
+
+
+def numbers(*values: float) -> torch.Tensor:
+    return torch.tensor(values, dtype=torch.float64)
+
+
+BROKEN = {
+    "no losses": {"losses": None},
+    "another length": {"losses": numbers(1, 1)},
+    "a table": {"steps": torch.ones(3, 1, dtype=torch.int64), "losses": numbers(1, 1, 1)[:, None]},
+    "steps that go back": {"steps": torch.tensor([2, 1, 3])},
+    "steps before the first": {"steps": torch.tensor([0, 1, 2])},
+    "steps that were not made": {"steps": torch.tensor([1, 2, 4])},
+    "steps that are fractions": {"steps": numbers(1, 2, 3)},
+    "a loss that is no number": {"losses": numbers(1, torch.nan, 1)},
+    "a loss under nothing": {"losses": numbers(1, -1, 1)},
+    "a loss past what can be shown": {"losses": numbers(1, 1e300, 1)},
+    "losses of another kind": {"losses": torch.ones(3, dtype=torch.complex64)},
+    "never a mean": {"every": torch.tensor(0)},
+    "means over an odd number of steps": {"every": torch.tensor(3)},
+    "means over more than anybody trains": {"every": torch.tensor(2**62)},
+    "means over a fraction": {"every": torch.tensor(torch.inf)},
+    "means of several kinds": {"every": torch.ones(2, dtype=torch.int64)},
+    "a mean that is due": {"pending": numbers(1)},
+    "an infinite one that waits": {"every": torch.tensor(4), "pending": numbers(torch.inf)},
+}
+
+
+@pytest.mark.parametrize("changes", BROKEN.values(), ids=BROKEN.keys())
+def test_a_state_that_none_was_in_is_refused(changes: dict[str, torch.Tensor | None]) -> None:
+    log = HistoryLog()
+    for step in (1, 2, 3):
+        log.add(step, 0.5)
+    state = {name: v for name, v in (log.state() | changes).items() if v is not None}
+    HistoryLog().load_state(log.state(), 3)
+    with pytest.raises((KeyError, ValueError)):
+        HistoryLog().load_state(state, 3)
+
+
+def test_losses_of_more_steps_than_several_points_can_hold_are_refused_too() -> None:
+    steps = torch.arange(1, LIMIT + 1)
+    state = HistoryLog().state() | {"steps": steps, "losses": torch.ones(LIMIT, dtype=torch.float64)}
+    with pytest.raises(ValueError, match="not those of"):
+        HistoryLog().load_state(state, LIMIT)

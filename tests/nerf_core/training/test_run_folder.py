@@ -1,0 +1,233 @@
+"""What a run folder holds, who may write to it, and what is said of a broken one."""
+
+from __future__ import annotations
+
+import json
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nerf_core.common.errors import UserError
+from nerf_core.datasets import LoadOptions, load_scene
+from nerf_core.training import checkpoint
+from nerf_core.training.loop import Goal, train_run
+from nerf_core.training.run_folder import RunFolder, must_agree
+from nerf_core.training.settings import RunSettings
+from nerf_core.training.trainer import Trainer
+
+
+@pytest.fixture
+def run(tmp_path: Path, capture: Path, tiny: RunSettings) -> Iterator[RunFolder]:
+    """Two steps, with a checkpoint after each."""
+    folder = RunFolder(tmp_path / "run")
+    with folder.claimed():
+        trainer = Trainer(load_scene(capture, tiny.load), tiny)
+        folder.begin(capture, tiny, trainer)
+        train_run(folder, trainer, Goal(2), save_every=1e-9)
+        yield folder
+
+
+def error_of(action: Callable[[], object]) -> str:
+    with pytest.raises(UserError) as caught:
+        action()
+    text = str(caught.value)
+    assert "\n" not in text
+    return text
+
+
+def test_config_comes_back(run: RunFolder, capture: Path, tiny: RunSettings) -> None:
+    assert run.config() == (capture.resolve(), tiny)
+    config = json.loads(run.config_file.read_text(encoding="utf-8"))
+    assert config["method"]["width"] == 32
+    assert {"python", "torch", "numpy"} <= set(config["versions"])
+    assert config["device"].startswith("CPU")
+
+
+def test_restore_gives_the_newest_step(run: RunFolder) -> None:
+    trainer, notes = run.restore()
+    assert (trainer.step_count, notes) == (2, ())
+    assert trainer.seconds > 0
+
+
+def test_a_damaged_checkpoint_gives_way_to_the_one_before(run: RunFolder) -> None:
+    newest = run.checkpoints()[-1]
+    data = bytearray(newest.read_bytes())
+    data[-5] ^= 1
+    newest.write_bytes(data)
+    trainer, notes = run.restore()
+    assert trainer.step_count == 1
+    assert len(notes) == 1
+    assert f"{newest}: damaged" in notes[0]
+    run.rewind(1)
+    assert [p.name for p in run.checkpoints()] == ["step_00000001.safetensors"]
+    assert newest.with_name(f"{newest.name}.damaged").exists()
+
+
+def test_rewind_forgets_what_was_logged_later(run: RunFolder) -> None:
+    whole = [json.dumps({"step": k, "loss": 0.1}) + "\n" for k in (1, 2, 3)]
+    run.log_file.write_text("".join(whole) + '{"step": 2, "lo', encoding="utf-8")
+    run.rewind(2)
+    assert run.log_file.read_text(encoding="utf-8") == "".join(whole[:2])
+
+
+def test_one_process_at_a_time(run: RunFolder) -> None:
+    def claim() -> None:
+        with RunFolder(run.path).claimed():
+            pass
+
+    assert error_of(claim) == f"{run.path}: another process trains in this folder: wait for it or choose another --out"
+
+
+def test_a_place_that_takes_no_folder(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+
+    def claim(path: Path) -> Callable[[], None]:
+        def action() -> None:
+            with RunFolder(path).claimed():
+                pass
+
+        return action
+
+    assert "cannot be written (Not a directory)" in error_of(claim(tmp_path / "file" / "run"))
+    assert "cannot be written" in error_of(claim(Path("/proc/run")))
+
+
+def test_a_folder_that_came_to_nothing_is_removed(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError), RunFolder(tmp_path / "new").claimed():
+        raise RuntimeError
+    (tmp_path / "old").mkdir()
+    with pytest.raises(RuntimeError), RunFolder(tmp_path / "old").claimed():
+        raise RuntimeError
+    assert [p.name for p in tmp_path.iterdir()] == ["old"]
+
+
+def test_a_new_run_overwrites_nothing(run: RunFolder, tmp_path: Path) -> None:
+    assert "holds a run already: continue it with --resume" in error_of(run.must_be_new)
+    foreign = RunFolder(tmp_path)
+    foreign.config_file.write_text('{"editor": {}}', encoding="utf-8")
+    assert "not written by a training" in error_of(foreign.must_be_new)
+
+
+def test_leftovers_of_a_killed_save_are_removed(run: RunFolder) -> None:
+    left = run.path / "checkpoints" / ".step_00000003.safetensors.12.part"
+    other = RunFolder(run.path.with_name("other"))
+    with other.claimed():
+        (other.path / "config.json").touch()
+        moved = other.path / "checkpoints" / left.name
+        moved.touch()
+    with other.claimed():
+        assert not moved.exists()
+
+
+def broken(change: Callable[[dict[str, Any]], object]) -> Callable[[str], str]:
+    def apply(text: str) -> str:
+        config = json.loads(text)
+        change(config)
+        return json.dumps(config)
+
+    return apply
+
+
+@pytest.mark.parametrize(
+    ("breaking", "said"),
+    [
+        (lambda text: "", "config.json"),
+        (lambda text: text[:50], "breaks off or is no JSON"),
+        (lambda text: "[" * 200_000, "config.json"),
+        (broken(lambda c: c.pop("settings")), "settings is None: an object is needed"),
+        (broken(lambda c: c["settings"].pop("load")), "settings.load is None: an object is needed"),
+        (broken(lambda c: c["settings"].pop("seed")), "settings.seed is None: a int is needed"),
+        (broken(lambda c: c["settings"].update(steps="9")), "settings.steps is '9': a int is needed"),
+        (broken(lambda c: c["settings"]["load"].update(downscale=0.5)), "settings.load.downscale is 0.5"),
+        (broken(lambda c: c["settings"].update(wings=2)), "settings.wings is 2: no such setting"),
+        (broken(lambda c: c.update(data=3)), "data is 3: a text is needed"),
+    ],
+)
+def test_a_broken_config_is_named(run: RunFolder, breaking: Callable[[str], str], said: str) -> None:
+    run.config_file.write_text(breaking(run.config_file.read_text(encoding="utf-8")), encoding="utf-8")
+    text = error_of(run.config)
+    assert text.startswith(str(run.config_file))
+    assert said in text
+
+
+def test_a_folder_without_a_run_is_named(tmp_path: Path, run: RunFolder) -> None:
+    assert error_of(RunFolder(tmp_path / "none").config).startswith(f"{tmp_path / 'none'}: not a run: it has no config")
+    for file in run.checkpoints():
+        file.unlink()
+    assert "not a run that can be continued: no checkpoints/*.safetensors in it: train first" in error_of(run.restore)
+
+
+def test_another_scene_is_refused(run: RunFolder) -> None:
+    text = error_of(lambda: run.restore(_mirrored(run)))
+    assert "whose photos, poses or bounds differ from copy's: open that one" in text
+
+
+def _mirrored(run: RunFolder) -> Path:
+    """A copy of the capture in which two photos changed places."""
+    import shutil
+
+    source, _ = run.config()
+    assert source is not None
+    copy = run.path.with_name("copy")
+    shutil.copytree(source, copy)
+    (copy / "train" / "r_0.png").rename(copy / "train" / "tmp.png")
+    (copy / "train" / "r_1.png").rename(copy / "train" / "r_0.png")
+    (copy / "train" / "tmp.png").rename(copy / "train" / "r_1.png")
+    return copy
+
+
+def test_a_moved_dataset_is_taken_from_where_it_is(run: RunFolder) -> None:
+    import shutil
+
+    source, _ = run.config()
+    assert source is not None
+    moved = run.path.with_name("moved")
+    shutil.copytree(source, moved)
+    assert run.restore(moved)[0].step_count == 2
+
+
+def test_options_that_a_run_cannot_change(run: RunFolder, tiny: RunSettings) -> None:
+    must_agree(RunSettings(), run)
+    must_agree(replace(tiny, steps=999, device="cuda"), run)
+    for given, option in [
+        (replace(tiny, seed=5), "--seed"),
+        (replace(tiny, changes={"rays": "9"}), "--set"),
+        (replace(tiny, load=LoadOptions(max_size=8)), "--max-size"),
+    ]:
+        assert error_of(lambda given=given: must_agree(given, run)).startswith(f"{option}: {run.path} was begun with")
+
+
+SAVER = """
+import sys
+from pathlib import Path
+from nerf_core.training import checkpoint
+from nerf_core.training.run_folder import RunFolder
+path, description, state, _ = checkpoint.newest(Path(sys.argv[1]))
+run = RunFolder(Path(sys.argv[1]))
+while True:
+    description["step"] += 1
+    run.save(description, state)
+"""
+
+
+def test_killed_while_saving_a_checkpoint_is_always_there(run: RunFolder) -> None:
+    chance = random.Random(0)
+    for _ in range(5):
+        before = run.checkpoints()[-1]
+        process = subprocess.Popen([sys.executable, "-c", SAVER, str(run.path)])
+        while run.checkpoints()[-1] == before and process.poll() is None:
+            time.sleep(0.001)
+        time.sleep(chance.uniform(0, 0.02))
+        process.kill()
+        assert process.wait() == -signal.SIGKILL
+        _, description, _, rejected = checkpoint.newest(run.path)
+        assert rejected == ()
+        assert description["step"] >= 3

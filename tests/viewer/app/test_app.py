@@ -1,0 +1,776 @@
+"""The whole window, driven by injected input, against a worker that answers in closed form."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+import scripted
+from imgui_bundle import imgui, implot
+from PIL import Image
+
+from nerf_core.common.errors import UserError
+from nerf_core.live.messages import (
+    CancelExport,
+    ExportPath,
+    Inspect,
+    Notice,
+    OpenScene,
+    Pause,
+    Pin,
+    Reset,
+    SaveCheckpoint,
+    Snapshot,
+    StopInspecting,
+    Train,
+    Unpin,
+)
+from nerf_core.probe import Verdict
+from viewer.app.app import App
+from viewer.commands.perform import orbit_export
+from viewer.model.state import (
+    Action,
+    AppState,
+    GoToView,
+    OpenPin,
+    OrbitForm,
+    PinRay,
+    SaveScreenshot,
+    SetPointDepth,
+    UnpinRay,
+)
+from viewer.ui.contract import PANELS, Ui
+from viewer.window import Window
+
+Start = Callable[..., tuple[App, scripted.ScriptedWorker]]
+Offscreen = Callable[..., Window]
+
+
+SIZE = (840, 620)
+
+
+class Clock:
+    """Every look at it is one frame of 60 Hz later."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+
+    def __call__(self) -> float:
+        self.now += 1 / 60
+        return self.now
+
+
+@pytest.fixture
+def start(offscreen: Offscreen) -> Iterator[Start]:
+    apps: list[App] = []
+
+    def open_app(
+        size: tuple[int, int] = SIZE, *, scene: bool = True, **options: object
+    ) -> tuple[App, scripted.ScriptedWorker]:
+        worker = scripted.ScriptedWorker(scripted.make_scene() if scene else None)
+        app = App(offscreen(size), worker, time=Clock(), **options)  # pyright: ignore[reportArgumentType]
+        apps.append(app)
+        app.settle(4)
+        return app, worker
+
+    yield open_app
+    for app in apps:
+        app.close()
+
+
+def middle(app: App) -> tuple[float, float]:
+    left, top, right, bottom = app.widgets["viewport"]
+    return float((left + right) // 2), float((top + bottom) // 2)
+
+
+def rest(app: App) -> None:
+    """Until the camera no longer counts as moving."""
+    app.settle(15)
+
+
+# ---- the picture ----------------------------------------------------------------------------------------------------
+
+
+def test_the_preview_is_shown_pixel_for_pixel(start: Start) -> None:
+    app, worker = start()
+    app.state.show_samples = False
+    rest(app)
+    preview = worker.current.preview
+    assert preview is not None
+    left, top, right, bottom = (int(v) for v in app.widgets["viewport"])
+    assert (preview.camera.width, preview.camera.height) == (right - left, bottom - top) == app.state.viewport
+    np.testing.assert_array_equal(app.pixels()[top:bottom, left:right], preview.rgba[..., :3])
+    assert not app.stale
+
+
+def test_a_drag_orbits_and_warps_until_the_worker_answers(start: Start) -> None:
+    app, worker = start()
+    rest(app)
+    worker.answering = False
+    before = app.state.camera.c2w()
+    x, y = middle(app)
+    app.hand.drag((x, y), (x + 80, y + 10))
+    assert not np.allclose(app.state.camera.c2w(), before)
+    assert app.stale
+    assert not worker.sent  # a drag is never a click
+    worker.answering = True
+    rest(app)
+    assert not app.stale
+
+
+def test_views_are_requested_while_moving_and_once_more_at_rest(start: Start) -> None:
+    app, worker = start()
+    rest(app)
+    count = len(worker.views)
+    rest(app)
+    assert len(worker.views) == count  # nothing changed: nothing is asked for
+    x, y = middle(app)
+    app.hand.drag((x, y), (x + 40, y))
+    rest(app)
+    asked = worker.views[count:]
+    assert [view.moving for view in asked][-2:] == [True, False]
+    assert all(view.moving for view in asked[:-1])
+    stamps = [view.stamp for view in worker.views]
+    assert stamps == sorted(set(stamps))
+    assert (asked[-1].camera.width, asked[-1].camera.height) == app.state.viewport
+
+
+@pytest.mark.parametrize(("button", "shift"), [(1, False), (0, True), (2, False)])
+def test_other_drags_pan(start: Start, button: int, shift: bool) -> None:
+    app, _ = start()
+    x, y = middle(app)
+    rotation = app.state.camera.c2w()[:, :3]
+    eye = app.state.camera.c2w()[:, 3]
+    app.hand.drag((x, y), (x + 50, y), button, shift=shift)
+    np.testing.assert_allclose(app.state.camera.c2w()[:, :3], rotation)
+    assert np.linalg.norm(app.state.camera.c2w()[:, 3] - eye) > 0.01
+
+
+def test_the_wheel_zooms_over_the_viewport_only(start: Start) -> None:
+    app, _ = start()
+    distance = app.state.camera.distance
+    x, y = middle(app)
+    app.hand.wheel(x, y, 2)
+    app.settle()
+    assert app.state.camera.distance < distance
+    distance = app.state.camera.distance
+    app.hand.wheel(SIZE[0] - 20, 400, 2)  # over a panel
+    app.settle()
+    assert app.state.camera.distance == distance
+
+
+# ---- clicks ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("slip", "clicks"), [(0, 1), (4, 1), (5, 0)])
+def test_a_click_is_a_press_and_release_within_4_pixels(start: Start, slip: int, clicks: int) -> None:
+    app, worker = start()
+    x, y = middle(app)
+    app.hand.drag((x, y), (x + slip, y), steps=1)
+    asked = [command for command in worker.sent if isinstance(command, Inspect)]
+    assert len(asked) == clicks
+    if asked:
+        left, top, _, _ = app.widgets["viewport"]
+        assert asked[0].pixel == (int(x - left), int(y - top))  # where it was pressed
+        np.testing.assert_array_equal(asked[0].camera.c2w, app.state.camera.c2w())
+        assert app.state.inspect is asked[0]
+
+
+def test_a_slip_and_return_is_a_drag(start: Start) -> None:
+    app, worker = start()
+    x, y = middle(app)
+    app.hand.move(x, y)
+    app.hand.press()
+    app.hand.move(x + 30, y)
+    app.hand.move(x, y)
+    app.hand.release()
+    app.settle()
+    assert not worker.sent
+
+
+def test_the_ray_is_drawn_where_it_was_clicked(start: Start) -> None:
+    app, _ = start()
+    rest(app)
+    plain = app.pixels()
+    x, y = middle(app)
+    app.hand.click(x, y)
+    app.hand.move(2, 2)
+    changed = (
+        np.abs(app.pixels().astype(int) - plain).max(-1)[int(y) - 30 : int(y) + 30, int(x) - 30 : int(x) + 30] > 30
+    )
+    rows, columns = np.nonzero(changed)
+    assert len(rows) > 20
+    np.testing.assert_allclose([rows.mean() - 30, columns.mean() - 30], 0, atol=3)
+    app.state.show_samples = False
+    app.settle()
+    np.testing.assert_array_equal(
+        app.pixels()[int(y) - 30 : int(y) + 30, int(x)], plain[int(y) - 30 : int(y) + 30, int(x)]
+    )
+
+
+def test_a_double_click_focuses_the_surface_under_it(start: Start) -> None:
+    app, worker = start()
+    rest(app)
+    left, top, _, _ = app.widgets["viewport"]
+    x, y = middle(app)
+    x -= 30
+    preview = worker.current.preview
+    assert preview is not None
+    camera = preview.camera
+    directions, _ = scripted.rays(camera, np.array([x - left]), np.array([y - top]))
+    distance, _ = scripted.trace(camera.c2w[:, 3], directions)
+    app.hand.double_click(x, y)
+    app.settle(30)  # the jump eases
+    expected = camera.c2w[:, 3] + distance[0] * directions[0]
+    np.testing.assert_allclose(app.state.camera.pivot, expected, atol=1e-4)
+    assert sum(isinstance(command, Inspect) for command in worker.sent) == 1  # the second click is part of the first
+
+
+def test_dragging_the_depth_asks_for_the_same_ray_again(start: Start) -> None:
+    app, worker = start()
+    app.perform(SetPointDepth(2.0))
+    assert not worker.sent  # no ray is open
+    app.hand.click(*middle(app))
+    first = app.state.inspect
+    assert first is not None
+    app.perform(SetPointDepth(2.0))
+    assert worker.sent[-1] == replace(first, point_t=2.0)
+    app.perform(SetPointDepth(None))
+    assert worker.sent[-1] == first
+
+
+# ---- keys -----------------------------------------------------------------------------------------------------------
+
+
+def test_space_trains_and_pauses_and_a_dot_makes_one_step(start: Start) -> None:
+    app, worker = start()
+    app.hand.key(imgui.Key.space)
+    app.hand.key(imgui.Key.space)
+    app.hand.key(imgui.Key.period)
+    assert worker.sent == [Train(), Pause(), Train(1)]
+
+
+def test_arrows_walk_through_the_training_photos_and_moving_leaves_them(start: Start) -> None:
+    app, worker = start()
+    scene = worker.current.scene
+    assert scene is not None
+    for expected in (0, 1, 2):
+        app.hand.key(imgui.Key.right_arrow)
+        assert app.state.current_view == expected
+    app.hand.key(imgui.Key.left_arrow)
+    app.settle(30)
+    np.testing.assert_allclose(app.state.camera.c2w(), scene.views[1].camera.c2w, atol=1e-6)
+    x, y = middle(app)
+    app.hand.drag((x, y), (x + 30, y))
+    assert app.state.current_view is None
+
+
+def test_flying_moves_the_eye_while_a_key_is_held(start: Start) -> None:
+    app, _ = start()
+    forward = -app.state.camera.c2w()[:, 2]
+    eye = app.state.camera.c2w()[:, 3]
+    app.hand.hold(imgui.Key.w, 10)
+    moved = app.state.camera.c2w()[:, 3] - eye
+    np.testing.assert_allclose(moved / np.linalg.norm(moved), forward, atol=1e-6)
+
+
+def test_tab_hides_all_but_the_viewport_and_brings_it_back(start: Start) -> None:
+    app, _ = start()
+    small = app.state.viewport
+    app.hand.key(imgui.Key.tab)
+    app.settle()
+    assert app.state.viewport[0] == SIZE[0]
+    app.hand.key(imgui.Key.tab)
+    app.settle()
+    assert app.state.viewport == small
+
+
+def test_tab_leaves_the_tabs_as_they_were(start: Start) -> None:
+    app, _ = start((1280, 800))
+    for title in ("View", "Export"):
+        app.state.raise_panel = title
+        app.settle()
+        front = app._host.in_front
+        assert title in front
+        app.hand.key(imgui.Key.tab)
+        app.settle()
+        app.hand.key(imgui.Key.tab)
+        app.settle(5)
+        assert app._host.in_front == front
+
+
+@pytest.mark.parametrize("hidden", [False, True])
+def test_ctrl_e_shows_where_the_export_can_be_watched(start: Start, hidden: bool) -> None:
+    app, _ = start((1280, 800))
+    app.state.orbit.file = "turn"
+    assert "Export" not in app._host.in_front
+    if hidden:
+        app.hand.key(imgui.Key.tab)
+    app.hand.key(imgui.Key.e, ctrl=True)
+    app.settle(5)
+    assert "Export" in app._host.in_front
+
+
+def test_ctrl_o_finds_the_path_field_although_the_panels_are_hidden(start: Start) -> None:
+    app, _ = start((1280, 800))
+    app.hand.key(imgui.Key.tab)
+    app.hand.key(imgui.Key.o, ctrl=True)
+    app.settle(5)
+    assert imgui.get_io().want_text_input
+    app.hand.type_text("/data")
+    assert app.state.open_path == "/data"
+
+
+@pytest.mark.parametrize("name", [".", "/", "~nobody-of-this-name/x.mp4"])
+def test_a_name_that_is_no_file_is_told(start: Start, name: str) -> None:
+    app, worker = start()
+    app.state.orbit.file = name
+    app.hand.key(imgui.Key.e, ctrl=True)
+    app.settle()
+    assert not worker.sent
+    assert [n.notice.level for n in app.state.notices] == ["error"]
+
+
+@pytest.mark.parametrize("letter_first", [True, False])
+def test_a_chord_that_is_over_before_the_next_frame_counts(start: Start, letter_first: bool) -> None:
+    """Both keys go down and up between two frames, as from a script or under a slow machine's load."""
+    app, worker = start()
+    io, place = imgui.get_io(), app.state.camera.c2w().copy()
+    up = [imgui.Key.s, imgui.Key.left_ctrl, imgui.Key.mod_ctrl]
+    for key in (imgui.Key.left_ctrl, imgui.Key.mod_ctrl, imgui.Key.s):
+        io.add_key_event(key, True)
+    for key in up if letter_first else reversed(up):
+        io.add_key_event(key, False)
+    app.settle(6)
+    assert [type(c) for c in worker.sent] == [SaveCheckpoint]
+    np.testing.assert_array_equal(app.state.camera.c2w(), place)
+
+
+def test_a_chord_whose_ctrl_came_a_frame_before_and_was_let_go_first_counts(start: Start) -> None:
+    app, worker = start()
+    io, place = imgui.get_io(), app.state.camera.c2w().copy()
+    for key in (imgui.Key.left_ctrl, imgui.Key.mod_ctrl):
+        io.add_key_event(key, True)
+    app.settle(1)
+    io.add_key_event(imgui.Key.s, True)
+    for key in (imgui.Key.mod_ctrl, imgui.Key.left_ctrl, imgui.Key.s):
+        io.add_key_event(key, False)
+    app.settle(6)
+    assert [type(c) for c in worker.sent] == [SaveCheckpoint]
+    np.testing.assert_array_equal(app.state.camera.c2w(), place)
+
+
+def test_saving_without_a_name_takes_one_that_no_file_has(
+    start: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    app, worker = start()
+    assert app.state.snapshot.scene is not None
+    name = app.state.snapshot.scene.name
+    Path(f"{name}.safetensors").touch()
+    for _ in range(2):
+        app.hand.key(imgui.Key.s, ctrl=True)
+    assert worker.sent == [SaveCheckpoint(Path(f"{name}-2.safetensors"))] * 2  # its own file is written again
+    assert app.state.checkpoint_file == f"{name}-2.safetensors"
+
+
+def test_escape_closes_a_menu_before_the_ray(start: Start) -> None:
+    app, worker = start()
+    left, top, right, bottom = app.widgets["viewport"]
+    app.hand.click((left + right) / 2, (top + bottom) / 2)
+    assert app.state.inspect is not None
+    app.hand.click(20, 10)  # the menu File
+    assert imgui.is_popup_open("", imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level)
+    app.hand.key(imgui.Key.escape)
+    assert not imgui.is_popup_open("", imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level)
+    assert app.state.inspect is not None
+    app.hand.key(imgui.Key.escape)
+    assert app.state.inspect is None
+    assert isinstance(worker.sent[-1], StopInspecting)
+
+
+def test_ctrl_s_and_ctrl_e_save_and_export(start: Start) -> None:
+    app, worker = start()
+    app.state.checkpoint_file = "kept.safetensors"
+    app.state.orbit.frames, app.state.orbit.file = 5, "turn.mp4"
+    app.hand.key(imgui.Key.s, ctrl=True)
+    app.hand.key(imgui.Key.e, ctrl=True)
+    save, export = worker.sent
+    assert save == SaveCheckpoint(Path("kept.safetensors"))
+    assert isinstance(export, ExportPath)
+    assert (len(export.cameras), export.fps, export.file) == (5, 30.0, Path("turn.mp4"))
+    assert (export.cameras[0].width, export.cameras[0].height) == (40, 30)  # the training photos' size
+
+
+def test_a_text_field_has_its_keys_to_itself(start: Start) -> None:
+    app, worker = start((1000, 1200))
+    app.hand.key(imgui.Key.o, ctrl=True)  # puts the keyboard into the path's field
+    app.settle()
+    assert imgui.get_io().want_text_input
+    eye = app.state.camera.c2w()
+    app.hand.type_text("/data/w")
+    app.hand.key(imgui.Key.space)
+    app.hand.hold(imgui.Key.w, 3)
+    assert app.state.open_path == "/data/w"
+    assert not worker.sent
+    np.testing.assert_array_equal(app.state.camera.c2w(), eye)
+    app.hand.key(imgui.Key.enter)
+    app.settle()
+    asked = [command for command in worker.sent if isinstance(command, OpenScene)]
+    confirmed = app.widgets.get("scene.open_confirm")  # opening forgets 100 steps: the panel asks first
+    assert asked or confirmed
+
+
+# ---- what goes wrong ------------------------------------------------------------------------------------------------
+
+
+class Faulty:
+    title = "Faulty"
+    dock: Literal["right"] = "right"
+    order = 0
+    broken = True
+
+    def draw(self, ui: Ui, state: AppState) -> list[Action]:
+        imgui.begin_child("left open")
+        imgui.push_style_color(imgui.Col_.text, ui.theme.error)
+        implot.begin_plot("left open too")
+        if self.broken:
+            raise RuntimeError("no luck")
+        implot.end_plot()
+        imgui.pop_style_color()
+        imgui.end_child()
+        return []
+
+
+class Sound:
+    title = "Sound"
+    dock: Literal["right"] = "right"
+    order = 1
+    drawn = 0
+
+    def draw(self, ui: Ui, state: AppState) -> list[Action]:
+        self.drawn += 1
+        if implot.begin_plot("mine"):
+            implot.end_plot()
+        imgui.button("Cancel")
+        ui.mark("sound.cancel")
+        return [CancelExport()] if imgui.is_item_clicked() else []
+
+
+def test_a_panel_that_fails_tells_once_and_spares_the_others(start: Start) -> None:
+    faulty, sound = Faulty(), Sound()
+    app, worker = start(panels=[faulty, sound])
+    drawn = sound.drawn
+    app.settle(10)
+    assert sound.drawn == drawn + 10
+    told = [shown.notice for shown in app.state.notices]
+    assert len(told) == 1
+    assert told[0].level == "error"
+    assert "the panel Faulty failed (RuntimeError: no luck)" in told[0].text
+    assert "Traceback" in told[0].detail
+    left, top, right, bottom = app.widgets["sound.cancel"]
+    app.hand.click((left + right) / 2, (top + bottom) / 2)
+    assert worker.sent == [CancelExport()]
+    faulty.broken = False
+    left, top, right, bottom = app.widgets["Faulty.retry"]
+    app.hand.click((left + right) / 2, (top + bottom) / 2)
+    app.settle()
+    assert "Faulty.retry" not in app.widgets
+
+
+def test_the_workers_notices_are_kept_with_their_time(start: Start) -> None:
+    app, worker = start()
+    worker.waiting_notices = [Notice("warning", "3 images are missing")]
+    app.frame()
+    assert app.state.notices[-1].notice.text == "3 images are missing"
+    assert app.state.notices[-1].born == app.state.time
+
+
+def test_an_impossible_orbit_is_a_notice(start: Start) -> None:
+    app, worker = start()
+    app.state.orbit.file = " "
+    app.hand.key(imgui.Key.e, ctrl=True)
+    assert not worker.sent
+    assert app.state.notices[-1].notice == Notice("error", "the orbit has no file name: give one that ends in .mp4")
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [("radius", -1.0, "radius of -1"), ("elevation_degrees", 100.0, "elevation of 100"), ("fps", 0.0, "0 frames")],
+)
+def test_export_forms_are_checked(field: str, value: float, words: str) -> None:
+    with pytest.raises(UserError, match=words):
+        orbit_export(scripted.make_scene(), replace(OrbitForm(), **{field: value}))
+
+
+def test_a_screenshot_that_cannot_be_written_is_a_notice(start: Start, tmp_path: Path) -> None:
+    app, _ = start()
+    app.perform(SaveScreenshot(tmp_path / "shot.png"))
+    app.settle(1)
+    with Image.open(tmp_path / "shot.png") as image:
+        assert image.size == SIZE
+    app.perform(SaveScreenshot(tmp_path / "shot.png" / "below.png"))
+    app.settle(1)
+    assert [shown.notice.level for shown in app.state.notices] == ["info", "error"]
+
+
+@pytest.mark.parametrize("size", [(0, 0), (1, 1), (60, 40), (320, 200), (2600, 300)])
+def test_no_size_is_too_odd(start: Start, size: tuple[int, int]) -> None:
+    app, _ = start()
+    app.window.resize(*size)
+    app.settle(4)
+    assert app.frame(force=True) == (size != (0, 0))
+    app.window.resize(900, 600)
+    app.settle(4)
+    assert app.state.viewport[0] > 100
+
+
+@pytest.mark.parametrize("status", ["empty", "loading", "ready", "training", "paused", "finished", "failed"])
+def test_every_state_draws_with_and_without_a_scene(start: Start, status: str) -> None:
+    app, worker = start(scene=False)
+    worker.current = replace(Snapshot(), status=status, loading="loading photos: 3 of 10")  # pyright: ignore[reportArgumentType]
+    app.settle()
+    worker.current = replace(scripted.ScriptedWorker(scripted.make_scene()).current, status=status)
+    app.settle()
+    assert not app.state.notices
+
+
+def test_a_new_scene_closes_the_ray_and_moves_the_camera(start: Start) -> None:
+    app, worker = start()
+    home = app.state.camera.c2w()
+    app.hand.click(*middle(app))
+    app.perform(GoToView(1))
+    app.settle(30)
+    assert not np.allclose(app.state.camera.c2w(), home)
+    worker.current = replace(worker.current, loaded=2, opened=None)
+    app.settle()
+    assert app.state.inspect is None
+    assert app.state.current_view is None
+    np.testing.assert_allclose(app.state.camera.c2w(), home)
+
+
+# ---- frames ---------------------------------------------------------------------------------------------------------
+
+
+def test_an_idle_window_draws_nothing(start: Start) -> None:
+    app, _ = start()
+    app.settle(5)
+    drew = [app.frame() for _ in range(180)]  # three seconds
+    assert any(drew[:60])  # what the last input left to settle
+    assert not any(drew[90:])
+
+
+def test_live_figures_are_drawn_seldom(start: Start) -> None:
+    app, worker = start()
+    for _ in range(90):
+        app.frame()
+    drew = 0
+    for k in range(240):
+        worker.current = replace(worker.current, step=200 + k)
+        drew += app.frame()
+    assert 3 <= drew <= 10  # offscreen, in 4 to 8 seconds of the clock, which also moves when the app looks twice
+
+
+def test_both_kinds_of_window_show_the_same(window: Window) -> None:
+    for _ in range(10):
+        window.poll(0.01)
+    worker = scripted.ScriptedWorker(scripted.make_scene())
+    app = App(window, worker, time=Clock())
+    app.settle(4)
+    assert app.state.has_display == window.has_display
+    left, top, right, bottom = (int(v) for v in app.widgets["viewport"])
+    app.hand.drag((left + 50, top + 50), (left + 80, top + 60))
+    app.settle(15)
+    assert worker.current.preview is not None
+    shown = app.pixels()[top:bottom, left:right]
+    app.close()
+    np.testing.assert_array_equal(shown, worker.current.preview.rgba[..., :3])
+
+
+def test_run_ends_when_asked_or_closed(start: Start) -> None:
+    app, _ = start()
+    turns = iter(range(100))
+    app.run(until=lambda: next(turns) == 5)
+    assert next(turns) == 6
+    app.window.request_close()
+    app.run()
+
+
+def test_reset_asks_first(start: Start) -> None:
+    app, worker = start()
+    for name in ("bar.reset", "bar.reset_confirm"):
+        left, top, right, bottom = app.widgets[name]
+        assert not worker.sent
+        app.hand.click((left + right) / 2, (top + bottom) / 2)
+    assert worker.sent == [Reset()]
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.5, 3.0])
+def test_lengths_follow_the_scale(offscreen: Offscreen, scale: float) -> None:
+    width, height = round(1000 * scale), round(700 * scale)
+    app = App(offscreen((width, height), scale), scripted.ScriptedWorker(scripted.make_scene()), time=Clock())
+    app.settle(5)
+    left, top, right, bottom = (v / scale for v in app.widgets["viewport"])
+    app.close()
+    np.testing.assert_allclose([left, top, right, bottom], [0, 22, 655, 413], atol=14)
+
+
+def test_every_registered_panel_was_drawn(start: Start) -> None:
+    app, _ = start((1600, 1000))
+    app.hand.click(*middle(app))
+    app.settle()
+    assert PANELS.names()
+    assert not app.state.notices  # a panel that fails would have told
+
+
+# ---- pinned rays --------------------------------------------------------------------------------------------------
+
+
+def test_ctrl_click_pins_a_ray_which_stays_while_the_camera_moves(start: Start) -> None:
+    app, worker = start()
+    x, y = middle(app)
+    imgui.get_io().add_key_event(imgui.Key.mod_ctrl, True)
+    app.hand.click(x, y)
+    imgui.get_io().add_key_event(imgui.Key.mod_ctrl, False)
+    app.settle()
+    (pin,) = app.state.pins
+    assert [command for command in worker.sent if isinstance(command, Pin)] == [
+        Pin(pin.id, pin.ray.camera, pin.ray.pixel)
+    ]
+    before = pin.ray.camera.c2w.copy()
+    app.state.camera.orbit(80, 10, 600)
+    app.hand.click(x + 60, y)
+    app.settle()
+    np.testing.assert_array_equal(app.state.pins[0].ray.camera.c2w, before)
+    assert app.state.inspect is not None
+    assert app.state.inspect.pixel != pin.ray.pixel
+    app.perform(OpenPin(pin.id))
+    assert app.state.inspect is pin.ray
+    app.perform(UnpinRay(pin.id))
+    assert (app.state.pins, worker.sent[-1]) == ([], Unpin(pin.id))
+
+
+def test_pins_that_are_shown_are_named_in_the_picture(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    named: list[str] = []
+    monkeypatch.setattr("viewer.draw.overlays.Overlay._tag", lambda self, box, text, *style: named.append(text))
+    app, _ = start()
+    app.perform(PinRay(Inspect(app.state.camera.camera(80, 60), (40, 30))))
+    app.perform(PinRay(Inspect(app.state.camera.camera(80, 60), (20, 30))))
+    app.state.pins[1].hidden = True
+    app.settle(1)
+    named.clear()
+    app.settle(1)
+    assert named == ["ray 1"]
+
+
+def test_what_the_demo_pins_out_of_sight_gives_way_to_a_hand(start: Start) -> None:
+    app, worker = start()
+    ray = Inspect(app.state.camera.camera(80, 60), (40, 30))
+    for name, hidden in (("vase", True), ("glossy ball", False), ("past the ball", True)):
+        app.perform(PinRay(ray))
+        app.state.pins[-1].name, app.state.pins[-1].hidden = name, hidden
+    for _ in range(7):
+        app.perform(PinRay(ray))
+    assert [pin.name for pin in app.state.pins] == ["glossy ball", *(f"ray {k}" for k in range(4, 11))]
+    assert [command.id for command in worker.sent if isinstance(command, Unpin)] == [3, 1]
+    app.perform(PinRay(ray))
+    assert len(app.state.pins) == 8
+    assert "8 rays are pinned already" in app.state.notices[-1].notice.text
+
+
+def test_what_a_notice_tells_of_is_there_when_it_is_read(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The worker publishes before it tells; whoever read the state before the notices would miss it by a frame."""
+    app, worker = start()
+    told = Notice("info", "loaded")
+
+    def published_and_told() -> list[Notice]:
+        worker.current = replace(worker.current, step=77)
+        return [told]
+
+    monkeypatch.setattr(worker, "notices", published_and_told)
+    steps: list[int] = []
+    monkeypatch.setattr(app._actions, "tell", lambda notice: steps.append(app.state.snapshot.step))
+    app._read()
+    assert steps == [77]
+
+
+def test_a_checkpoint_carries_the_pins(start: Start) -> None:
+    app, worker = start()
+    app.perform(PinRay(Inspect(app.state.camera.camera(100, 80), (40, 30))))
+    app.perform(SaveCheckpoint(Path("a.safetensors")))
+    saved = worker.sent[-1]
+    assert isinstance(saved, SaveCheckpoint)
+    app.perform(UnpinRay(app.state.pins[0].id))
+    worker.current = replace(worker.current, session=json.loads(json.dumps(saved.session)))
+    app.settle()
+    (pin,) = app.state.pins
+    assert pin.ray.pixel == (40, 30)
+    assert isinstance(worker.sent[-1], Pin)
+    worker.current = replace(worker.current, session={"pins": "hostile"})
+    app.settle()
+    assert len(app.state.pins) == 1
+    assert "cannot be read" in app.state.notices[-1].notice.text
+
+
+def test_the_presses_of_a_double_click_may_be_some_pixels_apart(start: Start) -> None:
+    app, worker = start()
+    rest(app)
+    app._focus_behind = lambda: None  # pyright: ignore[reportAttributeAccessIssue]  the verdict is still to come
+    x, y = middle(app)
+    app.hand.click(x, y)
+    app.hand.click(x + 2, y - 1)
+    assert sum(isinstance(command, Inspect) for command in worker.sent) == 1
+    assert app.state.focus is not None
+    assert app.state.focus is app.state.inspect
+
+
+def test_a_double_click_opens_a_ray_where_its_first_press_did_not(start: Start) -> None:
+    """That press closed a menu, say."""
+    app, worker = start()
+    rest(app)
+    app._focus_behind = lambda: None  # pyright: ignore[reportAttributeAccessIssue]
+    x, y = middle(app)
+    app.hand.click(x, y)
+    app.state.inspect = None
+    app.hand.click(x, y)
+    assert sum(isinstance(command, Inspect) for command in worker.sent) == 2
+    assert app.state.focus is not None
+    assert app.state.focus is app.state.inspect
+
+
+@pytest.mark.parametrize("kind", ["floater", "several surfaces"])
+def test_a_double_click_lands_where_the_verdict_has_the_surface(
+    start: Start, kind: Literal["floater", "several surfaces"]
+) -> None:
+    app, worker = start()
+    x, y = middle(app)
+    app.hand.double_click(x, y)
+    app.settle()
+    opened = worker.current.opened
+    assert opened is not None
+    assert app.state.focus is None  # the verdict, a surface, has come already
+    app.state.focus = app.state.inspect
+    worker.current = replace(worker.current, opened=replace(opened, verdict=Verdict(kind, ("one layer",), 7.5, ())))
+    app.settle(40)  # the camera eases there
+    np.testing.assert_allclose(app.state.camera.pivot, opened.ray.origin + 7.5 * opened.ray.direction, atol=1e-4)
+    app.state.focus = app.state.inspect
+    app.state.camera.orbit(80, 10, 600)  # who goes on meanwhile is not called back
+    pivot = app.state.camera.pivot.copy()
+    app.settle(40)
+    assert app.state.focus is None
+    np.testing.assert_array_equal(app.state.camera.pivot, pivot)
+
+
+def test_a_render_mode_is_asked_for_with_a_key(start: Start) -> None:
+    app, worker = start()
+    app.hand.key(imgui.Key._2)
+    app.settle()
+    assert worker.views[-1].mode == "view-dependence"
+    app.hand.key(imgui.Key._1)
+    app.settle()
+    assert worker.views[-1].mode == "colour"

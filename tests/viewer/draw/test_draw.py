@@ -1,0 +1,452 @@
+"""What reaches the pixels: imgui's lists, the preview, its warp, and lines in space."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scripted
+from imgui_bundle import ImVec2, ImVec4, imgui
+from panel_states import make_camera, make_ray
+
+from nerf_core.geometry.cameras import Camera
+from nerf_core.live.messages import Preview, ViewRequest
+from viewer.draw.imgui_renderer import ImguiRenderer
+from viewer.draw.overlays import Box, Overlay, axis_directions, clear_of, clip_segments, frusta, uncovered
+from viewer.draw.textures import TextureCache
+from viewer.draw.viewport import ViewportPicture, warp_mesh
+from viewer.window import Window
+
+BLACK = (0.0, 0.0, 0.0)
+Draw = Callable[[imgui.ImDrawList], None]
+
+
+@pytest.fixture
+def canvas(offscreen: Callable[..., Window], imgui_context: None) -> Iterator[tuple[Window, ImguiRenderer]]:
+    window = offscreen((200, 150))
+    renderer = ImguiRenderer(window.context)
+    imgui.get_io().display_size = ImVec2(200, 150)
+    yield window, renderer
+    renderer.release()
+
+
+def paint(canvas: tuple[Window, ImguiRenderer], draw: Draw) -> np.ndarray:
+    window, renderer = canvas
+    imgui.new_frame()
+    draw(imgui.get_foreground_draw_list())
+    imgui.render()
+    window.framebuffer.use()
+    window.framebuffer.clear(0.0, 0.0, 0.0, 1.0)
+    renderer.render(imgui.get_draw_data(), window.framebuffer)
+    return window.read_pixels()
+
+
+def rgba(red: int, green: int, blue: int, alpha: int = 255) -> int:
+    return red | green << 8 | blue << 16 | alpha << 24
+
+
+def test_a_rectangle_fills_exactly_its_pixels(canvas: tuple[Window, ImguiRenderer]) -> None:
+    imgui.get_style().anti_aliased_fill = False
+
+    def draw(lists: imgui.ImDrawList) -> None:
+        lists.add_rect_filled(ImVec2(10, 20), ImVec2(30, 25), rgba(200, 100, 50))
+
+    expected = np.zeros((150, 200, 3), np.uint8)
+    expected[20:25, 10:30] = [200, 100, 50]
+    np.testing.assert_array_equal(paint(canvas, draw), expected)
+
+
+def test_alpha_blends_over_what_is_there(canvas: tuple[Window, ImguiRenderer]) -> None:
+    def draw(lists: imgui.ImDrawList) -> None:
+        lists.add_rect_filled(ImVec2(0, 0), ImVec2(200, 100), rgba(255, 255, 255))
+        lists.add_rect_filled(ImVec2(0, 0), ImVec2(200, 100), rgba(255, 0, 0, 51))
+
+    np.testing.assert_allclose(paint(canvas, draw)[50, 100], [255, 204, 204], atol=1)
+
+
+def test_clip_rectangles_cut(canvas: tuple[Window, ImguiRenderer]) -> None:
+    def draw(lists: imgui.ImDrawList) -> None:
+        lists.push_clip_rect(ImVec2(40, 10), ImVec2(60, 30))
+        lists.add_rect_filled(ImVec2(0, 0), ImVec2(200, 100), rgba(0, 255, 0))
+        lists.pop_clip_rect()
+
+    lit = paint(canvas, draw)[..., 1] > 0
+    assert lit[10:30, 40:60].all()
+    assert lit.sum() == 20 * 20
+
+
+def test_textures_stand_upright_and_update_only_for_a_new_array(canvas: tuple[Window, ImguiRenderer]) -> None:
+    cache = TextureCache(canvas[1])
+    image = np.zeros((2, 2, 4), np.uint8)
+    image[..., 3] = 255
+    image[0, 0, 0], image[0, 1, 1], image[1, 0, 2] = 255, 255, 255  # red, green / blue, black
+
+    def draw(lists: imgui.ImDrawList) -> None:
+        lists.add_image(cache.get("picture", image, smooth=False), ImVec2(0, 0), ImVec2(20, 20))
+
+    pixels = paint(canvas, draw)
+    np.testing.assert_array_equal(pixels[5, 5], [255, 0, 0])
+    np.testing.assert_array_equal(pixels[5, 15], [0, 255, 0])
+    np.testing.assert_array_equal(pixels[15, 5], [0, 0, 255])
+    image[0, 0] = [9, 9, 9, 255]
+    np.testing.assert_array_equal(paint(canvas, draw)[5, 5], [255, 0, 0])  # the same object: not looked at again
+    image = image.copy()
+    np.testing.assert_array_equal(paint(canvas, draw)[5, 5], [9, 9, 9])
+    image = np.full((3, 5, 4), 77, np.uint8)
+    image[..., 3] = 255
+    cache.begin_frame()
+    np.testing.assert_array_equal(paint(canvas, draw)[5, 5], [77, 77, 77])
+    cache.release()
+
+
+def test_one_name_with_two_sizes_in_a_frame_draws_both(canvas: tuple[Window, ImguiRenderer]) -> None:
+    cache = TextureCache(canvas[1])
+    small, large = np.full((1, 1, 4), 255, np.uint8), np.full((4, 4, 4), 255, np.uint8)
+
+    def draw(lists: imgui.ImDrawList) -> None:
+        lists.add_image(cache.get("x", small), ImVec2(0, 0), ImVec2(10, 10))
+        lists.add_image(cache.get("x", large), ImVec2(20, 0), ImVec2(30, 10))
+
+    pixels = paint(canvas, draw)
+    assert (pixels[5, 5] == 255).all()
+    assert (pixels[5, 25] == 255).all()
+    cache.release()
+
+
+@pytest.mark.parametrize("bad", [np.zeros((2, 2, 3), np.uint8), np.zeros((2, 2, 4)), np.zeros((0, 2, 4), np.uint8)])
+def test_textures_of_another_kind_are_refused(canvas: tuple[Window, ImguiRenderer], bad: np.ndarray) -> None:
+    with pytest.raises(ValueError, match=r"texture 'bad': got .* wants uint8 \(h, w, 4\)"):
+        TextureCache(canvas[1]).get("bad", bad)
+
+
+def test_text_draws_through_texture_updates(canvas: tuple[Window, ImguiRenderer]) -> None:
+    def write(words: str) -> np.ndarray:
+        return paint(canvas, lambda lists: lists.add_text(ImVec2(5, 5), rgba(255, 255, 255), words))
+
+    assert write("first")[..., 0].max() == 255
+    later = write("gjQ@%")  # letters that the atlas has not held before
+    assert later[..., 0].max() == 255
+    assert (later == 0).mean() > 0.8  # letters, not boxes
+
+
+# ---- the preview -------------------------------------------------------------------------------------------------
+
+
+def gradient(camera: Camera, stride: int) -> Preview:
+    """Red = column, green = row of the pixel at which each texel was computed."""
+    y, x = np.mgrid[: camera.height : stride, : camera.width : stride]
+    image = np.stack([x, y, np.full_like(x, 7), np.full_like(x, 255)], -1).astype(np.uint8)
+    return Preview(1, camera, image, np.full(x.shape, 4.0, np.float32), stride, True, 0, "fine")
+
+
+def read(picture: ViewportPicture) -> np.ndarray:
+    """The warped picture."""
+    texture = picture.shown.texture
+    return np.frombuffer(texture.read(), np.uint8).reshape(texture.height, texture.width, 4)[..., :3].astype(int)
+
+
+def on_screen(canvas: tuple[Window, ImguiRenderer], picture: ViewportPicture, camera: Camera) -> np.ndarray:
+    """The picture as imgui puts it on the screen."""
+
+    def draw(lists: imgui.ImDrawList) -> None:
+        texture, first, last = picture.shown
+        far = ImVec2(camera.width, camera.height)
+        lists.add_image(canvas[1].add(texture, opaque=True), ImVec2(0, 0), far, ImVec2(*first), ImVec2(*last))
+
+    return paint(canvas, draw)[: camera.height, : camera.width].astype(int)
+
+
+@pytest.fixture
+def picture(canvas: tuple[Window, ImguiRenderer]) -> Iterator[ViewportPicture]:
+    found = ViewportPicture(canvas[0].context)
+    yield found
+    found.release()
+
+
+CAMERA = scripted.pinhole(200, 150, (4.0, 1.0, 2.0), (0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("stride", [1, 2, 4, 8, 16])
+def test_every_texel_lands_on_its_pixel(
+    canvas: tuple[Window, ImguiRenderer], picture: ViewportPicture, stride: int
+) -> None:
+    preview = gradient(CAMERA, stride)
+    assert not picture.draw(preview, CAMERA, BLACK)
+    shown = on_screen(canvas, picture, CAMERA)
+    assert shown.shape == (150, 200, 3)
+    off = np.abs(shown[::stride, ::stride] - preview.rgba[..., :3]).max()
+    assert off <= (0 if stride == 1 else 1)
+    y, x = np.mgrid[:150, :200]
+    inner = (x <= (preview.rgba.shape[1] - 1) * stride) & (y <= (preview.rgba.shape[0] - 1) * stride)
+    np.testing.assert_allclose(shown[..., 0][inner], x[inner], atol=1)  # linear in between
+    np.testing.assert_allclose(shown[..., 1][inner], y[inner], atol=1)
+
+
+@pytest.mark.parametrize("stride", [1, 3])
+def test_a_warp_to_the_same_camera_changes_nothing_but_the_tint(
+    canvas: tuple[Window, ImguiRenderer], picture: ViewportPicture, stride: int
+) -> None:
+    preview = scripted.render(ViewRequest(1, CAMERA, False), stride)
+    grey = preview.rgba.copy()
+    grey[..., :3] = preview.rgba[..., :3].mean(-1, keepdims=True).astype(np.uint8)  # without hue, paler is the same
+    preview = replace(preview, rgba=grey)
+    picture.draw(preview, CAMERA, (1.0, 1.0, 1.0))
+    flat = on_screen(canvas, picture, CAMERA)
+    picture.draw_warped(preview, CAMERA, (1.0, 1.0, 1.0))
+    warped = read(picture)
+    hit = np.isfinite(scripted.render(ViewRequest(1, CAMERA, False)).depth)
+    off = np.abs(flat - warped).max(-1)
+    assert np.quantile(off[hit], 0.97) <= 2  # all but the edges, whose triangles take one side's colour
+    assert off[hit].mean() < 2
+
+
+def test_a_warp_moves_a_point_to_where_it_projects(picture: ViewportPicture) -> None:
+    preview = scripted.render(ViewRequest(1, CAMERA, False))
+    spot = np.array([0.0, 0.0, 1.0])  # the top of the ball, marked in the old image
+    before, _z = CAMERA.project(spot[None])
+    column, row = np.floor(before[0]).astype(int)
+    marked = preview.rgba.copy()
+    marked[...] = [90, 90, 90, 255]
+    marked[row - 2 : row + 3, column - 2 : column + 3] = [255, 255, 255, 255]
+    assert np.isfinite(preview.depth[row + 1, column])
+    moved = scripted.pinhole(200, 150, (3.7, 1.4, 2.3), (0.0, 0.6, 0.2))
+    assert picture.draw(replace(preview, rgba=marked), moved, BLACK)
+    lit = np.argwhere(read(picture)[..., 0] > 170)
+    after = moved.project(spot[None])[0][0]
+    assert np.linalg.norm(after - before[0]) > 6  # it had to move
+    np.testing.assert_allclose(lit.mean(0)[::-1] + 0.5, after, atol=2.0)
+
+
+def test_a_nearer_surface_hides_a_farther_one_after_the_warp(picture: ViewportPicture) -> None:
+    camera = Camera(100, 100, 100.0, 100.0, 50.0, 50.0, np.eye(4)[:3])
+    depth = np.full((100, 100), 10.0, np.float32)
+    depth[:, 40:60] = 2.0
+    image = np.full((100, 100, 4), 255, np.uint8)
+    image[..., :3] = 50
+    image[:, 40:60, :3] = 200
+    preview = Preview(1, camera, image, depth, 1, True, 0, "fine")
+    shifted = camera.moved(np.column_stack([np.eye(3), [-0.4, 0.0, 0.0]]))  # near moves by 20 pixels, far by 4
+    picture.draw(preview, shifted, BLACK)
+    row = read(picture)[50, :, 0]
+    assert (row[63:77] == 200).all()
+    assert (row[10:58] == 50).all()  # what comes to light takes the far surface's colour, not a smear of both
+    assert (row[85:100] == 50).all()
+
+
+def test_what_was_not_hit_stays_background(picture: ViewportPicture) -> None:
+    preview = gradient(CAMERA, 1)
+    preview.depth[:] = np.nan
+    assert picture.draw(preview, scripted.pinhole(200, 150, (4.0, 1.1, 2.0), (0, 0, 0)), (0.5, 0.5, 0.5))
+    assert (read(picture) == 128).all()
+    assert not len(warp_mesh(preview)[1])
+
+
+def test_the_warp_follows_a_new_window_size(picture: ViewportPicture) -> None:
+    preview = scripted.render(ViewRequest(1, CAMERA, False))
+    larger = CAMERA.resized(400, 300)
+    assert picture.draw(preview, larger, (1.0, 1.0, 1.0))
+    assert read(picture).shape == (300, 400, 3)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (5, 1), (300, 2)])
+def test_tiny_previews_have_a_mesh(shape: tuple[int, int]) -> None:
+    camera = Camera(shape[1], shape[0], 10.0, 10.0, shape[1] / 2, shape[0] / 2, np.eye(4)[:3])
+    depth = np.full(shape, 3.0, np.float32)
+    points, triangles = warp_mesh(Preview(1, camera, np.zeros((*shape, 4), np.uint8), depth, 1, True, 0, "fine"))
+    assert points[:, 0].max() == shape[1]
+    assert points[:, 1].max() == shape[0]
+    assert len(triangles) >= 2
+
+
+# ---- lines in space ------------------------------------------------------------------------------------------------
+
+
+def test_a_line_through_the_eye_is_cut_at_the_near_plane() -> None:
+    camera = Camera(100, 100, 100.0, 100.0, 50.0, 50.0, np.eye(4)[:3])
+    start, end = np.array([[0.1, 0.0, 5.0]]), np.array([[0.1, 0.0, -5.0]])  # from behind the eye to before it
+    a, b, visible = clip_segments(camera, start, end, near=0.5)
+    assert visible[0]
+    np.testing.assert_allclose(a[0], [50 + 100 * 0.1 / 0.5, 50])
+    np.testing.assert_allclose(b[0], [50 + 100 * 0.1 / 5, 50])
+
+
+def test_clipped_lines_stay_in_the_picture_and_on_themselves() -> None:
+    rng = np.random.default_rng(0)
+    starts, ends = rng.normal(size=(2, 500, 3)) * 4
+    camera = scripted.pinhole(200, 150, (1.0, 0.5, 0.3), (0, 0, 0))
+    a, b, visible = clip_segments(camera, starts, ends, near=0.01)
+    assert 50 < visible.sum() < 500
+    for p in (a[visible], b[visible]):
+        assert (p >= -1e-6).all()
+        assert (p <= [200 + 1e-6, 150 + 1e-6]).all()
+    for k in np.flatnonzero(visible):  # every visible sample of the line lies on what is drawn of it
+        points = starts[k] + np.linspace(0, 1, 50)[:, None] * (ends[k] - starts[k])
+        pixels, z = camera.project(points)
+        inside = (z > 0.011) & (pixels > 0).all(-1) & (pixels < [200, 150]).all(-1)
+        way = b[k] - a[k]
+        length = np.linalg.norm(way)
+        if length < 1e-3:
+            continue
+        across = np.abs((pixels - a[k]) @ np.array([-way[1], way[0]]) / length)
+        along = (pixels - a[k]) @ way / length
+        assert (across[inside] < 1e-3).all()
+        assert ((along[inside] > -1e-3) & (along[inside] < length + 1e-3)).all()
+
+
+def test_lines_behind_the_eye_are_not_drawn() -> None:
+    camera = Camera(100, 100, 100.0, 100.0, 50.0, 50.0, np.eye(4)[:3])
+    assert not clip_segments(camera, np.array([[0.0, 0, 1]]), np.array([[1.0, 0, 2]]), 0.1)[2][0]
+
+
+def test_a_frustum_spans_what_its_camera_sees() -> None:
+    starts, ends = frusta([CAMERA], 0.5)
+    assert starts.shape == ends.shape == (8, 3)
+    np.testing.assert_allclose(starts[:4], np.broadcast_to(CAMERA.c2w[:, 3], (4, 3)))
+    pixels, z = CAMERA.project(ends[:4])
+    np.testing.assert_allclose(z, 0.5)
+    np.testing.assert_allclose(pixels, [[0, 0], [200, 0], [200, 150], [0, 150]], atol=1e-9)
+
+
+def test_the_axes_turn_with_the_camera() -> None:
+    looking_along_minus_z = Camera(10, 10, 10.0, 10.0, 5.0, 5.0, np.eye(4)[:3])
+    (x, _, _), (y, _, y_up), (_, towards, _) = axis_directions(looking_along_minus_z, np.array([0.0, 1.0, 0.0]))
+    np.testing.assert_allclose(x, [1, 0])
+    np.testing.assert_allclose(y, [0, -1])  # up on a screen whose rows grow downwards
+    assert y_up
+    assert towards == 1
+
+
+def test_the_sample_under_the_mouse_is_the_one_that_is_drawn_there(canvas: tuple[Window, ImguiRenderer]) -> None:
+    """Seen from aside, each that weighs something is found at its place; looked at along the ray, none is."""
+    ray, camera, corner, em = make_ray(), make_camera(np.array([0.5, 3.2, 1.0])), np.array([30.0, 20.0]), 3.0
+    last = ray.passes[-1]
+    places = camera.project(ray.origin + last.t[:, None] * ray.direction)[0] + corner
+    heavy = np.flatnonzero(last.weights > 0.02)
+    first, final = places[heavy[0]], places[heavy[-1]]
+    assert np.linalg.norm(first - final) > em
+
+    def draw(lists: imgui.ImDrawList) -> None:
+        overlay = Overlay(lists, camera, (30.0, 20.0), 1e-3)
+        overlay.samples(ray, em)
+        for place in places[heavy]:
+            found = overlay.sample_at(ray, em, *place)
+            assert found is not None
+            assert np.linalg.norm(places[found] - place) < 1e-6
+        assert overlay.sample_at(ray, em, *first) != overlay.sample_at(ray, em, *final)
+        assert overlay.sample_at(ray, em, first[0], first[1] + 40) is None
+        eye = make_camera(ray.origin)
+        x, y = eye.project(ray.origin[None] + 3.8 * ray.direction[None])[0][0]
+        assert Overlay(lists, eye, (0.0, 0.0), 1e-3).sample_at(ray, em, x, y) is None
+
+    shown = paint(canvas, draw)
+    x, y = np.floor(places[heavy[-1]]).astype(int)
+    np.testing.assert_allclose(shown[y, x] / 255, last.rgb[heavy[-1]], atol=0.15)  # neighbours differ little in colour
+
+
+def test_rims_lie_around_the_samples_and_over_none_of_them(canvas: tuple[Window, ImguiRenderer]) -> None:
+    ray, camera, em, red = make_ray(), make_camera(np.array([0.5, 3.2, 1.0])), 6.0, ImVec4(1, 0, 0, 1)
+    places = camera.project(ray.origin + ray.passes[-1].t[:, None] * ray.direction)[0]
+    heavy = places[ray.passes[-1].weights > 0.02]
+    assert np.linalg.norm(np.diff(heavy, axis=0), axis=1).max() < 0.3 * em  # they overlap
+
+    def shown(*rims: tuple[ImVec4, float]) -> np.ndarray:
+        return paint(canvas, lambda lists: Overlay(lists, camera, (0.0, 0.0), 1e-3).samples(ray, em, *rims))
+
+    bare, rimmed = shown(), shown((red, 3.0))
+    for x, y in np.floor(heavy).astype(int):
+        np.testing.assert_array_equal(rimmed[y, x], bare[y, x])
+    new = (bare == 0).all(-1) & (rimmed == [255, 0, 0]).all(-1)
+    assert new.sum() > 50
+
+
+def test_discs_that_later_ones_cover_are_not_drawn() -> None:
+    """What is left out could not be seen: each lies within one that is drawn after it."""
+    rng = np.random.default_rng(0)
+    for spread in (0.0, 2.0, 30.0):
+        places, radii = spread * rng.normal(size=(120, 2)), rng.uniform(2.0, 7.0, 120)
+        kept = uncovered(places, radii)
+        for k in np.flatnonzero(~kept):
+            later = [j for j in np.flatnonzero(kept) if j > k]
+            assert any(np.linalg.norm(places[j] - places[k]) + radii[k] <= radii[j] + 0.12 for j in later)
+        for k in np.flatnonzero(kept):
+            reach = radii - np.linalg.norm(places - places[k], axis=-1)
+            assert (reach[k + 1 :] < radii[k]).all()
+    assert uncovered(np.zeros((50, 2)), np.full(50, 3.0)).tolist() == [False] * 49 + [True]
+    assert uncovered(np.zeros((0, 2)), np.zeros(0)).tolist() == []
+
+
+@pytest.mark.parametrize("eye", [(0.5, 3.2, 1.0), (3.2, 0.0, 2.4), (0.4, -1.5, 0.3)])
+def test_a_tag_lies_whole_in_the_picture(canvas: tuple[Window, ImguiRenderer], eye: tuple[float, ...]) -> None:
+    """Also where one looks along the ray, and where the ray leaves the picture."""
+    ray, camera, blue = make_ray(), make_camera(np.array(eye)), ImVec4(0, 0, 1, 1)
+    start, end = (ray.origin + t * ray.direction for t in (ray.near, ray.far))
+
+    def draw(lists: imgui.ImDrawList) -> None:
+        Overlay(lists, camera, (0.0, 0.0), 1e-3).tags(start[None], end[None], ["ray 4"], 13.0, [blue], blue)
+
+    lit = np.argwhere((paint(canvas, draw) == [0, 0, 255]).all(-1))
+    high, wide = lit.max(0) - lit.min(0)
+    assert high > 8
+    assert wide > 25
+    _, ((x, y),), _ = clip_segments(camera, start[None], end[None], 1e-3)
+    assert np.abs(lit - (y, x)).max(1).min() < 2 * 13.0
+
+
+def test_tags_of_rays_that_end_at_one_place_lie_apart(canvas: tuple[Window, ImguiRenderer]) -> None:
+    camera = make_camera(np.array([3.2, 0, 2.4]))
+    ends = np.tile(camera.c2w[:, 3] - 6 * camera.c2w[:, 2], (3, 1))
+    starts = ends + 4 * camera.c2w[:, 2]
+    colors = [ImVec4(0, 0, 1, 1), ImVec4(0, 1, 0, 1), ImVec4(1, 0, 0, 1)]
+
+    def draw(lists: imgui.ImDrawList, count: int = 3) -> None:
+        first = starts[:count], ends[:count], ["ray 1", "ray 2", "ray 3"][:count]
+        Overlay(lists, camera, (0.0, 0.0), 1e-3).tags(*first, 13.0, colors[:count], ImVec4(0, 0, 0, 1))
+
+    def area(picture: np.ndarray, k: int) -> int:
+        return int((picture == [[0, 0, 255], [0, 255, 0], [255, 0, 0]][k]).all(-1).sum())
+
+    alone, together = paint(canvas, lambda lists: draw(lists, 1)), paint(canvas, draw)
+    assert area(together, 0) == area(alone, 0) > 200
+    assert area(together, 1) == pytest.approx(area(alone, 0), rel=0.2)  # but for what the letters cover
+    assert area(together, 2) == pytest.approx(area(alone, 0), rel=0.2)
+
+
+@pytest.mark.parametrize("y", [0.0, 37.0, 185.0])
+def test_boxes_are_moved_apart_by_as_little_as_can_be(y: float) -> None:
+    taken: list[Box] = []
+    for _ in range(8):
+        taken.append(clear_of(taken, Box(10, y, 40, 15), 200))
+    tops = sorted(box.y for box in taken)
+    assert min(np.diff(tops)) >= 15
+    assert tops[0] >= 0
+    assert tops[-1] <= 185
+    assert tops[-1] - tops[0] == 7 * 16  # side by side
+    assert taken[0].y == y
+    beside = Box(60, y, 40, 15)
+    assert clear_of(taken, beside, 200) == beside
+    assert clear_of(taken, Box(10, y, 40, 150), 200) == Box(10, y, 40, 150)  # there is no room
+
+
+def test_the_tag_of_a_ray_seen_from_its_camera_lies_to_the_right(canvas: tuple[Window, ImguiRenderer]) -> None:
+    camera, blue = make_camera(np.array([3.2, 0, 2.4])), ImVec4(0, 0, 1, 1)
+    start, end = (camera.c2w[:, 3] - t * camera.c2w[:, 2] for t in (2.0, 6.0))
+    side = 1e-9 * camera.c2w[:, 0]
+    for shift in (-side, side):
+
+        def draw(lists: imgui.ImDrawList, last: np.ndarray = end + shift) -> None:
+            Overlay(lists, camera, (0.0, 0.0), 1e-3).tags(start[None], last[None], ["a"], 13.0, [blue], blue)
+
+        lit = np.argwhere((paint(canvas, draw) == [0, 0, 255]).all(-1))
+        assert lit[:, 1].min() > camera.cx + 13.0
+
+
+def test_a_tag_of_what_is_out_of_sight_is_not_drawn(canvas: tuple[Window, ImguiRenderer]) -> None:
+    camera, blue = make_camera(np.array([3.2, 0, 2.4])), ImVec4(0, 0, 1, 1)
+    behind = camera.c2w[:, 3] + camera.c2w[:, 2]
+
+    def draw(lists: imgui.ImDrawList) -> None:
+        Overlay(lists, camera, (0.0, 0.0), 1e-3).tags(behind[None], 2 * behind[None], ["a"], 13.0, [blue], blue)
+
+    assert not paint(canvas, draw).any()

@@ -1,0 +1,893 @@
+"""Every panel in every state, drawn without GL; and what its widgets ask for when they are clicked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+from imgui_bundle import ImVec2, imgui, implot
+from panel_states import (
+    make_camera,
+    make_opened,
+    make_ray,
+    make_ray_history,
+    make_scene,
+    make_snapshot,
+    make_state,
+    states,
+)
+
+from nerf_core.datasets import LoadOptions
+from nerf_core.live.messages import (
+    CancelExport,
+    ExportRays,
+    LoadCheckpoint,
+    OpenScene,
+    Pause,
+    Pinned,
+    Reset,
+    SaveCheckpoint,
+    SetShare,
+    Snapshot,
+    Status,
+    Train,
+    UseMethod,
+)
+from nerf_core.methods import METHODS
+from nerf_core.probe import RayHistory, Witnesses
+from nerf_core.training.settings import RunSettings
+from viewer.model.state import (
+    Action,
+    AppState,
+    FocusOn,
+    FrameScene,
+    GoToView,
+    OpenPin,
+    OrbitForm,
+    PinRay,
+    ResetView,
+    SampleRef,
+    SetDisc,
+    SetPointDepth,
+    StartOrbitExport,
+    UnpinRay,
+)
+from viewer.ui.contract import PANELS, Panel
+from viewer.ui.theme import DarkTheme
+from viewer.ui.widgets import duration, number, rate, triple, vector
+
+SCREEN = (1280, 800)
+
+# ---- a screen without GL ----------------------------------------------------------------------------------------
+
+
+class Screen:
+    """One panel's window, its real theme and fonts; textures are names without pixels. See `viewer.panels.Ui`."""
+
+    def __init__(self) -> None:
+        self.theme = DarkTheme()
+        self.theme.load_fonts()
+        self.theme.apply(1.0)
+        self.widgets: dict[str, tuple[float, float, float, float]] = {}
+        self.pictures: dict[str, np.ndarray] = {}
+        self.size = (420.0, 700.0)
+
+    @property
+    def em(self) -> float:
+        return self.theme.em
+
+    @property
+    def mono(self) -> imgui.ImFont:
+        return self.theme.mono
+
+    def texture(self, key: str, rgba: np.ndarray, smooth: bool = True) -> imgui.ImTextureRef:
+        assert rgba.dtype == np.uint8
+        assert rgba.ndim == 3
+        assert rgba.shape[2] == 4
+        self.pictures[key] = rgba
+        return imgui.ImTextureRef(7)
+
+    def mark(self, name: str) -> None:
+        low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+        self.widgets[name] = (low.x, low.y, high.x, high.y)
+
+    def frame(self, panel: Panel, state: AppState) -> list[Action]:
+        self.widgets.clear()
+        imgui.new_frame()
+        imgui.set_next_window_pos(ImVec2(10, 10))
+        imgui.set_next_window_size(ImVec2(*self.size))
+        actions: list[Action] = []
+        if panel.dock == "overlay":
+            actions += panel.draw(self, state)
+        else:
+            imgui.begin(panel.title)
+            actions += panel.draw(self, state)
+            imgui.end()
+        imgui.render()
+        return actions
+
+    def click(self, panel: Panel, state: AppState, name: str) -> list[Action]:
+        self.frame(panel, state)
+        self.frame(panel, state)
+        left, top, right, bottom = self.widgets[name]
+        return self.drag(panel, state, ((left + right) / 2, (top + bottom) / 2))
+
+    def drag(self, panel: Panel, state: AppState, *places: tuple[float, float]) -> list[Action]:
+        """Press at the first place, move through the others, release at the last."""
+        io, actions = imgui.get_io(), []
+        io.add_mouse_pos_event(*places[0])
+        actions += self.frame(panel, state)
+        io.add_mouse_button_event(0, True)
+        actions += self.frame(panel, state)
+        for place in places[1:]:
+            io.add_mouse_pos_event(*place)
+            actions += self.frame(panel, state)
+        io.add_mouse_button_event(0, False)
+        return actions + self.frame(panel, state) + self.frame(panel, state)
+
+
+@pytest.fixture
+def screen(imgui_context: None) -> Iterator[Screen]:
+    implot.create_context()
+    io = imgui.get_io()
+    io.display_size = ImVec2(*SCREEN)
+    io.delta_time = 0.2  # slow hands: two clicks are no double click
+    io.backend_flags |= imgui.BackendFlags_.renderer_has_textures
+    yield Screen()
+    implot.destroy_context()
+
+
+# ---- the contract -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [(420, 700), (800, 240), (120, 90), (20, 20)])
+@pytest.mark.parametrize("name", PANELS.names())
+def test_a_panel_draws_in_every_state_and_size(screen: Screen, name: str, size: tuple[int, int]) -> None:
+    panel = PANELS.get(name)()
+    screen.size = size
+    assert panel.title
+    assert panel.dock in ("right", "bottom", "bottom_right", "overlay")
+    for state in states().values():
+        for place in ((-100.0, -100.0), (60.0, 60.0), (200.0, 120.0)):  # hovering must not fail either
+            imgui.get_io().add_mouse_pos_event(*place)
+            for _ in range(2):
+                assert all(isinstance(action, Action) for action in screen.frame(panel, state))
+
+
+def test_titles_are_unique() -> None:
+    titles = [PANELS.get(name)().title for name in PANELS.names()]
+    assert len(set(titles)) == len(titles)
+
+
+# ---- training ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("status", "widget", "action"),
+    [
+        ("paused", "training.start", Train()),
+        ("ready", "training.start", Train()),
+        ("training", "training.pause", Pause()),
+        ("paused", "training.step", Train(1)),
+        ("training", "training.save", SaveCheckpoint(Path("run/last.safetensors"))),
+    ],
+)
+def test_training_buttons(screen: Screen, status: Status, widget: str, action: Action) -> None:
+    assert screen.click(PANELS.get("training")(), make_state(make_snapshot(status)), widget) == [action]
+
+
+@pytest.mark.parametrize("widget", ["training.start", "training.step"])
+def test_a_finished_training_does_not_start_again(screen: Screen, widget: str) -> None:
+    assert screen.click(PANELS.get("training")(), make_state(make_snapshot("finished")), widget) == []
+
+
+@pytest.mark.parametrize(
+    ("panel", "widget", "action"),
+    [
+        ("training", "training.reset", Reset()),
+        ("training", "training.load", LoadCheckpoint(Path("run/last.safetensors"))),
+        ("scene", "scene.demo", OpenScene(None, RunSettings(), train=True)),
+    ],
+)
+def test_what_forgets_steps_asks_first(
+    screen: Screen, panel: str, widget: str, action: Action, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "last.safetensors").touch()
+    monkeypatch.chdir(tmp_path)
+    drawn, state = PANELS.get(panel)(), make_state(make_snapshot("paused"))
+    asked = "scene.open" if panel == "scene" else widget
+    assert screen.click(drawn, state, widget) == []
+    assert screen.click(drawn, state, f"{asked}_keep") == []
+    assert f"{asked}_confirm" not in screen.widgets
+    assert screen.click(drawn, state, widget) == []
+    assert screen.click(drawn, state, f"{asked}_confirm") == [action]
+    assert f"{asked}_confirm" not in screen.widgets
+
+
+def test_what_is_not_there_forgets_nothing(screen: Screen) -> None:
+    state = make_state(make_snapshot("paused"))
+    path = Path("run/last.safetensors")
+    assert screen.click(PANELS.get("training")(), state, "training.load") == [LoadCheckpoint(path)]
+
+
+def test_saved_steps_are_replaced_without_a_question(screen: Screen) -> None:
+    state = make_state(replace(make_snapshot("paused"), saved_step=12_400))
+    path = Path("run/last.safetensors")
+    assert screen.click(PANELS.get("training")(), state, "training.load") == [LoadCheckpoint(path)]
+
+
+def test_the_share_is_sent_once_when_the_slider_is_let_go(screen: Screen) -> None:
+    panel, state = PANELS.get("training")(), make_state(make_snapshot())
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    left, top, right, bottom = screen.widgets["training.share"]
+    y = (top + bottom) / 2
+    actions = screen.drag(panel, state, ((left + right) / 2, y), (right - 40, y), (right + 50, y))
+    assert len(actions) == 1
+    assert isinstance(actions[0], SetShare)
+    assert actions[0].train == pytest.approx(0.95)
+
+
+# ---- scene, view, export ----------------------------------------------------------------------------------------
+
+
+def test_opening_a_folder_keeps_the_options(screen: Screen) -> None:
+    state = make_state(Snapshot())
+    state.open_path = " captures/fox "
+    state.settings = RunSettings(LoadOptions(downscale=4), seed=3)
+    opened = OpenScene(Path("captures/fox"), state.settings, train=True)
+    assert screen.click(PANELS.get("scene")(), state, "scene.open") == [opened]
+
+
+def test_the_next_capture_is_opened_at_the_size_that_was_chosen(screen: Screen) -> None:
+    panel, state = PANELS.get("scene")(), make_state(Snapshot())
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    left, top, _, bottom = screen.widgets["scene.downscale"]
+    y = (top + bottom) / 2
+    screen.drag(panel, state, (left + 3, y), (left + 60, y), (left + 120, y))
+    assert 1 < state.settings.load.downscale <= 64
+
+
+@pytest.mark.parametrize("name", ["auto", *METHODS.names()])
+def test_the_start_panel_offers_every_method(screen: Screen, name: str) -> None:
+    state = make_state(Snapshot())
+    state.settings = RunSettings(method="nerf" if name == "auto" else "auto", changes={"rays": "9"})
+    screen.click(PANELS.get("scene")(), state, f"scene.start.{name}")
+    assert (state.settings.method, state.settings.changes) == (name, {})
+
+
+def test_another_method_begins_anew_after_a_question(screen: Screen) -> None:
+    panel, state = PANELS.get("scene")(), make_state(replace(make_snapshot("paused"), method="nerf"))
+    screen.click(panel, state, "scene.method")
+    assert screen.click(panel, state, "scene.method.voxels") == []
+    assert screen.click(panel, state, "scene.method_keep") == []
+    assert state.settings.method == "auto"
+    screen.click(panel, state, "scene.method")
+    screen.click(panel, state, "scene.method.voxels")
+    assert screen.click(panel, state, "scene.method_confirm") == [UseMethod("voxels", train=True)]
+    assert state.settings.method == "voxels"
+
+
+def test_another_method_asks_nothing_where_nothing_is_lost(screen: Screen) -> None:
+    panel, state = PANELS.get("scene")(), make_state(replace(make_snapshot("paused"), method="nerf", saved_step=12_400))
+    screen.click(panel, state, "scene.method")
+    assert screen.click(panel, state, "scene.method.nerf") == []
+    screen.click(panel, state, "scene.method")
+    assert screen.click(panel, state, "scene.method.voxels") == [UseMethod("voxels", train=True)]
+
+
+def test_photos_go_round_the_training_split(screen: Screen) -> None:
+    panel, state = PANELS.get("scene")(), make_state(make_snapshot())
+    assert screen.click(panel, state, "scene.next") == [GoToView(0)]
+    state.current_view = 19
+    assert screen.click(panel, state, "scene.next") == [GoToView(0)]
+    assert screen.click(panel, state, "scene.previous") == [GoToView(18)]
+
+
+def test_switches_write_the_state(screen: Screen) -> None:
+    state = make_state(make_snapshot())
+    assert screen.click(PANELS.get("view")(), state, "view.cameras") == []
+    assert state.show_cameras
+    screen.click(PANELS.get("view")(), state, "view.samples")
+    assert not state.show_samples
+    screen.click(PANELS.get("view")(), state, "view.help")
+    assert state.show_help
+    screen.click(PANELS.get("help")(), state, "help.close")
+    assert not state.show_help
+
+
+def test_view_buttons(screen: Screen) -> None:
+    panel, state = PANELS.get("view")(), make_state(make_snapshot())
+    assert screen.click(panel, state, "view.frame") == [FrameScene()]
+    assert screen.click(panel, state, "view.reset") == [ResetView()]
+    (focus,) = screen.click(panel, state, "view.focus")
+    assert isinstance(focus, FocusOn)
+    assert state.snapshot.radiance is not None
+    np.testing.assert_array_equal(focus.point, state.snapshot.radiance.point)
+
+
+def test_export_starts_and_cancels(screen: Screen) -> None:
+    panel, found = PANELS.get("export")(), states()
+    assert screen.click(panel, found["training"], "export.start") == [StartOrbitExport()]
+    assert screen.click(panel, found["export running"], "export.cancel") == [CancelExport()]
+    assert "export.start" not in screen.widgets
+    screen.click(panel, found["training"], "export.png")
+    assert found["training"].orbit.png_frames
+
+
+def test_the_export_tells_its_time_before_it_starts() -> None:
+    from viewer.panels.export import OwnPath, estimate
+
+    form, own = OrbitForm(), OwnPath(200, 150, 4.0)
+    assert estimate(form, own, speed=9000.0, share=0.6) == (
+        "60 frames of 200 × 150, 2.0 s of video; takes about 3 min 20 s, while training up to 16 min 40 s"
+    )
+    assert estimate(form, own, speed=0.0, share=0.6).endswith("not measured yet")
+
+
+# ---- the ray and its point --------------------------------------------------------------------------------------
+
+
+def test_the_radiance_point_is_dragged_along_the_ray(screen: Screen) -> None:
+    panel, state = PANELS.get("ray")(), make_state(make_snapshot())
+    screen.size = (900, 260)
+    for _ in range(3):
+        screen.frame(panel, state)
+    left, top, right, bottom = screen.widgets["ray.point"]
+    x, y = (left + right) / 2, (top + bottom) / 2
+    actions = screen.drag(panel, state, (x, y), (x + 30, y), (x - 40, y), (x - 4000, y))
+    assert actions
+    assert all(isinstance(action, SetPointDepth) for action in actions)
+    depths = [action.t for action in actions if isinstance(action, SetPointDepth) and action.t is not None]
+    radiance, ray = state.snapshot.radiance, state.snapshot.ray
+    assert radiance is not None
+    assert ray is not None
+    assert min(depths) == pytest.approx(ray.near)  # never behind the ray's start
+    assert max(depths) > radiance.t
+
+
+def test_axes_stay_while_the_same_ray_is_trained_on(screen: Screen) -> None:
+    from viewer.panels.ray import RayPanel
+
+    panel, state = RayPanel(), make_state(make_snapshot())
+    screen.size = (900, 260)
+    for density, changes in ((40.0, False), (4.0, False), (40.0, True)):
+        ray = make_ray(density, step=state.snapshot.step + 1)
+        if changes:
+            ray = replace(ray, pixel=(1, 2), near=1.0, far=9.0)
+        opened = replace(make_opened(ray), ray=ray)
+        state.snapshot = replace(state.snapshot, opened=opened, step=ray.step)
+        for _ in range(2):
+            screen.frame(panel, state)
+        low, high = panel.plots.t_limits
+        assert (low < 1.5) == changes
+        assert (high > 6.5) == changes
+
+
+def test_the_median_depth_can_be_asked_for_again(screen: Screen) -> None:
+    panel, state = PANELS.get("radiance")(), make_state(make_snapshot())
+    assert state.inspect is not None
+    assert screen.click(panel, state, "radiance.surface") == []  # it is shown already
+    state.inspect = replace(state.inspect, point_t=3.0)
+    assert screen.click(panel, state, "radiance.surface") == [SetPointDepth(None)]
+
+
+@pytest.mark.parametrize("widget", ["radiance.disc", "radiance.sphere"])
+@pytest.mark.parametrize("place", [(0.5, 0.5), (0.3, 0.4), (0.7, 0.6)])
+def test_hover_reads_the_direction_under_the_mouse(screen: Screen, widget: str, place: tuple[float, float]) -> None:
+    """The field is rgb = 0.5 + 0.5 d, so the colour tells the direction; and marks must lie where hovers read."""
+    from viewer.panels.radiance import RadiancePanel
+
+    panel, state = RadiancePanel(), make_state(make_snapshot())
+    radiance = state.snapshot.radiance
+    assert radiance is not None
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    left, top, right, bottom = screen.widgets[widget]
+    x, y = left + place[0] * (right - left), top + place[1] * (bottom - top)
+    imgui.get_io().add_mouse_pos_event(x, y)
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    assert panel.hovered is not None
+    direction, rgb = panel.hovered
+    np.testing.assert_allclose(np.linalg.norm(direction), 1)
+    np.testing.assert_allclose(rgb, 0.5 - 0.5 * direction, atol=0.06)
+    if widget == "radiance.sphere":
+        back = radiance.sphere_position(direction)
+    else:
+        on_disc = radiance.disc_position(direction)
+        back = ((on_disc[0] + 1) / 2, (1 - on_disc[1]) / 2)
+    np.testing.assert_allclose(back, place, atol=0.01)
+
+
+# ---- the microscope's other panels ------------------------------------------------------------------------------
+
+
+def test_pins_are_opened_hidden_removed_and_written(screen: Screen) -> None:
+    panel, state = PANELS.get("rays")(), make_state(make_snapshot())
+    screen.size = (360, 500)
+    assert screen.click(panel, state, "rays.pin") == []  # the opened ray is pinned already
+    assert screen.click(panel, state, "rays.open 2") == [OpenPin(2)]
+    assert screen.click(panel, state, "rays.remove 1") == [UnpinRay(1)]
+    screen.click(panel, state, "rays.hide 2")
+    assert not state.pins[1].hidden
+    assert screen.click(panel, state, "rays.write") == [ExportRays(Path("rays.json"), {1: "the wall", 2: "another"})]
+    screen.click(panel, state, "rays.hide 1")
+    assert screen.click(panel, state, "rays.write") == [ExportRays(Path("rays.json"), {2: "another"})]
+    state.pins = []
+    assert state.inspect is not None
+    assert screen.click(panel, state, "rays.pin") == [PinRay(state.inspect)]
+
+
+def test_a_line_of_the_table_points_at_its_sample(screen: Screen) -> None:
+    panel, state = PANELS.get("samples")(), make_state(make_snapshot())
+    screen.size = (760, 300)
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    imgui.get_io().add_mouse_pos_event(120, 120)
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    assert state.pointed_at is not None
+    assert state.pointed_at.one == 1
+    screen.click(panel, state, "samples.pass 0")
+    imgui.get_io().add_mouse_pos_event(120, 120)
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    assert state.pointed_at.one == 0
+
+
+def test_a_place_in_the_table_is_of_one_line_alone(screen: Screen) -> None:
+    panel, state = PANELS.get("samples")(), make_state(make_snapshot())
+    screen.size = (760, 300)
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    lines = [screen.widgets[f"samples.row {k}"] for k in range(4)]
+    for (_, _, _, bottom), (_, top, _, _) in pairwise(lines):
+        assert bottom == top
+    for y in np.arange(lines[0][1] + 0.5, lines[3][3]):
+        imgui.get_io().add_mouse_pos_event(120, y)
+        for _ in range(2):
+            state.sample, state.pointed_at = state.pointed_at, None  # as the app does between frames
+            screen.frame(panel, state)
+        (under,) = [k for k, (_, top, _, bottom) in enumerate(lines) if top <= y < bottom]
+        assert state.sample == state.pointed_at == SampleRef(1, under)
+
+
+def test_a_sample_is_meant_on_its_stretch_and_close_to_it_alone() -> None:
+    from viewer.draw.ray_plots import sample_at
+    from viewer.draw.ray_steps import Steps, steps_of
+
+    (_, fine) = steps_of(make_ray())
+    gap = replace(fine, t=np.array([2.0, 3.0, 3.1]), until=np.array([2.5, 3.1, 3.2]))
+
+    def at(t: float, *passes: Steps) -> int | None:
+        found = sample_at(passes or (gap,), t, 0.05)
+        return None if found is None else found[1]
+
+    assert [at(t) for t in (1.9, 1.96, 2.1, 2.49, 2.54, 2.6, 2.96)] == [None, 0, 0, 0, 0, None, 1]
+    assert [at(t) for t in (3.05, 3.09, 3.11, 3.24, 3.3, 5.0)] == [1, 1, 2, 2, None, None]
+    other = replace(gap, t=np.array([2.05]), until=np.array([4.0]))
+    for t, owner in ((2.1, other), (2.01, gap), (2.8, other), (3.11, gap)):
+        assert (found := sample_at((gap, other), t, 0.05)) is not None
+        assert found[0] is owner
+    assert sample_at((), 2.0, 0.05) is None
+
+
+@pytest.mark.parametrize("choice", ["on", "off"])
+def test_a_choice_of_the_density_axis_stays_from_ray_to_ray(screen: Screen, choice: str) -> None:
+    from viewer.panels.ray import RayPanel
+
+    panel, state = RayPanel(), make_state(make_snapshot())
+    screen.size = (900, 420)
+    screen.frame(panel, state)
+    wanted = panel.plots.log_density  # by itself
+    screen.click(panel, state, f"ray.log {choice}")
+    assert panel.plots.log_density == (choice == "on")
+    for density in (0.5, 4000.0):
+        ray = replace(make_ray(density), pixel=(int(density), 2))
+        state.snapshot = replace(state.snapshot, opened=replace(make_opened(ray), ray=ray))
+        screen.frame(panel, state)
+        assert panel.plots.log_density == (choice == "on")
+    screen.click(panel, state, "ray.log auto")
+    ray = make_ray()
+    state.snapshot = replace(state.snapshot, opened=replace(make_opened(ray), ray=ray))
+    screen.frame(panel, state)
+    assert panel.plots.log_density == wanted
+
+
+def test_the_table_goes_to_the_sample_that_is_pointed_at_elsewhere(screen: Screen) -> None:
+    panel, state = PANELS.get("samples")(), make_state(make_snapshot())
+    screen.size = (760, 300)
+
+    def shown() -> set[str]:
+        screen.frame(panel, state)
+        screen.frame(panel, state)
+        return {name for name in screen.widgets if name.startswith("samples.row")}
+
+    assert "samples.row 2" in shown()
+    state.sample = SampleRef(1, 120)
+    assert "samples.row 120" in shown()
+    assert "samples.row 2" not in shown()
+    state.sample = None
+    assert "samples.row 120" in shown()
+    state.sample = SampleRef(0, 5)  # of the other pass
+    assert "samples.row 120" in shown()
+
+
+def test_a_photo_of_the_evidence_is_flown_to(screen: Screen) -> None:
+    panel, state = PANELS.get("evidence")(), make_state(make_snapshot())
+    screen.size = (420, 400)
+    evidence = state.snapshot.evidence
+    assert evidence is not None
+    assert screen.click(panel, state, "evidence.2") == [GoToView(int(evidence.views[2]))]
+
+
+@pytest.mark.parametrize("point", [(0.1, 0.2, 0.3), (0.0, 1.2, 0.9), (-1.0, -0.9, -0.6)])
+def test_a_thumbnail_is_of_the_photo_around_the_point(
+    screen: Screen, point: tuple[float, float, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Through a lens, and at the rim, where the outermost pixels go on."""
+    rng, scene = np.random.default_rng(5), make_scene()
+    views = tuple(replace(view, camera=replace(view.camera, k1=-0.2)) for view in scene.views)
+    images = tuple(rng.integers(0, 65536, (150, 200, 3), np.uint16) for _ in views)
+    scene = replace(scene, views=views, images=images)
+    witnesses = Witnesses(scene)
+    pixels, framed = witnesses.project(np.array(point))
+    index = rng.permutation(np.flatnonzero(framed))[:12]
+    assert len(index) > 3
+    snapshot = make_snapshot()
+    assert snapshot.opened is not None
+    assert snapshot.evidence is not None
+    some = snapshot.evidence.at(np.arange(len(index)))
+    some = replace(some, point=np.array(point), views=witnesses.views[index], pixels=pixels[index])
+    snapshot = replace(snapshot, scene=scene, opened=replace(snapshot.opened, evidence=some))
+    parts: list[tuple[float, float]] = []
+    draw = imgui.image
+
+    def image(texture: imgui.ImTextureRef, size: ImVec2, low: ImVec2, high: ImVec2) -> None:
+        assert (low.x, high.x) == (0, 1)
+        parts.append((low.y, high.y))
+        draw(texture, size, low, high)
+
+    monkeypatch.setattr(imgui, "image", image)
+    screen.frame(PANELS.get("evidence")(), make_state(snapshot))
+    sheet, half, rims = screen.pictures["evidence"], 16, []
+    assert {f"evidence.{k}" for k in range(len(index))} == set(screen.widgets)
+    for name, part in zip(screen.widgets, parts, strict=True):
+        view = int(some.views[int(name.split(".")[1])])
+        first, end = np.rint(np.array(part) * len(sheet)).astype(int)
+        (at,), _ = views[view].camera.project(np.array([point]))
+        x, y = np.floor(at).astype(int)
+        photo = np.pad(images[view] >> 8, ((half, half), (half, half), (0, 0)), "edge")
+        np.testing.assert_array_equal(sheet[first:end, :, :3], photo[y : y + 2 * half + 1, x : x + 2 * half + 1])
+        assert (sheet[first + half, half, :3] == images[view][y, x] >> 8).all()
+        rims.append(min(x, y, 199 - x, 149 - y))
+    assert (min(rims) < half) == (point != (0.1, 0.2, 0.3))
+
+
+def test_the_line_of_a_ray_in_a_photo_passes_through_its_points() -> None:
+    from viewer.panels.evidence import epipolar
+
+    ray, camera = make_ray(), make_camera(np.array([0.5, 3.2, 1.0]))
+    line = epipolar(camera, ray)
+    for t in (2.5, 3.8, 5.5):
+        (pixel,), _ = camera.project((ray.origin + t * ray.direction)[None])
+        assert np.nanmin(np.linalg.norm(line - pixel, axis=1)) < 3
+    inside = make_camera(ray.origin + 3.0 * ray.direction)  # on the ray: a part of it lies behind
+    t = np.geomspace(ray.near, ray.far, 96)
+    depth = inside.project(ray.origin + t[:, None] * ray.direction)[1]
+    assert 0 < (depth > 0).sum() < 96
+    np.testing.assert_array_equal(np.isfinite(epipolar(inside, ray)).all(-1), depth > 0)
+
+
+def test_the_photos_angles_are_to_where_one_stands() -> None:
+    from viewer.panels.evidence import _angles, _summary
+
+    snapshot = make_snapshot()
+    evidence, scene = snapshot.evidence, snapshot.scene
+    assert evidence is not None
+    assert scene is not None
+    for k, view in enumerate(evidence.views[:3].tolist()):
+        angles = _angles(evidence, scene.views[view].camera.c2w[:, 3])
+        assert angles[k] == pytest.approx(0, abs=1e-3)
+        assert (np.delete(angles, k) > 0.01).all()
+    np.testing.assert_array_equal(_angles(evidence, evidence.point), evidence.angle)
+    cut = replace(evidence, asked=1000, framed=900)
+    assert f"Of {len(evidence.views)} training photos that were asked" in _summary(cut)
+    assert f"{900 - len(evidence.views)} more have it in their frame; 100 have it outside" in _summary(cut)
+
+
+def test_the_radiance_is_of_the_point_or_of_the_whole_ray(screen: Screen) -> None:
+    panel, state = PANELS.get("radiance")(), make_state(make_snapshot())
+    screen.click(panel, state, "radiance.Whole ray")
+    assert state.frozen_ray
+    screen.click(panel, state, "radiance.Point")
+    assert not state.frozen_ray
+    assert screen.click(panel, state, "radiance.normal") == [SetDisc("normal")]
+
+
+def test_what_no_photo_looked_at_is_hatched() -> None:
+    from nerf_core.probe import FAR_DEGREES, unseen
+    from viewer.panels.radiance import Pictures
+
+    radiance, evidence = make_snapshot().radiance, make_snapshot().evidence
+    assert radiance is not None
+    assert evidence is not None
+    far = unseen(radiance.directions, evidence)
+    seen = evidence.directions[evidence.seen]
+    for k in range(0, len(far), 501):
+        nearest = np.degrees(np.arccos(np.clip(seen @ radiance.directions[k], -1, 1))).min()
+        assert far[k] == (nearest > FAR_DEGREES)
+    assert 0.2 < far.mean() < 0.99
+    plain = Pictures.of(radiance, replace(evidence, transmittance=evidence.transmittance * 0), False)
+    some = Pictures.of(radiance, evidence, False)
+    assert (plain.sphere != some.sphere).any()
+    assert unseen(radiance.directions, None).all()
+
+
+@pytest.mark.parametrize("around", ["viewer", "normal"])
+def test_specular_is_what_the_ray_saw_beyond_the_diffuse(
+    screen: Screen, around: Literal["viewer", "normal"], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However the disc is turned, and wherever the camera has gone since."""
+    shown: dict[str, str] = {}
+    figures = "viewer.panels.radiance.figures"
+    monkeypatch.setattr(figures, lambda ui, name, rows: shown.update({row[0]: row[1] for row in rows}))
+    state = make_state(make_snapshot())
+    opened, radiance, evidence = state.snapshot.opened, state.snapshot.radiance, state.snapshot.evidence
+    assert opened is not None
+    assert radiance is not None
+    assert evidence is not None
+    turned = replace(radiance, around=around, directions=-radiance.directions[::-1], rgb=radiance.rgb[::-1])
+    state.snapshot = replace(state.snapshot, opened=replace(opened, radiance=turned))
+    screen.frame(PANELS.get("radiance")(), state)
+    expected = np.maximum(radiance.back_rgb - evidence.emitted[evidence.seen].min(0), 0)
+    assert shown["specular in this ray"] == triple(expected)
+
+
+def test_a_slice_is_the_models_colours_and_those_of_the_photos_beside_it(
+    screen: Screen, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Photos by the angle at which they look, in the slice and out of it; the field is rgb = 0.5 − 0.5 v."""
+    from viewer.panels.slice import SlicePanel
+
+    lines: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    dots: dict[str, tuple[float, float]] = {}
+    monkeypatch.setattr(implot, "plot_line", lambda name, x, y, _: lines.update({name: (x, y)}))
+    monkeypatch.setattr(implot, "plot_scatter", lambda name, x, y, _: dots.update({name: (x.item(), y.item())}))
+    panel, state = SlicePanel(), make_state(make_snapshot())
+    panel.degrees = 40.0
+    opened, radiance, evidence = state.snapshot.opened, state.snapshot.radiance, state.snapshot.evidence
+    assert opened is not None
+    assert radiance is not None
+    assert evidence is not None
+    turn = np.radians(panel.degrees)
+    along = np.array([np.cos(turn), np.sin(turn), 0]) @ radiance.axes
+    beside = np.array([-np.sin(turn), np.cos(turn), 0]) @ radiance.axes
+
+    def look(angle: float, out: float = 0.0) -> np.ndarray:
+        a, b = np.radians([angle, out])
+        return np.cos(b) * (np.sin(a) * along + np.cos(a) * radiance.axes[2]) + np.sin(b) * beside
+
+    looks = ((-70, 0), (0, 0), (35, 10), (35, -14), (20, 0), (120, 0))
+    some = replace(
+        evidence.at(np.arange(len(looks))),
+        directions=np.array([look(*angles) for angles in looks]),
+        transmittance=np.array([1, 1, 1, 1, 0.1, 1]),
+    )
+    state.snapshot = replace(state.snapshot, opened=replace(opened, evidence=some))
+    screen.frame(panel, state)
+    shown = {f"photo {k} {c}": (looks[k][0], some.observed[k, c]) for k in range(3) for c in range(3)}
+    assert set(dots) == set(shown)
+    for name, place in dots.items():
+        assert place == pytest.approx(shown[name], abs=1e-4)
+    for c in range(3):
+        angles, values = lines[f"channel {c}"]
+        assert (angles.min(), angles.max()) == pytest.approx((-80, 80), abs=2)
+        expected = 0.5 - 0.5 * np.array([look(angle)[c] for angle in angles])
+        np.testing.assert_allclose(values, expected, atol=0.03)  # of pixels, which are coarse at the rim
+
+
+def test_every_station_is_drawn(screen: Screen) -> None:
+    panel, state = PANELS.get("walk")(), make_state(make_snapshot())
+    screen.size = (2200, 300)
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    opened = state.snapshot.opened
+    assert opened is not None
+    assert {f"walk.{station.title}" for station in opened.walk} <= set(screen.widgets)
+
+
+def test_the_history_is_of_the_opened_pin(screen: Screen) -> None:
+    panel, state = PANELS.get("ray_history")(), make_state(make_snapshot())
+    screen.size = (900, 260)
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    assert "ray_history.map" in screen.widgets
+    state.pins = []
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    assert "ray_history.map" not in screen.widgets
+
+
+@pytest.mark.parametrize("apart", [0.06, 0.1, 0.3, 1.0])
+@pytest.mark.parametrize(("first", "span"), [(0, 1), (0, 500_000), (98, 2), (381, 9), (381, 11_619), (12_345, 150)])
+def test_steps_are_named_at_both_ends_and_where_they_are_round(first: int, span: int, apart: float) -> None:
+    from viewer.panels.ray_history import ticks
+
+    last = first + span
+    found = ticks(first, last, apart)
+    assert (found[0], found[-1]) == (first, last)
+    places = np.log1p(np.array(found) - first) / np.log1p(span)
+    assert np.diff(places).min() >= apart
+    for step in found[1:-1]:
+        assert any(step % 10**k == 0 for k in range(7) if 500 * 10**k >= first)  # 381: tens; 12,345: hundreds
+
+
+def test_known_steps_are_named() -> None:
+    from viewer.panels.ray_history import ticks
+
+    assert ticks(0, 12_000, 0.1) == [0, 2, 10, 30, 100, 300, 1000, 3000, 12_000]
+    assert ticks(381, 12_000, 0.1) == [381, 385, 400, 500, 1000, 2000, 12_000]
+
+
+def test_the_history_opens_where_the_weights_are_and_follows_them(screen: Screen) -> None:
+    from viewer.panels.ray_history import RayHistoryPanel
+
+    panel, state = RayHistoryPanel(), make_state(make_snapshot())
+    screen.size = (900, 260)
+
+    def shown(history: RayHistory) -> tuple[float, ...]:
+        state.snapshot = replace(state.snapshot, pinned=(Pinned(1, state.snapshot.ray, history),))
+        for _ in range(3):
+            screen.frame(panel, state)
+        return panel._x.high.value, panel._t.low.value, panel._t.high.value
+
+    history = make_ray_history()
+    weights = np.zeros_like(history.weights)
+    weights[3, 40], weights[5, 44], weights[:, 80] = 0.6, 0.5, 0.005
+    edges, early = history.edges, slice(0, 6)
+    young = replace(
+        history, steps=history.steps[early], weights=weights[early], color=history.color[early],
+        depth=history.depth[early], opacity=history.opacity[early],
+    )  # fmt: skip
+    width = edges[1] - edges[0]
+    around = edges[40] - 3 * width, edges[45] + 3 * width
+    assert shown(young) == pytest.approx((np.log1p(40), *around))
+    assert shown(replace(history, weights=0 * weights)) == pytest.approx((np.log1p(12_000), 2, 6))
+    assert shown(replace(history, weights=weights)) == pytest.approx((np.log1p(12_000), *around))
+    # where the user has gone, the axes stay
+    left, top, right, bottom = screen.widgets["ray_history.map"]
+    imgui.get_io().add_mouse_pos_event((left + right) / 2, (top + bottom) / 2)
+    screen.frame(panel, state)
+    imgui.get_io().add_mouse_wheel_event(0, -2)
+    zoomed = shown(replace(history, weights=weights))
+    assert zoomed[1] < around[0] < around[1] < zoomed[2]
+    assert shown(replace(history, weights=0 * weights)) == zoomed
+    shown(replace(history, weights=weights))
+    # a double click takes them back to the weights
+    imgui.get_io().delta_time = 0.02
+    for down in (True, False, True, False):
+        imgui.get_io().add_mouse_button_event(0, down)
+        screen.frame(panel, state)
+    assert shown(replace(history, weights=weights)) == pytest.approx((np.log1p(12_000), *around))
+    assert shown(young) == pytest.approx((np.log1p(40), *around))
+    # another ray's begin anew
+    screen.frame(panel, state)
+    imgui.get_io().add_mouse_wheel_event(0, -2)
+    assert shown(young) != pytest.approx((np.log1p(40), *around))
+    other = replace(young, edges=edges + 1)
+    assert shown(other) == pytest.approx((np.log1p(40), around[0] + 1, around[1] + 1))
+
+
+def test_the_historys_map_shows_at_each_step_the_record_in_force(screen: Screen) -> None:
+    """Each record has all of its weight in a bin of its own, and a grey of its own."""
+    panel, state, history = PANELS.get("ray_history")(), make_state(make_snapshot()), make_ray_history()
+    count, bins = history.weights.shape
+    weights = np.zeros_like(history.weights)
+    peaks = (np.arange(count) * 37 + 5) % bins
+    weights[np.arange(count), peaks] = 1
+    greys = np.linspace(0, 1, count)
+    history = replace(history, steps=history.steps + 381, weights=weights, color=np.tile(greys[:, None], (1, 3)))
+    for records in (count - 2, count):  # and it follows as the history grows
+        part = slice(0, records)
+        some = replace(
+            history, steps=history.steps[part], weights=weights[part], color=history.color[part],
+            depth=history.depth[part], opacity=history.opacity[part],
+        )  # fmt: skip
+        state.snapshot = replace(state.snapshot, pinned=(Pinned(1, state.snapshot.ray, some),))
+        screen.frame(panel, state)
+        drawn, strip = screen.pictures["ray history"], screen.pictures["ray colours"]
+        columns = drawn.shape[1]
+        assert (drawn.shape[0], strip.shape[:2]) == (bins, (1, columns))
+        for x in range(columns):
+            step = 381 + np.expm1(x / (columns - 1) * np.log1p(some.steps[-1] - 381))
+            k = max(i for i, since in enumerate(some.steps) if since <= step + 1e-3)
+            green = drawn[:, x, 1].astype(int)  # which grows with the weight, all along the map's colours
+            assert bins - 1 - green.argmax() == peaks[k]
+            assert (green > green.min()).sum() == 1
+            assert strip[0, x, :3] == pytest.approx(255 * greys[k], abs=0.6)
+
+
+def test_the_history_tells_of_the_record_that_it_shows(screen: Screen, monkeypatch: pytest.MonkeyPatch) -> None:
+    panel, state = PANELS.get("ray_history")(), make_state(make_snapshot())
+    told: list[str] = []
+    monkeypatch.setattr(imgui, "set_tooltip", told.append)
+    screen.size = (900, 260)
+    for _ in range(3):
+        screen.frame(panel, state)
+    left, top, right, bottom = screen.widgets["ray_history.map"]
+    for x, expected in ((left + 4 * screen.em, "step 0: no depth"), (right - 4 * screen.em, "step 900: depth 3.8")):
+        imgui.get_io().add_mouse_pos_event(x, (top + bottom) / 2)
+        screen.frame(panel, state)
+        screen.frame(panel, state)
+        assert told[-1].startswith(expected)
+
+
+# ---- notices ----------------------------------------------------------------------------------------------------
+
+
+def test_an_error_stays_until_it_is_dismissed(screen: Screen) -> None:
+    panel, state = PANELS.get("toasts")(), states()["failed"]
+    for now, shown in ((100.0, {0, 2}), (5000.0, {2})):  # the warning is for the panel and the status bar
+        state.time = now
+        for _ in range(3):
+            screen.frame(panel, state)
+        assert {int(name.split(".")[1]) for name in screen.widgets if name.endswith("dismiss")} == shown
+    screen.click(panel, state, "toasts.2.dismiss")
+    assert state.notices[2].dismissed
+    assert not screen.widgets
+
+
+@pytest.mark.parametrize("name", ["toasts", "notices"])
+def test_a_path_is_told_once(screen: Screen, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+    for function in ("text_unformatted", "text_wrapped"):
+        monkeypatch.setattr(imgui, function, told.append)
+    screen.frame(PANELS.get(name)(), states()["failed"])
+    assert told.count("saved") == 1
+    assert sum("run/last.safetensors" in text for text in told) == 1
+    assert "out of memory" in told
+
+
+def test_the_path_of_a_result_is_copied(screen: Screen) -> None:
+    screen.click(PANELS.get("notices")(), states()["failed"], "notices.0.copy")
+    assert imgui.get_clipboard_text() == str(Path("run/last.safetensors"))
+
+
+# ---- words ------------------------------------------------------------------------------------------------------
+
+
+def test_words() -> None:
+    spans = {0.44: "0.4 s", 59.6: "1 min 0 s", 70.2: "1 min 10 s", 7500: "2 h 5 min", None: "–", float("nan"): "–"}
+    for seconds, text in spans.items():
+        assert duration(seconds) == text
+    assert [rate(v) for v in (0.0, 512.0, 640_123.0, 1.254e6)] == ["–", "512", "640k", "1.25M"]
+    assert [number(v) for v in (None, float("inf"), -0.00012345, 3.0)] == ["–", "–", "−0.0001234", "3"]
+    assert vector(np.array([0.5, -1.25])) == " 0.500 −1.250"
+
+
+def test_hatched_pictures_are_the_colours_with_stripes_where_nobody_looked() -> None:
+    from viewer.panels.radiance import HATCH, ZOOM, _hatched
+
+    rng = np.random.default_rng(0)
+    rgb, hidden = rng.uniform(-0.2, 1.2, (5, 7, 3)).astype(np.float32), rng.random((5, 7)) < 0.5
+    rgb[1, 2] = np.nan
+    found = _hatched(rgb, hidden)
+    assert found.dtype == np.uint8
+    assert found.shape == (5 * ZOOM, 7 * ZOOM, 4)
+    assert (found[..., 3] == 255).all()
+    for y in range(5 * ZOOM):
+        for x in range(7 * ZOOM):
+            color = rgb[y // ZOOM, x // ZOOM].astype(np.float64)
+            if hidden[y // ZOOM, x // ZOOM] and (x + y) % HATCH < HATCH // 3:
+                color = 0.55 * color + (0.45 if color.mean() < 0.5 else 0.0)
+            want = np.clip(np.nan_to_num(color), 0, 1) * 255
+            assert (np.abs(found[y, x, :3] - want) <= 0.51).all()

@@ -1,0 +1,371 @@
+"""The `nerf-viewer` command: the real app, worker and files, offscreen and in a real window."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import imageio.v3 as iio
+import imageio_ffmpeg
+import numpy as np
+import pytest
+
+from nerf_core.common.errors import UserError
+from nerf_core.datasets import LoadOptions, load_scene
+from nerf_core.geometry.cameras import Camera, camera_rays
+from viewer.model.pins import MOST
+from viewer.session.script import Wishes
+from viewer.session.session import autosave_path
+
+TINY = [
+    "--method", "nerf", "--device", "cpu", "--threads", "1", "--downscale", "8", "--set", "rays=16",
+    "--set", "coarse_samples=8", "--set", "fine_samples=8", "--set", "depth=2", "--set", "width=16",
+    "--size", "640x400",
+]  # fmt: skip
+
+
+def without(options: list[str], given: list[str]) -> list[str]:
+    """`options`, pairs of a name and a value, but those that are `given`: an option is given once."""
+    pairs = [options[i : i + 2] for i in range(0, len(options), 2)]
+    return [word for name, value in pairs if name == "--set" or name not in given for word in (name, value)]
+
+
+def viewer(*arguments: str, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "viewer.cli", *arguments]
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=200, env={**os.environ, **(env or {})}, check=False
+    )
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One run that asks for everything at once."""
+    out = tmp_path_factory.mktemp("out")
+    done = viewer(
+        *TINY, "--headless", "--steps", "60", "--click", "0.5", "0.5", "--screenshot", str(out / "shot.png"),
+        "--render", str(out / "picture.npy"), "--inspect", str(out / "ray.json"), "--orbit", str(out / "orbit.mp4"),
+        "--save", str(out / "model.safetensors"),
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    return out
+
+
+def test_everything_asked_for_is_written(written: Path) -> None:
+    assert iio.imread(written / "shot.png").shape == (400, 640, 3)
+    film = str(written / "orbit.mp4")
+    assert imageio_ffmpeg.count_frames_and_secs(film)[0] == 60
+    reader = imageio_ffmpeg.read_frames(film)
+    assert next(reader)["size"] == (26, 26)  # 25 pixels a side, padded to even
+    reader.close()
+    assert not list(written.glob("*.part"))
+
+
+def test_the_inspected_ray_is_the_rendered_pixel(written: Path) -> None:
+    ray = json.loads((written / "ray.json").read_text())
+    picture = np.load(written / "picture.npy")
+    assert picture.dtype == np.float32
+    column, row = ray["pixel"]
+    assert abs(column - picture.shape[1] // 2) <= 1
+    assert abs(row - picture.shape[0] // 2) <= 1
+    assert np.abs(picture[row, column] - ray["color"]).max() < 1e-5
+    assert np.abs(np.array(ray["rendered_color"]) - ray["color"]).max() < 1e-5
+
+
+def test_the_inspected_ray_obeys_the_equations(written: Path) -> None:
+    ray = json.loads((written / "ray.json").read_text())
+    assert [one["name"] for one in ray["passes"]] == ["coarse", "fine"]
+    t = weights = rgb = np.empty(0)  # of the last pass, after the loop
+    for one in ray["passes"]:
+        t, delta, sigma, rgb, weights = (np.array(one[k]) for k in ("t", "delta", "sigma", "rgb", "weights"))
+        alpha = 1 - np.exp(-sigma * delta)
+        light = np.concatenate([[1.0], np.cumprod(1 - alpha)[:-1]])
+        assert np.all(np.diff(t) >= 0)
+        assert np.allclose(one["alpha"], alpha, atol=1e-5)
+        assert np.allclose(one["transmittance"], light, atol=1e-5)
+        assert np.allclose(weights, light * alpha, atol=1e-5)
+    color = weights @ rgb + (1 - weights.sum()) * np.array(ray["background"])
+    assert np.abs(color - ray["color"]).max() < 1e-5
+    assert ray["opacity"] == pytest.approx(weights.sum(), abs=1e-6)
+    half = np.flatnonzero(np.cumsum(weights) >= 0.5)
+    assert ray["depth_median"] == (pytest.approx(t[half[0]]) if len(half) else None)
+
+
+def test_the_radiance_covers_the_sphere_around_the_point(written: Path) -> None:
+    ray = json.loads((written / "ray.json").read_text())
+    directions, rgb = np.array(ray["radiance"]["directions"]), np.array(ray["radiance"]["rgb"])
+    assert len(directions) == len(rgb) >= 2048
+    assert np.allclose(np.linalg.norm(directions, axis=-1), 1, atol=1e-6)
+    assert rgb.min() >= 0
+    assert rgb.max() <= 1
+    along = np.array(ray["radiance"]["point"]) - ray["origin"]
+    assert np.allclose(along / np.linalg.norm(along), ray["direction"], atol=1e-5)
+
+
+def test_a_checkpoint_gives_the_same_picture_again(written: Path, tmp_path: Path) -> None:
+    done = viewer(
+        *TINY, "--headless", "--load", str(written / "model.safetensors"), "--render", str(tmp_path / "again.npy")
+    )
+    assert done.returncode == 0, done.stderr
+    assert np.array_equal(np.load(tmp_path / "again.npy"), np.load(written / "picture.npy"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--method", "voxels"], "holds a model of method 'nerf': leave one of them out"),
+        (["--set", "rays=17"], "--set 'rays'='17': the constants of"),
+        (["--set", "wings=2"], "--set 'wings'='2': the constants of"),
+        (["--preset", "complete"], "--preset 'complete': the constants of"),
+    ],
+)
+def test_a_loaded_model_keeps_its_method_and_constants(written: Path, arguments: list[str], words: str) -> None:
+    done = viewer("--headless", "--load", str(written / "model.safetensors"), "--render", "x.npy", *arguments)
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert not done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--size", "640"], "--size 640"),
+        (["--click", "2.0", "0.5", "--inspect", "x.json"], "--click 2.0"),
+        (["--inspect", "x.json"], "--click X Y"),
+        (["--click", "0.5", "0.5", "--inspect", "x.json", "--inspect", "y.txt"], "--inspect y.txt: name a .json or"),
+        (["--pin", "0.5", "0.5"] * (MOST + 1), "--pin: given 9 times; 8 rays at most can be pinned"),
+        (["--camera", "nowhere", "--steps", "1", "--screenshot", "x.png"], "--camera 'nowhere': is none of the"),
+        (["--click", "a", "0.5", "--steps", "1000000"], "--click a"),
+        (["--render", "a.png", "--render", "b.npy"], "--render: given 2 times"),
+        (["--render", "x.jpg"], ".png or .npy"),
+        (["--load", "nothing.safetensors"], "nothing.safetensors"),
+        (["nowhere"], "nowhere"),
+        (["--method", "magic"], "magic"),
+        (["--set", "rays=many"], "rays"),
+        (["--steps", "0"], "--steps 0"),
+        (["--steps", "1.5"], "--steps"),
+        (["--wings"], "--wings"),
+        (["--size", "²x500"], "--size ²x500"),
+        (["--size", "16x16", "--click", "0.5", "0.5", "--inspect", "x.json"], "give a larger --size"),
+        (["--orbit", "x.avi"], "--orbit x.avi: name a .mp4 file"),
+        (["--screenshot", "x.jpg"], "--screenshot x.jpg: name a .png file"),
+        (["--save", "/proc/none/x.safetensors"], "/proc/none/x.safetensors: cannot be written"),
+        (["--downscale", "9" * 400], "--downscale"),
+        (["--set", "rays=" + 20 * "9"], "rays"),
+        (["--set", "depth=100000"], "depth"),
+    ],
+)
+def test_a_mistake_is_one_line_and_status_2(arguments: list[str], words: str, tmp_path: Path) -> None:
+    steps = [] if "--steps" in arguments or "--load" in arguments else ["--steps", "1"]
+    command = [sys.executable, "-m", "viewer.cli", *without(TINY, arguments), "--headless", *steps, *arguments]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[3])}
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=100, cwd=tmp_path, env=environment, check=False
+    )
+    assert done.returncode == 2, done.stderr
+    assert words in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_eight_pins_fit_beside_what_the_demo_pins_and_every_file_has_them(tmp_path: Path) -> None:
+    pins = [word for k in range(MOST) for word in ("--pin", f"0.{k + 1}", "0.4")]
+    files, model = [tmp_path / "rays.json", tmp_path / "rays.csv"], tmp_path / "model.safetensors"
+    done = viewer(
+        *TINY, "--headless", "--steps", "2", *pins, "--click", "0.5", "0.6", "--save", str(model),
+        *(word for file in files for word in ("--inspect", str(file))),
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    rays = json.loads(files[0].read_text())["rays"]
+    names = [ray.get("name") for ray in rays]
+    assert names[0] is None  # the clicked one
+    assert len(set(names[1:])) == len({tuple(ray["pixel"]) for ray in rays[1:]}) == MOST
+    lines = files[1].read_text().splitlines()[1:]
+    assert {line.partition(",")[0] for line in lines} == {str(k) for k in range(MOST + 1)}
+
+    done = viewer(*TINY, "--headless", "--load", str(model), "--pin", "0.5", "0.5", "--render", str(tmp_path / "x.npy"))
+    assert done.returncode == 2
+    assert f"--pin: given 1 times; beside the rays that are pinned in {model} there is room for 0" in done.stderr
+    assert not (tmp_path / "x.npy").exists()
+
+
+def test_what_was_trained_outlives_a_file_that_cannot_be_written(data_home: Path, tmp_path: Path) -> None:
+    for old in data_home.rglob("*.safetensors"):
+        old.unlink()
+    done = viewer(*TINY, "--headless", "--steps", "3", "--click", "5000", "5", "--inspect", str(tmp_path / "x.json"))
+    assert done.returncode == 2
+    assert "--click 5000" in done.stderr
+    (file,) = data_home.rglob("*.safetensors")
+    assert str(file) in done.stdout
+
+
+def test_an_autosave_never_replaces_an_older_one(data_home: Path) -> None:
+    scene = load_scene(None, LoadOptions(downscale=8))
+    folder = data_home / "nerf-viewer" / "autosave"
+    folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.iterdir():  # of other tests
+        old.unlink()
+    prefix = f"{scene.name}-{scene.identity()[:8]}"
+    for k in range(12):
+        (folder / f"{prefix}-20200101-0000{k:02}.safetensors").touch()
+    path = autosave_path(scene)
+    assert not path.exists()
+    kept = sorted(folder.glob(f"{prefix}-2020*"))
+    assert len(kept) == 9  # with the one that is to be written, ten
+    assert kept[0].name.endswith("000003.safetensors")
+
+
+def test_a_window_does_the_same(display: str, tmp_path: Path) -> None:
+    shot = tmp_path / "window.png"
+    home = {"DISPLAY": display, "XDG_CONFIG_HOME": str(tmp_path / "config"), "XDG_DATA_HOME": str(tmp_path / "data")}
+    done = viewer(*TINY, "--steps", "3", "--click", "0.5", "0.5", "--screenshot", str(shot), env=home)
+    assert done.returncode == 0, done.stderr
+    assert iio.imread(shot).shape[2] == 3
+
+
+def test_closing_a_training_window_loses_nothing(display: str, tmp_path: Path) -> None:
+    home = {"DISPLAY": display, "XDG_CONFIG_HOME": str(tmp_path / "config"), "XDG_DATA_HOME": str(tmp_path / "data")}
+    saved = tmp_path / "model.safetensors"
+    command = [
+        sys.executable,
+        "-m",
+        "viewer.cli",
+        *TINY,
+        "--save",
+        str(saved),
+        "--steps",
+        "100000",
+        "--orbit",
+        str(tmp_path / "o.mp4"),
+    ]
+    with subprocess.Popen(command, env={**os.environ, **home}, stdout=subprocess.PIPE, text=True) as process:
+        time.sleep(12)
+        process.send_signal(signal.SIGTERM)
+        begin = time.monotonic()
+        assert process.wait(timeout=20) == 143
+        assert time.monotonic() - begin < 5
+    assert saved.is_file()
+    assert not list(tmp_path.glob("*.mp4"))
+
+
+def test_a_window_that_cannot_open_what_it_was_told_says_so_and_ends(display: str, tmp_path: Path) -> None:
+    home = {"DISPLAY": display, "XDG_CONFIG_HOME": str(tmp_path / "config"), "XDG_DATA_HOME": str(tmp_path / "data")}
+    done = viewer("nowhere", env=home)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "nowhere" in done.stderr
+    done = viewer("--scale", "2", env=home)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "--scale 2" in done.stderr
+
+
+def test_offscreen_with_nothing_asked_for_leaves_a_picture_an_orbit_and_a_ray(tmp_path: Path) -> None:
+    """As the first command of the README does on a machine without a display, but with less training."""
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[3])}
+    command = [sys.executable, "-m", "viewer.cli", *TINY, "--headless", "--steps", "5"]
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=200, cwd=tmp_path, env=environment, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    (folder,) = tmp_path.iterdir()
+    assert str(folder) in done.stdout
+    assert sorted(p.name for p in folder.iterdir()) == ["orbit.mp4", "ray.json", "screenshot.png"]
+    assert imageio_ffmpeg.count_frames_and_secs(str(folder / "orbit.mp4"))[0] == 40
+
+
+def test_a_window_without_a_display_works_offscreen(tmp_path: Path) -> None:
+    shot = tmp_path / "shot.png"
+    env = {"DISPLAY": "", "WAYLAND_DISPLAY": ""}
+    done = viewer(*TINY, "--steps", "2", "--screenshot", str(shot), env=env)
+    assert done.returncode == 0, done.stderr
+    assert "offscreen" in done.stdout
+    assert shot.is_file()
+
+
+def test_gl_and_training_live_in_one_process() -> None:
+    """With a CUDA build of torch, triton is there too: loaded after Mesa's LLVM it would end the process."""
+    pytest.importorskip("triton", reason="only Linux on x86-64 has triton")
+    code = (
+        "from viewer.window.egl_window import EglWindow; w = EglWindow((64, 64)); import triton, torch;"
+        "p = torch.nn.Parameter(torch.ones(3)); o = torch.optim.Adam([p]); p.sum().backward(); o.step();"
+        "w.framebuffer.clear(1.0, 0.0, 0.0); print(w.read_pixels()[0, 0].tolist())"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "[255, 0, 0]"
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("lego", ["--downscale", "16"]),
+        ("fox", ["--downscale", "32"]),
+        ("fern", ["--downscale", "8"]),
+        ("can", ["--format", "llff", "--downscale", "16"]),
+        ("can", ["--format", "colmap", "--downscale", "16"]),
+    ],
+)
+def test_real_scenes_open_and_train(scenes: Path, name: str, options: list[str], tmp_path: Path) -> None:
+    shot = tmp_path / "shot.png"
+    done = viewer(
+        str(scenes / name), *without(TINY, options), *options, "--headless", "--steps", "20", "--screenshot", str(shot)
+    )
+    assert done.returncode == 0, done.stderr
+    assert shot.is_file()
+
+
+def test_the_free_camera_may_turn_away_in_ndc(scenes: Path) -> None:
+    scene = load_scene(scenes / "fern", LoadOptions(downscale=8))
+    assert scene.ndc is not None
+    camera: Camera = scene.views[0].camera
+    behind = camera.moved(camera.c2w @ np.diag([-1.0, 1, -1, 1])).resized(8, 8)
+    rays = camera_rays(behind, scene.near, scene.far)
+    _, _, exists = scene.ndc.rays(rays.origins, rays.directions)
+    assert not exists.any()
+
+
+def test_a_checkpoint_is_looked_at_before_anything_else_is_done(tmp_path: Path) -> None:
+    junk = tmp_path / "junk.safetensors"
+    junk.write_bytes(b"no header at all")
+    with pytest.raises(UserError, match=r"junk\.safetensors: not a readable checkpoint"):
+        Wishes(load=junk).check()
+
+
+def test_both_commands_write_the_same_of_a_pixel(tmp_path: Path) -> None:
+    """The microscope through the window's worker, and straight from a run: one checkpoint, one schema, equal arrays."""
+    options = ["--method", "voxels", "--device", "cpu", "--threads", "1", "--downscale", "8"]
+    core = [sys.executable, "-m", "nerf_core.cli"]
+    subprocess.run([*core, "train", "--out", str(tmp_path), *options, "--steps", "40"], capture_output=True, check=True)
+    (model,) = tmp_path.rglob("*.safetensors")
+    files = tmp_path / "viewer.json", tmp_path / "core.json"
+    done = viewer(
+        *options, "--headless", "--size", "640x400", "--load", str(model), "--steps", "40", "--camera", "test/r_3",
+        "--click", "0.5", "0.5", "--inspect", str(files[0]),
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    looking = json.loads(files[0].read_text())
+    (photo,) = (v for v in load_scene(None, LoadOptions(downscale=8)).views if v.name == "test/r_3.png")
+    np.testing.assert_allclose(looking["camera"]["c2w"], photo.camera.c2w, atol=1e-6)
+    pixel = [str(v) for v in looking["pixel"]]
+    words = ["probe", str(tmp_path), "--camera", str(files[0]), "--pixel", *pixel, "--write", str(files[1])]
+    subprocess.run([*core, *words], capture_output=True, check=True)
+    one, other = (json.loads(file.read_text()) for file in files)
+    assert {"passes", "verdict", "radiance", "evidence"} <= one.keys()
+    assert _numbers(one).keys() == _numbers(other).keys()
+    for name, value in _numbers(one).items():
+        np.testing.assert_allclose(value, _numbers(other)[name], atol=1e-6, err_msg=name)
+    assert one["verdict"]["reasons"] == other["verdict"]["reasons"]
+
+
+def _numbers(value: object, name: str = "") -> dict[str, np.ndarray]:
+    """Every array of numbers in what JSON holds, by its path."""
+    if isinstance(value, dict):
+        return {k: v for key, inner in value.items() for k, v in _numbers(inner, f"{name}/{key}").items()}
+    if isinstance(value, list) and any(isinstance(inner, dict) for inner in value):
+        return {k: v for i, inner in enumerate(value) for k, v in _numbers(inner, f"{name}/{i}").items()}
+    array = np.array(value)
+    return {name: array} if array.dtype.kind in "if" else {}

@@ -1,0 +1,196 @@
+"""Where the docks are remembered, and what happens when that file is no good."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scripted
+from imgui_bundle import imgui
+
+from viewer.app.app import App
+from viewer.ui.layout import HEADER, _checksum, _has_place
+from viewer.window import Window
+
+Offscreen = Callable[..., Window]
+SIZE = (1000, 700)
+
+
+Open = Callable[[Path | None], App]
+
+
+@pytest.fixture
+def opened(offscreen: Offscreen) -> Iterator[Open]:
+    """Opens apps, one at a time, and closes what a failed test leaves."""
+    apps: list[App] = []
+
+    def open_app(file: Path | None) -> App:
+        clock = itertools.count(100.0, 0.5)  # imgui waits 5 seconds after a change before it asks to be saved
+        worker = scripted.ScriptedWorker(scripted.make_scene())
+        app = App(offscreen(SIZE), worker, layout_file=file, time=lambda: next(clock))
+        apps.append(app)
+        app.settle(5)
+        return app
+
+    yield open_app
+    for app in apps:
+        app.close()
+
+
+def viewport_of(app: App) -> tuple[float, ...]:
+    return app.widgets["viewport"]
+
+
+def move_the_divider(app: App) -> None:
+    """Between the viewport and the right column."""
+    _, top, right, bottom = viewport_of(app)
+    edge, middle = right + 2, (top + bottom) / 2
+    app.hand.drag((edge, middle), (edge - 120, middle))
+    app.settle(5)
+
+
+def test_the_layout_survives_a_restart(opened: Open, tmp_path: Path) -> None:
+    file = tmp_path / "deep" / "layout.ini"
+    app = opened(file)
+    before = viewport_of(app)
+    move_the_divider(app)
+    moved = viewport_of(app)
+    assert moved[2] < before[2] - 100
+    app.close()
+    again = opened(file)
+    assert viewport_of(again) == pytest.approx(moved, abs=2)
+    assert not again.state.notices
+    again.close()
+
+
+@pytest.mark.parametrize("title", ["View", "Export"])
+def test_the_tab_in_front_is_in_front_again(opened: Open, tmp_path: Path, title: str) -> None:
+    file = tmp_path / "layout.ini"
+    app = opened(file)
+    app.state.raise_panel = title
+    app.settle(5)
+    app.close()
+    again = opened(file)
+    again.settle(5)
+    assert title in again._host.in_front
+
+
+def test_a_layout_that_lacks_a_panel_gives_way_to_the_default(opened: Open, tmp_path: Path) -> None:
+    """As one of an older version does; the new panel would float over the others."""
+    file = tmp_path / "layout.ini"
+    app = opened(file)
+    default = viewport_of(app)
+    move_the_divider(app)
+    app.close()
+    body = file.read_text("utf-8").partition("\n")[2].replace("[Window][Radiance]", "[Window][Something else]")
+    file.write_text(f"{HEADER}{_checksum(body)}\n{body}", "utf-8")
+    again = opened(file)
+    assert viewport_of(again) == pytest.approx(default, abs=2)
+    assert not again.state.notices
+
+
+def test_a_panel_that_nobody_placed_does_not_float_over_the_others(opened: Open, tmp_path: Path) -> None:
+    file = tmp_path / "layout.ini"
+    app = opened(file)
+    default = viewport_of(app)
+    move_the_divider(app)
+    app.close()
+    body = file.read_text("utf-8").partition("\n")[2]
+    body = re.sub(r"(\[Window\]\[View\]\n)Pos=.*\n((?:.+\n)*?)DockId=.*\n", r"\1Pos=60,60\n\2", body)
+    assert "[Window][View]\nPos=60,60\n" in body
+    file.write_text(f"{HEADER}{_checksum(body)}\n{body}", "utf-8")
+    assert viewport_of(opened(file)) == pytest.approx(default, abs=2)
+
+
+def test_panels_that_were_hidden_when_the_window_closed_come_back_to_their_places(opened: Open, tmp_path: Path) -> None:
+    file = tmp_path / "layout.ini"
+    app = opened(file)
+    default = viewport_of(app)
+    app.state.show_panels = False
+    app.settle(5)
+    app.close()
+    again = opened(file)
+    again.state.show_panels = True
+    again.settle(5)
+    assert viewport_of(again) == pytest.approx(default, abs=2)
+    again.close()
+    places = file.read_text("utf-8")
+    assert all(_has_place(places, title) for title in ("View", "Export", "Notices", "Ray"))
+
+
+@pytest.mark.parametrize("damage", ["cut", "binary", "foreign", "edited"])
+def test_a_damaged_file_is_kept_aside_and_the_default_shown(opened: Open, tmp_path: Path, damage: str) -> None:
+    file = tmp_path / "layout.ini"
+    app = opened(file)
+    default = viewport_of(app)
+    move_the_divider(app)
+    app.close()
+    text = file.read_text("utf-8")
+    broken = {
+        "cut": text[: len(text) // 2].encode(),
+        "binary": b"\xff\xfe\x00junk",
+        "foreign": b"[Window][Debug]\nPos=1,1\n",
+        "edited": text.replace("Size=", "Size=-", 1).encode(),
+    }[damage]
+    file.write_bytes(broken)
+    again = opened(file)
+    assert viewport_of(again) == pytest.approx(default, abs=2)
+    assert (tmp_path / "layout.bad").read_bytes() == broken
+    assert "damaged" in again.state.notices[0].notice.text
+    again.close()
+    assert file.read_text("utf-8").startswith(HEADER)
+
+
+def test_a_place_that_cannot_be_written_is_told_once(opened: Open, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    app = opened(tmp_path / "file" / "layout.ini")
+    for _ in range(2):
+        move_the_divider(app)
+        app.settle(10)
+    told = [shown.notice.text for shown in app.state.notices]
+    assert len(told) == 1
+    assert "cannot be kept" in told[0]
+
+
+def test_without_a_file_nothing_is_written(opened: Open, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    app = opened(None)
+    move_the_divider(app)
+    app.close()
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_default_comes_back_on_demand(opened: Open) -> None:
+    app = opened(None)
+    default = viewport_of(app)
+    move_the_divider(app)
+    app._layout.reset()
+    app.settle(5)
+    assert viewport_of(app) == pytest.approx(default, abs=2)
+
+
+def test_a_panel_that_floats_covers_what_is_under_it(opened: Open) -> None:
+    """Docked panels paint no background: what was cleared lies behind them, but the picture behind one that floats."""
+    app = opened(None)
+    left, top, right, bottom = (round(edge) for edge in viewport_of(app))
+    x, y = (left + right) // 2, (top + bottom) // 2
+    surface = [round(255 * channel) for channel in (app.theme.surface.x, app.theme.surface.y, app.theme.surface.z)]
+
+    def float_the_panel() -> None:
+        imgui.internal.dock_builder_dock_window("Training", 0)
+        imgui.set_window_pos("Training", imgui.ImVec2(x - 150, y - 60))
+        imgui.set_window_size("Training", imgui.ImVec2(300, 120))
+
+    assert app.pixels()[y, x].tolist() != surface
+    assert (app.pixels() == surface).all(-1).mean() > 0.2  # the panels in their docks
+    float_the_panel()
+    app.settle(5)
+    float_the_panel()  # undocking gives it the size of its dock
+    app.settle(5)
+    covered = app.pixels()[y - 20 : y + 40, x - 100 : x + 100]
+    ground, fields = surface, [round(255 * c) for c in (app.theme.raised.x, app.theme.raised.y, app.theme.raised.z)]
+    assert np.logical_or((covered == ground).all(-1), (covered == fields).all(-1)).mean() > 0.5

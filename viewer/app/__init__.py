@@ -1,0 +1,1 @@
+"""The window's loop and the parts that it draws."""

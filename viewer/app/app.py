@@ -1,0 +1,333 @@
+"""The window's one loop: read the newest snapshot → panels → send commands → draw."""
+
+from __future__ import annotations
+
+import time as clock
+from collections import deque
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from imgui_bundle import ImVec2, imgui, implot
+
+from nerf_core.common.errors import UserError
+from nerf_core.geometry.cameras import Camera
+from nerf_core.live.messages import Inspect, Notice, Snapshot, ViewRequest
+from nerf_core.rendering.video import write_png
+
+from ..commands.perform import Actions
+from ..draw.imgui_renderer import ImguiRenderer
+from ..draw.textures import TextureCache
+from ..draw.viewport import same_view
+from ..model import pins
+from ..model.link import Link
+from ..model.state import Action, AppState
+from ..ui.contract import Panel
+from ..ui.layout import Layout
+from ..ui.theme import DarkTheme
+from ..window import Window
+from .bars import Bars
+from .inject import Hand
+from .pacing import Pacer
+from .panel_host import PanelHost, PanelUi, Rect
+from .viewport_panel import ViewportPanel
+
+SHORTEST = 1e-4  # seconds: imgui wants time to pass between frames, even on a clock that stands still
+
+
+class App:
+    """Everything that the user sees, on any window. Close it before the window.
+
+    layout_file: where the docks are remembered; None (headless, tests): nothing is read or written.
+    panels: all that are registered, unless given. time: a monotonic clock in seconds.
+    """
+
+    def __init__(
+        self,
+        window: Window,
+        link: Link,
+        *,
+        layout_file: Path | None = None,
+        panels: Sequence[Panel] | None = None,
+        time: Callable[[], float] = clock.monotonic,
+    ) -> None:
+        self.window = window
+        self.link = link
+        self._time = time
+        self.state = AppState(has_display=window.has_display, time=time())
+        self._context = imgui.create_context()
+        imgui.set_current_context(self._context)  # creating one leaves an older one current
+        implot.create_context()
+        self._connect_clipboard()
+        io = imgui.get_io()
+        io.config_flags |= imgui.ConfigFlags_.docking_enable
+        io.config_error_recovery_enable_tooltip = False  # a panel's fault is a notice, and a line in the log
+        io.config_windows_move_from_title_bar_only = True  # dragging in a plot must not move its panel
+        self.theme = DarkTheme()
+        self.theme.load_fonts()
+        self._scale = 0.0
+        self._renderer = ImguiRenderer(window.context)
+        self._textures = TextureCache(self._renderer)
+        self._viewport = ViewportPanel(window.context, self._renderer)
+        self._ui = PanelUi(self.theme, self._textures)
+        self._host = PanelHost(panels)
+        self._bars = Bars()
+        self._layout = Layout(layout_file)
+        self._pacer = Pacer(watched=window.has_display)
+        self._actions = Actions(self.state, link)
+        self._requested: tuple[Camera, bool, int, str] | None = None  # camera, moving, scene, mode
+        self._stamp = 0
+        self._answered: Inspect | None = None  # the newest ray that was asked for and came
+        self._drawn_at = self.state.time
+        self._frame_times: deque[float] = deque(maxlen=120)
+        self._closed = self._hidden = False
+        self._warn(self._layout.load())
+        self.hand = Hand(lambda: self.frame(force=True))
+
+    # ---- the loop ---------------------------------------------------------------------------------------------
+
+    def run(self, until: Callable[[], bool] = lambda: False) -> None:
+        """Until the window is closed or `until()`."""
+        while not (self.window.should_close() or until()):
+            input_came = self.window.poll(self._pacer.wait(self._time()))
+            self._pacer.note(self._time(), hand=input_came)
+            self.frame()
+        self._warn(self._layout.save_if_changed())
+
+    def frame(self, force: bool = False) -> bool:
+        """One turn of the loop; whether it drew. force: draw although nothing changed."""
+        self.state.time = now = self._time()
+        self._read()
+        moved = self.state.camera.update(now)
+        self._pacer.note(now, hand=moved or force)
+        drew = False
+        if (force or self._pacer.due(now)) and min(self.window.size()) > 0:
+            begin = clock.perf_counter()
+            self._draw(now)
+            self._show()
+            seconds = clock.perf_counter() - begin
+            self.link.painted(seconds)
+            self._pacer.drew(now, seconds, self._frames_part())
+            drew = True
+            moved = self.state.camera.update(now)  # by what the hands did in this frame
+            self._pacer.note(now, hand=moved)
+        self._request_view(now)
+        return drew
+
+    def _read(self) -> None:
+        """Take what the worker has to say. Notices first: the state that they tell of is there by then."""
+        notices = self.link.notices()
+        old, new = self.state.snapshot, self.link.snapshot()
+        if new is not old:
+            self.state.snapshot = new
+            picture = new.preview is not old.preview or _opened(new) != _opened(old)
+            self._pacer.note(self.state.time, answer=self._is_answer(new), picture=picture, figures=True)
+            if new.loaded != old.loaded and new.scene is not None:
+                self.state.camera.set_scene(new.scene)
+                self.state.inspect = self.state.current_view = None
+                self.state.pins = []
+                self._actions.pin_landmarks(new.scene)
+                self.state.checkpoint_file = ""
+            if new.session is not old.session and new.session:
+                self._actions.restore(new.session)
+        self._focus_behind()
+        for notice in notices:
+            self._actions.tell(notice)
+        if notices:
+            self._pacer.note(self.state.time, hand=True)
+
+    def _is_answer(self, snapshot: Snapshot) -> bool:
+        """Whether the ray that was asked for is whole, for the first time."""
+        asked, opened = self.state.inspect, snapshot.opened
+        if asked is None or asked is self._answered or opened is None or snapshot.opened_step < 0:
+            return False
+        radiance = opened.radiance
+        if opened.camera is not asked.camera or opened.ray.pixel != asked.pixel or radiance is None:
+            return False
+        if radiance.around != asked.around or asked.point_t not in (None, radiance.t):
+            return False
+        self._answered = asked
+        return True
+
+    def _focus_behind(self) -> None:
+        """A double click lands where the verdict has the surface, as soon as there is one: behind a floater, and not
+        between two surfaces, where the picture's mean depth is."""
+        state, opened = self.state, self.state.snapshot.opened
+        if state.focus is None or opened is None or opened.verdict is None:
+            return
+        if opened.camera is not state.focus.camera or opened.ray.pixel != state.focus.pixel:
+            return
+        stood, state.focus = state.focus.camera.c2w[:, 3], None
+        if opened.verdict.surface_t is not None and np.allclose(state.camera.c2w()[:, 3], stood):  # else they went on
+            state.camera.focus(opened.ray.origin + opened.verdict.surface_t * opened.ray.direction)
+
+    def _request_view(self, now: float) -> None:
+        """Tell the worker what to draw, when that changed or the camera came to rest."""
+        if self.state.snapshot.scene is None or min(self.window.size()) == 0:
+            return
+        camera, moving = self.state.camera.camera(*self.state.viewport), self.state.camera.moving(now)
+        loaded, mode = self.state.snapshot.loaded, self.state.mode
+        if self._requested is not None:
+            last, *others = self._requested
+            if same_view(last, camera) and others == [moving, loaded, mode]:
+                return
+        self._stamp += 1
+        self._requested = camera, moving, loaded, mode
+        self.link.request_view(ViewRequest(self._stamp, camera, moving, mode))
+
+    # ---- drawing ----------------------------------------------------------------------------------------------
+
+    def _draw(self, now: float) -> None:
+        if self.window.scale() != self._scale:
+            self._scale = self.window.scale()
+            self.theme.apply(self._scale)
+        io = imgui.get_io()
+        io.display_size = ImVec2(*self.window.size())
+        io.delta_time = max(now - self._drawn_at, SHORTEST)
+        self._drawn_at = now
+        self._count_frame(now)
+        self._textures.begin_frame()
+        self._ui.widgets.clear()
+        imgui.new_frame()
+        actions = self._draw_interface()
+        imgui.render()
+        target = self.window.framebuffer
+        target.use()
+        self.window.context.scissor = None
+        surface = self.theme.surface  # docked panels paint no background of their own
+        target.clear(surface.x, surface.y, surface.z, 1.0)
+        self._renderer.render(imgui.get_draw_data(), target)
+        for action in actions:
+            self._actions.perform(action)
+        self._save_screenshots()
+
+    def _frames_part(self) -> float:
+        """Half of what training leaves for pictures: the worker's pictures want the other half."""
+        snapshot = self.state.snapshot
+        return (1 - snapshot.wanted_share) / 2 if snapshot.status == "training" else 1.0
+
+    def _show(self) -> None:
+        self.window.swap()
+        self.window.set_cursor(imgui.get_mouse_cursor())
+        self._warn(self._layout.save_if_changed())
+
+    def _draw_interface(self) -> list[Action]:
+        state, ui, bars, viewport = self.state, self._ui, self._bars, self._viewport
+        state.sample, state.pointed_at = state.pointed_at, None
+        flying = viewport.input.keys(state, imgui.get_io().delta_time)
+        held = any(imgui.is_mouse_down(button) for button in range(3))
+        self._pacer.note(self.state.time, hand=flying or held)
+        actions = list(bars.draw_menu(ui, state))
+        bars.draw_status(ui, state)
+        self._wishes()
+        if state.show_panels:
+            self._layout.dock(self._host.panels, ui.em, self._host.in_front)
+        viewport.draw(ui, state, alone=not state.show_panels)
+        if state.show_panels:
+            front = self._host.in_front
+            actions += self._host.draw(ui, state)
+            if self._hidden:
+                self._layout.bring_forward(front)
+        self._hidden = not state.show_panels
+        actions += self._host.draw_overlays(ui, state)
+        for notice in self._host.notices:
+            self._actions.tell(notice)
+        self._host.notices.clear()
+        return actions + viewport.input.take()
+
+    def _save_screenshots(self) -> None:
+        """Those that were asked for in this frame, before it leaves the back buffer."""
+        paths, self._actions.screenshots = self._actions.screenshots, []
+        for path in paths:
+            try:
+                write_png(path, self.window.read_pixels())
+            except UserError as error:
+                self._actions.tell(Notice("error", str(error)))
+            else:
+                self._actions.tell(Notice("info", f"saved {path}", path))
+
+    def _wishes(self) -> None:
+        """What menus and keys ask of the window itself."""
+        bars = self._bars
+        if self.state.raise_panel and not (self._hidden or self._layout.raising):  # those come first, or would cover it
+            imgui.set_window_focus(self.state.raise_panel)
+            self.state.raise_panel = ""
+        if bars.reset_layout_wanted:
+            self._layout.reset()
+        if bars.quit_wanted:
+            self.window.request_close()
+        bars.reset_layout_wanted = bars.quit_wanted = False
+
+    def _count_frame(self, now: float) -> None:
+        """Frames of the last second."""
+        self._frame_times.append(now)
+        while now - self._frame_times[0] > 1:
+            self._frame_times.popleft()
+        self.state.frames_per_second = float(len(self._frame_times))
+
+    def session(self) -> dict[str, Any]:
+        """What a checkpoint keeps of the window: its pinned rays."""
+        return pins.to_json(self.state.pins)
+
+    # ---- for scripts, tests and the headless mode ---------------------------------------------------------------
+
+    @property
+    def widgets(self) -> dict[str, Rect]:
+        """Where the marked widgets lie that were visible in the last frame; "viewport" is the picture."""
+        return dict(self._ui.widgets)
+
+    @property
+    def stale(self) -> bool:
+        """Whether the last frame showed a warp of an older picture."""
+        return self._viewport.stale
+
+    def perform(self, action: Action) -> None:
+        """Do what a panel could have asked for."""
+        self._actions.perform(action)
+
+    def pixels(self) -> np.ndarray:
+        """Draw a frame and read the whole window: uint8 (H, W, 3)."""
+        self.frame(force=True)  # takes what is waiting
+        self._draw(self.state.time)
+        pixels = self.window.read_pixels()
+        self._show()
+        self._pacer.drew(self.state.time)
+        return pixels
+
+    def screenshot(self, path: Path) -> None:
+        """Write the whole window as a PNG. Raises UserError when that fails."""
+        write_png(path, self.pixels())
+
+    def settle(self, frames: int = 3) -> None:
+        """Draw until imgui has taken in the input and the layout."""
+        for _ in range(frames):
+            self.frame(force=True)
+
+    # ---- beginning and end --------------------------------------------------------------------------------------
+
+    def _connect_clipboard(self) -> None:
+        platform = imgui.get_platform_io()
+        platform.platform_get_clipboard_text_fn = lambda _: self.window.clipboard()
+        platform.platform_set_clipboard_text_fn = lambda _, text: self.window.set_clipboard(text)
+
+    def _warn(self, text: str | None) -> None:
+        if text:
+            self._actions.tell(Notice("warning", text))
+
+    def close(self) -> None:
+        """Remember the layout and free everything but the window; calling it again does nothing."""
+        if self._closed:
+            return
+        self._closed = True
+        self._layout.save()
+        self._viewport.release()
+        self._textures.release()
+        self._renderer.release()
+        implot.destroy_context()
+        imgui.destroy_context(self._context)
+
+
+def _opened(snapshot: Snapshot) -> tuple[int, ...]:
+    """Differs when something of an opened ray is new."""
+    return tuple(map(id, (snapshot.opened, *(pin.ray for pin in snapshot.pinned))))

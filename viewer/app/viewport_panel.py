@@ -1,0 +1,243 @@
+"""The viewport: the picture, what lies in space over it, and words where there is no picture."""
+
+from __future__ import annotations
+
+import moderngl
+import numpy as np
+from imgui_bundle import ImVec2, ImVec4, imgui
+from imgui_bundle import icons_fontawesome_6 as icons
+
+from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.scene import Scene
+from nerf_core.probe import RayProbe
+from nerf_core.rendering.modes import COLOR, MODES, Mode
+
+from ..commands.pointer import ViewportInput
+from ..draw.imgui_renderer import ImguiRenderer
+from ..draw.overlays import NEAR, Overlay, axis_directions, frusta
+from ..draw.viewport import ViewportPicture
+from ..model.state import AppState, SampleRef
+from ..ui.layout import VIEWPORT
+from ..ui.theme import GREEN, SKY, VERMILION
+from ..ui.widgets import color_scale, faded, packed, sample_tooltip
+from .panel_host import PanelUi
+
+FRUSTUM_DEPTH = 0.12  # of the scene's radius: visible beside the scene, not in its way
+SHADE = ImVec4(0.0, 0.0, 0.0, 0.6)  # under bright lines and words, so that they read on any picture
+
+
+class ViewportPanel:
+    def __init__(self, context: moderngl.Context, renderer: ImguiRenderer) -> None:
+        self._picture = ViewportPicture(context)
+        self._renderer = renderer
+        self.input = ViewportInput()
+        self.stale = False
+        self._named: moderngl.Texture | None = None  # what the renderer knows of the picture
+
+    def draw(self, ui: PanelUi, state: AppState, alone: bool) -> None:
+        """`alone`: it fills what the bars leave of the window."""
+        imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(0, 0))
+        imgui.push_style_var(imgui.StyleVar_.window_border_size, 0.0)  # it would cover the picture's outermost pixels
+        imgui.push_style_color(imgui.Col_.window_bg, ui.theme.ground)
+        flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
+        if state.snapshot.preview is not None:  # it covers the window
+            flags |= imgui.WindowFlags_.no_background
+        if alone:
+            area = imgui.get_main_viewport()
+            imgui.set_next_window_pos(area.work_pos)
+            imgui.set_next_window_size(area.work_size)
+            flags |= imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.no_docking
+            flags |= imgui.WindowFlags_.no_saved_settings
+        else:
+            kind = imgui.WindowClass()
+            kind.dock_node_flags_override_set = imgui.internal.DockNodeFlagsPrivate_.no_tab_bar
+            imgui.set_next_window_class(kind)
+        imgui.begin(f"{VIEWPORT}##alone" if alone else VIEWPORT, None, flags)
+        imgui.pop_style_color()
+        imgui.pop_style_var(2)
+        self._draw_content(ui, state)
+        imgui.end()
+
+    def _draw_content(self, ui: PanelUi, state: AppState) -> None:
+        origin, room = imgui.get_cursor_screen_pos(), imgui.get_content_region_avail()
+        origin = ImVec2(float(int(origin.x)), float(int(origin.y)))
+        width, height = max(int(room.x), 1), max(int(room.y), 1)
+        state.viewport = (width, height)
+        state.viewport_rect = (origin.x, origin.y, float(width), float(height))
+        camera = state.camera.camera(width, height)
+        draw = imgui.get_window_draw_list()
+        self._draw_picture(draw, state, camera, origin)
+        imgui.set_cursor_screen_pos(origin)
+        buttons = imgui.ButtonFlags_
+        every = buttons.mouse_button_left | buttons.mouse_button_right | buttons.mouse_button_middle
+        imgui.invisible_button("canvas", ImVec2(width, height), every)
+        ui.mark("viewport")
+        active, hovered = imgui.is_item_active(), imgui.is_item_hovered()
+        self.input.pointer(state, (origin.x, origin.y), active, hovered, ui.em)
+        scene, ray = state.snapshot.scene, state.snapshot.ray
+        if scene is not None:
+            overlay = Overlay(draw, camera, (origin.x, origin.y), NEAR * state.camera.distance)
+            self._draw_space(ui, state, scene, overlay)
+            if ray is not None and ray.passes and state.show_samples and hovered and not active:
+                _point_at(ui, state, overlay, ray)
+        self._draw_words(ui, state, draw, origin, ImVec2(width, height))
+
+    def _draw_picture(self, draw: imgui.ImDrawList, state: AppState, camera: Camera, origin: ImVec2) -> None:
+        snapshot = state.snapshot
+        preview, scene = snapshot.preview, snapshot.scene
+        self.stale = False
+        if preview is None or scene is None:
+            return
+        self.stale = self._picture.draw(preview, camera, scene.background)
+        far = ImVec2(origin.x + camera.width, origin.y + camera.height)
+        texture, first, last = self._picture.shown
+        if self._named is not None and self._named is not texture:
+            self._renderer.remove(self._named)
+        self._named = texture
+        draw.add_image(self._renderer.add(texture, opaque=True), origin, far, ImVec2(*first), ImVec2(*last))
+
+    def _draw_space(self, ui: PanelUi, state: AppState, scene: Scene, overlay: Overlay) -> None:
+        theme, thin = ui.theme, max(1.0, ui.em / 14)
+        if state.show_cameras:
+            train = set(scene.split("train"))
+            depth = FRUSTUM_DEPTH * scene.radius
+            for indices, color in ((train, theme.text), (set(range(len(scene.views))) - train, theme.muted)):
+                cameras = [scene.views[k].camera for k in sorted(indices)]
+                if cameras:
+                    shade = faded(SHADE, 0.5), 2.5 * thin  # for a white ground
+                    overlay.lines(*frusta(cameras, depth), shade, (faded(color, 0.55), thin))
+        if not state.show_samples:
+            return
+        shown = {pin.id: pin for pin in state.pins if not pin.hidden}
+        pinned = [(shown[one.id], one.ray) for one in state.snapshot.pinned if one.ray is not None and one.id in shown]
+        colors, names = [theme.pins[pin.color] for pin, _ in pinned], [pin.name for pin, _ in pinned]
+        _draw_rays(ui, overlay, [ray for _, ray in pinned], colors)
+        overlay.tags(*_ends([ray for _, ray in pinned]), names, ui.em, colors, theme.ground)
+        ray = state.snapshot.ray
+        if ray is None:
+            return
+        pin = next(
+            (pin for pin in state.pins if pin.ray.camera is _camera_of(state) and pin.ray.pixel == ray.pixel), None
+        )
+        _draw_rays(ui, overlay, [ray], [theme.ray if pin is None else theme.pins[pin.color]])
+        if state.sample is not None and state.sample.one < len(ray.passes):
+            one = ray.passes[state.sample.one]
+            if state.sample.at < len(one.t):
+                place = ray.origin + float(one.t[state.sample.at]) * ray.direction
+                overlay.ring(place, 0.8 * ui.em, SHADE, 3 * thin)
+                overlay.ring(place, 0.8 * ui.em, theme.text, 1.5 * thin)
+        radiance = state.snapshot.radiance
+        if radiance is not None:
+            overlay.point(radiance.point, 1.15 * ui.em, SHADE)
+            overlay.point(radiance.point, ui.em, theme.point)
+
+    def _draw_words(self, ui: PanelUi, state: AppState, draw: imgui.ImDrawList, origin: ImVec2, size: ImVec2) -> None:
+        snapshot = state.snapshot
+        if snapshot.preview is None:
+            _centred(ui, draw, origin, size, _why_empty(state))
+            return
+        words = []
+        if self.stale:
+            words.append(f"{icons.ICON_FA_CLOCK}  stale: the last picture, warped")
+        if snapshot.preview.quality == "coarse" and snapshot.coarse:
+            words.append(snapshot.coarse)
+        if snapshot.stage:
+            words.append(snapshot.stage)
+        if words:
+            _chip(ui, draw, ImVec2(origin.x + 0.6 * ui.em, origin.y + size.y - 2.2 * ui.em), "  ·  ".join(words))
+        if snapshot.preview.mode != COLOR:
+            _scale(ui, draw, ImVec2(origin.x + 0.6 * ui.em, origin.y + 0.6 * ui.em), MODES.get(snapshot.preview.mode))
+        if state.show_cameras and snapshot.scene is not None:
+            place = ImVec2(origin.x + size.x - 3 * ui.em, origin.y + size.y - 3 * ui.em)
+            _axes(ui, draw, place, state.camera.camera(int(size.x), int(size.y)), snapshot.scene.up)
+
+    def release(self) -> None:
+        self._picture.release()
+
+
+def _camera_of(state: AppState) -> Camera | None:
+    return state.inspect.camera if state.inspect is not None else None
+
+
+def _point_at(ui: PanelUi, state: AppState, overlay: Overlay, ray: RayProbe) -> None:
+    """Say the numbers of the sample under the mouse, and have it marked everywhere."""
+    mouse = imgui.get_mouse_pos()
+    k = overlay.sample_at(ray, ui.em, mouse.x, mouse.y)
+    if k is not None:
+        state.pointed_at = SampleRef(len(ray.passes) - 1, k)
+        sample_tooltip(ui, ray.passes[-1], k)
+
+
+def _draw_rays(ui: PanelUi, overlay: Overlay, rays: list[RayProbe], colors: list[ImVec4]) -> None:
+    thin = max(1.0, ui.em / 14)
+    overlay.lines(*_ends(rays), (SHADE, 3 * thin), (colors, 1.2 * thin))
+    for ray, color in zip(rays, colors, strict=True):
+        if ray.passes:
+            overlay.samples(ray, ui.em, (SHADE, 2.2 * thin), (color, 1.4 * thin))
+
+
+def _ends(rays: list[RayProbe]) -> tuple[np.ndarray, np.ndarray]:
+    """Where the rays begin and end in the world, (N, 3) each."""
+    places = [(ray.origin + ray.near * ray.direction, ray.origin + ray.far * ray.direction) for ray in rays]
+    starts, ends = np.array(places, np.float64).reshape(-1, 2, 3).transpose(1, 0, 2)
+    return starts, ends
+
+
+def _why_empty(state: AppState) -> tuple[str, str]:
+    """A line, and a quieter one under it."""
+    snapshot = state.snapshot
+    match snapshot.status:
+        case "loading":
+            return "Opening", snapshot.loading
+        case "failed":
+            return "No picture: the worker failed", "see Notices"
+        case "empty":
+            return "Nothing is open", "Ctrl+O opens a folder of posed photos"
+        case _:
+            return "The first picture is on its way", ""
+
+
+def _centred(ui: PanelUi, draw: imgui.ImDrawList, origin: ImVec2, size: ImVec2, lines: tuple[str, str]) -> None:
+    y = origin.y + 0.5 * size.y - ui.em
+    for line, color in zip(lines, (ui.theme.text, ui.theme.muted), strict=True):
+        width = imgui.calc_text_size(line).x
+        x = origin.x + max(0.5 * (size.x - width), 0.5 * ui.em)
+        draw.add_text(ImVec2(int(x), int(y)), packed(color), line)
+        y += 1.5 * ui.em
+
+
+def _chip(ui: PanelUi, draw: imgui.ImDrawList, place: ImVec2, words: str) -> None:
+    """Words on a dark ground of their own."""
+    size = imgui.calc_text_size(words)
+    pad = 0.45 * ui.em
+    far = ImVec2(place.x + size.x + 2 * pad, place.y + size.y + pad)
+    draw.add_rect_filled(place, far, packed(SHADE), 0.2 * ui.em)
+    at = ImVec2(int(place.x + pad), int(place.y + 0.5 * pad))
+    draw.add_text(at, packed(ui.theme.text), words)
+
+
+def _scale(ui: PanelUi, draw: imgui.ImDrawList, place: ImVec2, mode: type[Mode]) -> None:
+    """A mode's name and what its colours mean."""
+    words = f"{mode.label}   {mode.low:g}", f"{mode.high:g} or more"
+    widths = [imgui.calc_text_size(text).x for text in words]
+    pad, bar, high = 0.45 * ui.em, 8 * ui.em, imgui.get_text_line_height()
+    far = ImVec2(place.x + sum(widths) + bar + 4 * pad, place.y + high + pad)
+    draw.add_rect_filled(place, far, packed(SHADE), 0.2 * ui.em)
+    y, x = place.y + 0.5 * pad, place.x + pad
+    text = packed(ui.theme.text)
+    draw.add_text(ImVec2(x, y), text, words[0])
+    x += widths[0] + pad
+    color_scale(draw, ImVec2(x, y + 0.15 * high), ImVec2(x + bar, y + 0.85 * high), mode.colors)
+    draw.add_text(ImVec2(x + bar + pad, y), text, words[1])
+
+
+def _axes(ui: PanelUi, draw: imgui.ImDrawList, centre: ImVec2, camera: Camera, up: np.ndarray) -> None:
+    """World x, y, z; the ones that point away first, under the others."""
+    named = zip(axis_directions(camera, up), "xyz", (VERMILION, GREEN, SKY), strict=True)
+    for (direction, towards, is_up), name, color in sorted(named, key=lambda item: item[0][1]):
+        strong = packed(ImVec4(color.x, color.y, color.z, 1.0 if towards > -0.2 else 0.5))
+        tip = ImVec2(centre.x + 1.6 * ui.em * direction[0], centre.y + 1.6 * ui.em * direction[1])
+        draw.add_line(centre, tip, strong, max(1.0, ui.em / (6 if is_up else 10)))
+        size = imgui.calc_text_size(name)
+        out = ImVec2(centre.x + 2.2 * ui.em * direction[0], centre.y + 2.2 * ui.em * direction[1])
+        draw.add_text(ImVec2(out.x - size.x / 2, out.y - size.y / 2), strong, name)

@@ -1,0 +1,91 @@
+"""Loss and PSNR over the steps of training."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from imgui_bundle import ImVec2, imgui, implot
+
+from nerf_core.live.messages import Snapshot
+
+from ..ui.widgets import Limits, axis_name
+
+if TYPE_CHECKING:
+    from ..ui.contract import Ui
+
+X1, Y1 = implot.ImAxis_.x1, implot.ImAxis_.y1
+PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
+FIRST_STEPS = 500  # the steps axis starts with this many and doubles when they are full
+HEIGHT_EM = 4.3
+
+
+@dataclass(frozen=True)
+class Curve:
+    """limits: what trainings from first noise to a fine model pass through."""
+
+    label: str
+    mark: str
+    limits: tuple[float, float]
+    log: bool
+    figure: str
+    ticks: tuple[float, ...]
+
+
+LOSS = Curve("loss", "training.loss", (1e-4, 1.0), log=True, figure=".3g", ticks=(1.0, 1e-2, 1e-4))
+PSNR = Curve("PSNR (dB)", "training.psnr", (5.0, 40.0), log=False, figure=".2f", ticks=(10.0, 30.0))
+
+
+class HistoryPlots:
+    """Both plots share the steps axis. It doubles when training runs out of it, unless the user has moved it."""
+
+    def __init__(self) -> None:
+        self._steps = Limits()
+        self._loaded = -1
+
+    def draw(self, ui: Ui, snapshot: Snapshot) -> None:
+        history = snapshot.history
+        fresh = snapshot.loaded != self._loaded
+        self._loaded = snapshot.loaded
+        top = float(FIRST_STEPS)
+        while len(history.step) and top < history.step[-1]:
+            top *= 2
+        self._steps.follow(0.0, top, fresh)
+        implot.push_style_var(implot.StyleVar_.plot_min_size, ImVec2(ui.em, ui.em))
+        implot.push_style_var(implot.StyleVar_.plot_padding, ImVec2(0.9 * ui.em, 0.3 * ui.em))  # half a tick label
+        if implot.begin_aligned_plots("history"):
+            self._plot(ui, LOSS, history.step, history.loss, fresh)
+            self._plot(ui, PSNR, history.step, history.psnr, fresh)
+            implot.end_aligned_plots()
+        implot.pop_style_var(2)
+
+    def _plot(self, ui: Ui, curve: Curve, steps: np.ndarray, values: np.ndarray, fresh: bool) -> None:
+        if not implot.begin_plot(f"##{curve.mark}", ImVec2(-1, HEIGHT_EM * ui.em), PLOT):
+            return
+        implot.setup_axis(X1, None, implot.AxisFlags_.no_tick_labels if curve.log else 0)
+        implot.setup_axis_links(X1, self._steps.low, self._steps.high)
+        implot.setup_axis(Y1, None)
+        implot.setup_axis_scale(Y1, implot.Scale_.log10 if curve.log else implot.Scale_.linear)
+        implot.setup_axis_limits(Y1, *curve.limits, implot.Cond_.always if fresh else implot.Cond_.once)
+        if curve.ticks:
+            implot.setup_axis_ticks(Y1, list(curve.ticks), [f"{v:g}" for v in curve.ticks])
+        color = ui.theme.accent if curve.log else ui.theme.good
+        good = np.isfinite(values) & ((values > 0) if curve.log else True)  # a log axis has no place for 0
+        steps, values = steps[good].astype(np.float64), values[good].astype(np.float64)
+        if len(steps):
+            implot.plot_line(curve.label, steps, values, implot.Spec(line_color=color, line_weight=0.1 * ui.em))
+            if implot.is_plot_hovered():
+                _read(ui, curve, steps, values)
+        # to the right, where a loss has fallen from and a PSNR has risen to
+        label, height = (curve.label, 0.0) if curve.log else (f"{curve.label} over steps", 1.0)
+        axis_name(ui, label, right=True, height=height)
+        implot.end_plot()
+        ui.mark(curve.mark)
+
+
+def _read(ui: Ui, curve: Curve, steps: np.ndarray, values: np.ndarray) -> None:
+    nearest = int(np.abs(steps - implot.get_plot_mouse_pos().x).argmin())
+    dot = implot.Spec(marker=implot.Marker_.circle, marker_size=0.22 * ui.em, marker_fill_color=ui.theme.text)
+    implot.plot_scatter("##nearest", steps[nearest : nearest + 1], values[nearest : nearest + 1], dot)
+    imgui.set_tooltip(f"step {int(steps[nearest]):,}: {curve.label} {values[nearest]:{curve.figure}}")

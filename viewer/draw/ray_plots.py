@@ -1,0 +1,315 @@
+"""One ray drawn over t: weights and transmittance, density, sample positions and colours, on one shared axis."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from imgui_bundle import ImVec2, ImVec4, imgui, implot
+
+from nerf_core.probe import RayProbe
+
+from ..ui.widgets import axis_name, faded, packed, tints
+from .ray_steps import Steps, wants_log
+
+if TYPE_CHECKING:
+    from ..ui.contract import Ui
+
+X1, Y1 = implot.ImAxis_.x1, implot.ImAxis_.y1
+PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
+LOG_DECADES = 4  # how far below its peak density is still told from empty space on a log axis
+DRAG_ID = 0
+REACH_EM = 0.3  # from a sample's stretch at which the mouse still means it
+ROW_EM = 1.0  # height of the strip's rows, which all passes' ticks share one of: their names must not overlap
+
+LogChoice = Literal["auto", "on", "off"]
+Glyph = Callable[[imgui.ImDrawList, ImVec2, float, int], None]
+
+
+def triangle(draw: imgui.ImDrawList, at: ImVec2, r: float, color: int) -> None:
+    draw.add_triangle_filled(ImVec2(at.x - r, at.y - r), ImVec2(at.x + r, at.y - r), ImVec2(at.x, at.y + r), color)
+
+
+def diamond(draw: imgui.ImDrawList, at: ImVec2, r: float, color: int) -> None:
+    draw.add_ngon_filled(at, 1.2 * r, color, 4)
+
+
+def circle(draw: imgui.ImDrawList, at: ImVec2, r: float, color: int) -> None:
+    draw.add_circle(at, r, color, thickness=0.4 * r)
+
+
+DEPTHS: tuple[tuple[str, str, Glyph], ...] = (
+    ("expected", "depth_expected", triangle),
+    ("median", "depth_median", diamond),
+    ("strongest", "depth_strongest", circle),
+)
+
+
+@dataclass(frozen=True)
+class Opened:
+    """What the plots show of one ray. units: of length in density's 1/length; point_t: the radiance point's. marked: a
+    sample that is pointed at somewhere."""
+
+    ray: RayProbe
+    passes: tuple[Steps, ...]
+    units: Literal["unit", "NDC unit"]
+    point_t: float
+    marked: tuple[Steps, int] | None = None
+
+
+class RayPlots:
+    """Three plots over a shared t axis whose limits are set when another ray is opened, and by the user alone after."""
+
+    def __init__(self) -> None:
+        self.log_choice: LogChoice = "auto"
+        self.log_density = False
+        self.hovered: tuple[Steps, int] | None = None
+        self._t_min, self._t_max = implot.BoxedValue(0.0), implot.BoxedValue(1.0)
+        self._sigma_limits = (0.0, 1.0)
+        self._fresh_density = True
+        self._dragged: float | None = None
+
+    @property
+    def t_limits(self) -> tuple[float, float]:
+        return self._t_min.value, self._t_max.value
+
+    def open(self, ray: RayProbe, passes: tuple[Steps, ...]) -> None:
+        """Choose limits and scale for a ray that was just opened."""
+        span = max(ray.far - ray.near, 1e-6)  # a ray without length still needs an axis
+        self._t_min.value, self._t_max.value = ray.near - 0.01 * span, ray.near + 1.01 * span
+        self._dragged = None
+        self.choose_log(self.log_choice, passes)
+
+    def choose_log(self, choice: LogChoice, passes: tuple[Steps, ...]) -> None:
+        """auto: by what this ray needs, and each that is opened after it."""
+        self.log_choice = choice
+        self.log_density = bool(passes) and wants_log(passes[-1].sigma) if choice == "auto" else choice == "on"
+        self._scale_density(passes)
+
+    def _scale_density(self, passes: tuple[Steps, ...]) -> None:
+        top = max([float(p.sigma.max()) for p in passes], default=0.0) or 1.0
+        self._sigma_limits = (top * 10.0**-LOG_DECADES, 3 * top) if self.log_density else (0.0, 1.2 * top)
+        self._fresh_density = True
+
+    def draw(self, ui: Ui, opened: Opened, size: ImVec2) -> float | None:
+        """Draw everything into `size`. Returns the t to which the user drags the radiance point, else None."""
+        ray, passes = opened.ray, opened.passes
+        if max((float(p.sigma.max()) for p in passes), default=0.0) > self._sigma_limits[1]:
+            self._scale_density(passes)  # training has lifted it past what could be seen
+        pad = 0.25 * ui.em
+        implot.push_style_var(implot.StyleVar_.plot_min_size, ImVec2(ui.em, ui.em))
+        implot.push_style_var(implot.StyleVar_.plot_padding, ImVec2(pad, pad))
+        implot.push_style_var(implot.StyleVar_.label_padding, ImVec2(pad, pad))
+        reading, dragged = None, None
+        strip = (3 if passes else 2) * ROW_EM * ui.em + 2 * pad
+        gap = ImVec2(0, 0.1 * ui.em)
+        imgui.push_style_var(imgui.StyleVar_.item_spacing, gap)
+        axis = imgui.get_text_line_height() + pad  # the density plot also carries the t axis
+        height = max((size.y - strip - axis - 2 * gap.y) / 2, 3 * ui.em)
+        if implot.begin_aligned_plots("ray"):
+            if self._dragged is not None:  # the line stays under the hand until the worker has followed
+                opened = replace(opened, point_t=self._dragged)
+            for plot, plot_height in ((self._weights, height), (self._density, height + axis)):
+                moved, read = plot(ui, opened, ImVec2(size.x, plot_height))
+                dragged, reading = moved if moved is not None else dragged, read or reading
+            reading = self._strip(ui, passes, ImVec2(size.x, strip)) or reading
+            implot.end_aligned_plots()
+        implot.pop_style_var(3)
+        imgui.pop_style_var()
+        self.hovered = reading
+        if dragged is None:
+            if not imgui.is_mouse_down(imgui.MouseButton_.left):
+                self._dragged = None
+            return None
+        self._dragged = float(np.clip(dragged, ray.near, ray.far))
+        return self._dragged
+
+    def _weights(self, ui: Ui, opened: Opened, size: ImVec2) -> tuple[float | None, tuple[Steps, int] | None]:
+        if not implot.begin_plot("##weights", size, PLOT):
+            return None, None
+        passes = opened.passes
+        self._share_t(implot.AxisFlags_.no_tick_labels)
+        implot.setup_axis(Y1, None, implot.AxisFlags_.lock)
+        implot.setup_axis_limits(Y1, 0, 1.05, implot.Cond_.always)
+        implot.setup_axis_ticks(Y1, [0.5, 1.0], ["0.5", "1"])  # 0 would touch the next plot's topmost
+        for steps in passes[-1:]:
+            filled = implot.Spec(fill_color=faded(ui.theme.fine, 0.55), flags=implot.StairsFlags_.shaded)
+            filled.line_color = ui.theme.fine
+            implot.plot_stairs("fine weight", steps.edges, _of_largest(steps), filled)
+        for steps in passes[:-1]:
+            outline = implot.Spec(line_color=ui.theme.coarse, line_weight=0.1 * ui.em)
+            implot.plot_stairs(f"{steps.probe.name} weight", steps.edges, _of_largest(steps), outline)
+        thin = implot.Spec(line_color=faded(ui.theme.alpha, 0.8), line_weight=0.07 * ui.em)
+        for steps in passes[-1:]:
+            implot.plot_stairs("alpha", steps.edges, steps.alpha, thin)
+        line = implot.Spec(line_color=ui.theme.transmittance, line_weight=0.12 * ui.em)
+        for steps in passes[-1:]:
+            implot.plot_line("transmittance", steps.edges, steps.transmittance, line)
+        if not passes:  # nothing stands in the ray's way
+            implot.plot_line("transmittance", np.array([opened.ray.near, opened.ray.far]), np.ones(2), line)
+        axis_name(ui, "w / largest w, T, α", right=True, height=0.5)  # T is 1 or 0 there
+        self._depth_marks(ui, opened.ray, glyphs=True)
+        result = self._drag_point(ui, opened.point_t), self._read(ui, passes, opened.marked)
+        implot.end_plot()
+        ui.mark("ray.weights")
+        return result
+
+    def _density(self, ui: Ui, opened: Opened, size: ImVec2) -> tuple[float | None, tuple[Steps, int] | None]:
+        if not implot.begin_plot("##density", size, PLOT):
+            return None, None
+        passes = opened.passes
+        self._share_t(implot.AxisFlags_.none)
+        implot.setup_axis(Y1, None)
+        low, high = self._sigma_limits
+        implot.setup_axis_scale(Y1, implot.Scale_.log10 if self.log_density else implot.Scale_.linear)
+        implot.setup_axis_limits(Y1, low, high, _when(self._fresh_density))
+        if self.log_density:
+            decades = [10.0**k for k in range(math.ceil(math.log10(low)), math.floor(math.log10(high)) + 1)][::-2]
+            implot.setup_axis_ticks(Y1, decades, [f"{v:g}" for v in decades])
+        self._fresh_density = False
+        for steps in passes:
+            last = steps is passes[-1]
+            # a log axis has no place for 0: empty space lies on its floor
+            sigma = np.maximum(steps.sigma, low) if self.log_density else steps.sigma
+            color = ui.theme.density if last else ui.theme.coarse
+            line = implot.Spec(line_color=color, line_weight=(0.12 if last else 0.08) * ui.em)
+            implot.plot_stairs(f"{steps.probe.name} density", steps.edges, sigma, line)
+        axis_name(ui, f"σ (1/{opened.units})", right=True)
+        self._depth_marks(ui, opened.ray, glyphs=False)
+        result = self._drag_point(ui, opened.point_t), self._read(ui, passes, opened.marked)
+        implot.end_plot()
+        ui.mark("ray.density")
+        return result
+
+    def _strip(self, ui: Ui, passes: tuple[Steps, ...], size: ImVec2) -> tuple[Steps, int] | None:
+        """Where each pass placed its samples, what colour those of the last have, and what each of them paints."""
+        if not implot.begin_plot("##strip", size, PLOT):
+            return None
+        bounds = np.cumsum([0.0, *(ROW_EM / len(passes) for _ in passes), ROW_EM, ROW_EM]).tolist()
+        self._share_t(implot.AxisFlags_.no_decorations)
+        implot.setup_axis(Y1, None, implot.AxisFlags_.lock | implot.AxisFlags_.invert | implot.AxisFlags_.no_grid_lines)
+        implot.setup_axis_limits(Y1, 0, bounds[-1], implot.Cond_.always)
+        named = [0.0, *bounds[len(passes) :]] if passes else bounds  # the passes' ticks share a name
+        places = [(low + high) / 2 for low, high in pairwise(named)]
+        implot.setup_axis_ticks(Y1, places, ["samples", "colour", "× weight"][-len(places) :])
+        implot.setup_finish()
+        implot.push_plot_clip_rect()
+        for row, steps in enumerate(passes):
+            last = steps is passes[-1]
+            _ticks(ui, steps.t, _row(bounds, row), ui.theme.fine if last else ui.theme.coarse)
+        for steps in passes[-1:]:
+            _colors(steps, _row(bounds, len(passes)), np.ones(len(steps.probe.t)))
+            peak = max(float(steps.weights.max()), 1e-12)  # where all are zero nothing is painted
+            _colors(steps, _row(bounds, len(passes) + 1), np.nan_to_num(steps.probe.weights) / peak)
+        implot.pop_plot_clip_rect()
+        reading = None
+        if implot.is_plot_hovered():
+            row = int(np.searchsorted(bounds, implot.get_plot_mouse_pos().y, side="right")) - 1
+            reading = self._read(ui, passes[max(row, 0) : row + 1] or passes[-1:], None)
+        implot.end_plot()
+        ui.mark("ray.strip")
+        return reading
+
+    def _share_t(self, flags: implot.AxisFlags_) -> None:
+        implot.setup_axis(X1, None, flags)
+        implot.setup_axis_links(X1, self._t_min, self._t_max)
+
+    def _drag_point(self, ui: Ui, point: float) -> float | None:
+        unseen = faded(ui.theme.point, 0.0)  # its own caps would hide the peak on which it mostly stands
+        changed, t, *_ = implot.drag_line_x(DRAG_ID, point, unseen, 0.15 * ui.em, implot.DragToolFlags_.no_fit)
+        x, top, r = _x(point), implot.get_plot_pos().y, 0.4 * ui.em
+        draw, color, foot = implot.get_plot_draw_list(), packed(ui.theme.point), top + implot.get_plot_size().y
+        implot.push_plot_clip_rect()
+        draw.add_line(ImVec2(x, top), ImVec2(x, foot), color, max(1.0, 0.08 * ui.em))
+        draw.add_triangle_filled(ImVec2(x - r, foot), ImVec2(x + r, foot), ImVec2(x, foot - 1.4 * r), color)  # its grip
+        implot.pop_plot_clip_rect()
+        _be_item(x - 0.3 * ui.em, top, x + 0.3 * ui.em, top + implot.get_plot_size().y)
+        ui.mark("ray.point")
+        return max(t, 0.0) if changed else None  # behind the camera there is no ray
+
+    def _depth_marks(self, ui: Ui, ray: RayProbe, *, glyphs: bool) -> None:
+        draw, top = implot.get_plot_draw_list(), implot.get_plot_pos().y
+        implot.push_plot_clip_rect()
+        for row, (_, name, glyph) in enumerate(DEPTHS):
+            t = getattr(ray, name)
+            if t is None or not np.isfinite(t):
+                continue
+            x = _x(t)
+            draw.add_line(ImVec2(x, top), ImVec2(x, top + implot.get_plot_size().y), packed(faded(ui.theme.text, 0.35)))
+            if glyphs:
+                # one below the other: on a surface all three lie in one place
+                glyph(draw, ImVec2(x, top + (0.5 + 0.75 * row) * ui.em), 0.3 * ui.em, packed(ui.theme.text))
+        implot.pop_plot_clip_rect()
+
+    def _read(self, ui: Ui, passes: tuple[Steps, ...], marked: tuple[Steps, int] | None) -> tuple[Steps, int] | None:
+        """The sample under the mouse, of whichever pass; the one that is pointed at is marked in this plot."""
+        if marked is not None:
+            steps, index = marked
+            x = _x(float(steps.t[index]))
+            top, height = implot.get_plot_pos().y, implot.get_plot_size().y
+            implot.get_plot_draw_list().add_line(ImVec2(x, top), ImVec2(x, top + height), packed(ui.theme.text))
+        if not implot.is_plot_hovered() or not passes:
+            return None
+        reach = REACH_EM * ui.em * implot.get_plot_limits().x.size() / max(implot.get_plot_size().x, 1.0)
+        return sample_at(passes, implot.get_plot_mouse_pos().x, reach)
+
+
+def sample_at(passes: tuple[Steps, ...], t: float, reach: float) -> tuple[Steps, int] | None:
+    """The sample whose stretch holds t, or begins or ends within `reach` of it; of several the one that begins nearest.
+    None: t lies where no sample stands for the ray."""
+    found, least = None, (reach, np.inf)
+    for steps in passes:
+        aside = np.maximum(np.maximum(steps.t - t, t - steps.until), 0.0)
+        k = int(np.lexsort((np.abs(steps.t - t), aside))[0])
+        if (apart := (float(aside[k]), abs(float(steps.t[k]) - t))) <= least:
+            found, least = (steps, k), apart
+    return found
+
+
+def _of_largest(steps: Steps) -> np.ndarray:
+    """Weights (E,) over the largest of their pass: many narrow samples share what a few wide ones have each."""
+    return steps.weights / max(float(steps.weights.max()), 1e-12)  # where all are zero they stay zero
+
+
+def _when(fresh: bool) -> implot.Cond_:
+    return implot.Cond_.always if fresh else implot.Cond_.once
+
+
+def _pixels(t: np.ndarray) -> np.ndarray:
+    limits, at, size = implot.get_plot_limits().x, implot.get_plot_pos(), implot.get_plot_size()
+    return at.x + (t - limits.min) / max(limits.size(), 1e-12) * size.x  # two equal limits: any place will do
+
+
+def _be_item(left: float, top: float, right: float, bottom: float) -> None:
+    """Make a rectangle imgui's last item, as a mark takes it: plots submit none for what they hold."""
+    visible = imgui.internal.ItemStatusFlags_.visible
+    imgui.internal.set_last_item_data(0, 0, visible, imgui.internal.ImRect(left, top, right, bottom))
+
+
+def _x(t: float) -> float:
+    return float(_pixels(np.array([t]))[0])
+
+
+def _row(bounds: list[float], row: int) -> tuple[float, float]:
+    """Top and bottom of a strip's row in pixels, with a little air between rows."""
+    low, high = (implot.plot_to_pixels(0.0, edge).y for edge in bounds[row : row + 2])
+    air = 0.08 * abs(high - low)
+    return min(low, high) + air, max(low, high) - air
+
+
+def _ticks(ui: Ui, t: np.ndarray, row: tuple[float, float], color: ImVec4) -> None:
+    draw, (top, bottom), tint = implot.get_plot_draw_list(), row, packed(color)
+    for x in _pixels(t).tolist():
+        draw.add_line(ImVec2(x, top), ImVec2(x, bottom), tint, 0.06 * ui.em)
+
+
+def _colors(steps: Steps, row: tuple[float, float], opacity: np.ndarray) -> None:
+    draw, (top, bottom) = implot.get_plot_draw_list(), row
+    left, right = _pixels(steps.t).tolist(), _pixels(steps.until).tolist()
+    colors = tints(steps.probe.rgb, opacity)
+    for i in np.flatnonzero(opacity >= 0.5 / 255).tolist():
+        draw.add_rect_filled(ImVec2(left[i], top), ImVec2(right[i], bottom), colors[i])

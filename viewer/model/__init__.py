@@ -1,0 +1,1 @@
+"""What the window knows: its state, its camera, its pinned rays."""

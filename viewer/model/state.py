@@ -1,0 +1,163 @@
+"""What the window knows: the worker's newest snapshot, the user's camera, forms and choices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from nerf_core.live.messages import Command, Inspect, Notice, Snapshot
+from nerf_core.probe.radiance import Around
+from nerf_core.rendering.modes import COLOR
+from nerf_core.training.settings import RunSettings
+
+from .camera_control import CameraControl
+
+# ---- what a panel may ask of the app, besides the worker's commands -------------------------------------------
+
+
+@dataclass(frozen=True)
+class GoToView:
+    """Fly to the photo with this index in the scene."""
+
+    index: int
+
+
+@dataclass(frozen=True)
+class FocusOn:
+    """Orbit around this world point."""
+
+    point: np.ndarray
+
+
+@dataclass(frozen=True)
+class ResetView:
+    pass
+
+
+@dataclass(frozen=True)
+class FrameScene:
+    pass
+
+
+@dataclass(frozen=True)
+class SetPointDepth:
+    """Show the radiance at this world distance along the inspected ray; None: back to the surface."""
+
+    t: float | None
+
+
+@dataclass(frozen=True)
+class SetDisc:
+    """Turn the radiance's disc around the viewer or the density's normal."""
+
+    around: Around
+
+
+@dataclass(frozen=True)
+class PinRay:
+    """Keep this ray open beside others."""
+
+    ray: Inspect
+
+
+@dataclass(frozen=True)
+class OpenPin:
+    """Put the pinned ray of this number under the lens."""
+
+    id: int
+
+
+@dataclass(frozen=True)
+class UnpinRay:
+    id: int
+
+
+@dataclass(frozen=True)
+class SaveScreenshot:
+    path: Path
+
+
+@dataclass(frozen=True)
+class StartOrbitExport:
+    """Export the orbit that `AppState.orbit` describes."""
+
+
+Action = (
+    Command | GoToView | FocusOn | ResetView | FrameScene | SetPointDepth | SetDisc | PinRay | OpenPin | UnpinRay
+    | SaveScreenshot | StartOrbitExport
+)  # fmt: skip
+
+
+@dataclass
+class OrbitForm:
+    """The export panel's fields. width, height 0: the training photos' size. radius 0: the capture's own."""
+
+    frames: int = 60
+    fps: float = 30.0
+    elevation_degrees: float = 25.0
+    radius: float = 0.0
+    width: int = 0
+    height: int = 0
+    png_frames: bool = False
+    file: str = "orbit.mp4"
+
+
+@dataclass
+class ShownNotice:
+    notice: Notice
+    born: float  # seconds on the app's clock
+    dismissed: bool = False
+
+
+@dataclass
+class PinnedRay:
+    """A ray that stays where it is in the world. color: into the theme's palette of rays; no other pin has it."""
+
+    id: int
+    name: str
+    color: int
+    ray: Inspect
+    hidden: bool = False
+
+
+class SampleRef(NamedTuple):
+    """A sample of the opened ray: of its pass with this number, the sample with this index."""
+
+    one: int
+    at: int
+
+
+@dataclass
+class AppState:
+    """One object, owned by the GUI thread; panels read it and write only what is theirs to edit (marked *)."""
+
+    snapshot: Snapshot = field(default_factory=Snapshot)
+    camera: CameraControl = field(default_factory=CameraControl)
+    inspect: Inspect | None = None  # the ray that was asked for last; the answer is snapshot.ray
+    pins: list[PinnedRay] = field(default_factory=list)
+    sample: SampleRef | None = None  # the sample that was pointed at in the last frame, in whichever panel
+    pointed_at: SampleRef | None = None  # * and in this one
+    focus: Inspect | None = None  # where a double click went: what the verdict says of it is still to come
+    viewport: tuple[int, int] = (640, 480)  # framebuffer pixels
+    viewport_rect: tuple[float, float, float, float] | None = None  # x, y, width, height in imgui's coordinates
+    frames_per_second: float = 0.0
+    notices: list[ShownNotice] = field(default_factory=list)
+    orbit: OrbitForm = field(default_factory=OrbitForm)  # *
+    checkpoint_file: str = ""  # *
+    rays_file: str = "rays.json"  # *
+    open_path: str = ""  # *
+    settings: RunSettings = field(default_factory=RunSettings)  # * what the next capture is opened with
+    focus_open: bool = False  # * give the scene panel's path field the keyboard in the next frame
+    raise_panel: str = ""  # * title of the panel whose tab is to come to the front in the next frame
+    show_cameras: bool = False  # * training cameras in the viewport
+    show_samples: bool = True  # * the inspected ray and its samples in the viewport
+    mode: str = COLOR  # * what the viewport shows of each pixel: see nerf_core.rendering.modes
+    frozen_ray: bool = False  # * the radiance panel shows the whole ray instead of its point alone
+    show_help: bool = False  # *
+    show_panels: bool = True  # *
+    current_view: int | None = None  # the photo whose camera was flown to, until the camera moves
+    time: float = 0.0  # seconds on the app's clock
+    has_display: bool = True

@@ -1,0 +1,357 @@
+"""What the command line asks of the app, done by the app itself: the same loop, panels and messages as by hand."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from nerf_core.common.console import Display, duration
+from nerf_core.common.errors import UserError, shorten
+from nerf_core.geometry.camera_files import picked_camera
+from nerf_core.geometry.paths import training_size
+from nerf_core.live.messages import (
+    CancelExport,
+    Command,
+    ExportRays,
+    ExportStill,
+    Inspect,
+    LoadCheckpoint,
+    Notice,
+    OpenScene,
+    Pause,
+    SaveCheckpoint,
+    SetShare,
+    Snapshot,
+    Train,
+)
+from nerf_core.live.worker import Worker
+from nerf_core.probe.report import FORMATS
+from nerf_core.rendering.modes import COLOR, mode_names
+from nerf_core.training.checkpoint import describe
+from nerf_core.training.settings import RunSettings
+
+from ..app.app import App
+from ..model.pins import MOST, spare
+from ..model.state import PinRay, StartOrbitExport
+
+FRAME_SECONDS = 0.25  # how often an offscreen interface is drawn while it waits: drawing takes time from training
+SHARPEN_SECONDS = 180.0  # how long a screenshot waits for the preview to reach full resolution
+UNWATCHED_SHARE = 0.95  # of the time goes to training where nobody watches the pictures
+SHORT_FRAMES, SHORT_FPS = 40, 20.0  # of an orbit that is to take only so long
+SLOWEST, SMALLEST = 100.0, 32  # rays a second, where none was timed; pixels: what is smaller shows nothing
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """Files to write and things to do before it; see `viewer.cli.ViewerOptions`.
+
+    orbit_seconds: make the orbit's pictures small enough to take about so long; None: as large as the photos.
+    """
+
+    load: Path | None = None
+    steps: int | None = None
+    seconds: float | None = None
+    save: Path | None = None
+    camera: str = ""
+    mode: str = COLOR
+    pins: tuple[tuple[str, str], ...] = ()
+    clicks: tuple[tuple[str, str], ...] = ()
+    inspect: tuple[Path, ...] = ()
+    render: Path | None = None
+    orbit: Path | None = None
+    orbit_seconds: float | None = None
+    screenshot: Path | None = None
+
+    def any_file(self) -> bool:
+        return bool(self.files())
+
+    def files(self) -> tuple[Path, ...]:
+        found = (self.save, *self.inspect, self.render, self.orbit, self.screenshot)
+        return tuple(p for p in found if p is not None)
+
+    def check(self) -> None:
+        """Raises UserError for what cannot be done, before hours are spent on what goes before it."""
+        if self.mode not in mode_names():
+            raise UserError(f"--mode {shorten(self.mode)}: choose from {', '.join(mode_names())}")
+        if len(self.pins) > MOST:
+            raise UserError(f"--pin: given {len(self.pins)} times; {MOST} rays at most can be pinned: leave some out")
+        for option, places in (("click", self.clicks), ("pin", self.pins)):
+            for place in places:
+                for text in place:
+                    _coordinate(option, text)
+        if self.load is not None:
+            describe(self.load)
+        if self.inspect and not self.clicks:
+            raise UserError(f"--inspect {self.inspect[0]}: of which ray? add --click X Y")
+        kinds = [
+            ("screenshot", self.screenshot, (".png",)),
+            ("render", self.render, (".png", ".npy")),
+            ("orbit", self.orbit, (".mp4",)),
+            *(("inspect", file, tuple(FORMATS)) for file in self.inspect),
+        ]
+        for option, file, suffixes in kinds:
+            if file is not None and file.suffix.lower() not in suffixes:
+                raise UserError(f"--{option} {file}: name a {' or '.join(suffixes)} file")
+        for file in self.files():
+            folder = next(parent for parent in file.absolute().parents if parent.exists())
+            if file.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
+                raise UserError(f"{file}: cannot be written: choose a file in a folder that you may write to")
+
+
+class Closed(Exception):
+    """Ctrl-C, SIGTERM, or the window was closed in the middle of a script."""
+
+
+@dataclass
+class Script:
+    """Drives an app until every wish is a file. Raises UserError when one cannot be had."""
+
+    app: App
+    worker: Worker
+    wishes: Wishes
+    interrupted: Callable[[], bool]
+    say: Callable[[str], None]
+    _seen: list[Notice] = field(default_factory=list)
+
+    def open(self, path: Path | None, settings: RunSettings) -> None:
+        """Load the capture, and the checkpoint if one was asked for."""
+        with Display("loading") as bar:
+            self._do(OpenScene(path, settings), lambda s: s.scene is not None and not s.loading, bar)
+        scene = self._snapshot().scene
+        assert scene is not None
+        for note in scene.notes:
+            self.say(f"note: {note}")
+        if self.wishes.load is not None:
+            self._do(LoadCheckpoint(self.wishes.load), lambda _: self._told("loaded"))
+
+    def run(self) -> None:
+        """Train, save, click; then the files, the quickest first."""
+        wishes = self.wishes
+        if wishes.steps or wishes.seconds:
+            self._train(wishes.steps, wishes.seconds)
+        if wishes.save is not None:
+            self._do(SaveCheckpoint(wishes.save), lambda _: self._told("saved"))
+        self._uncover()
+        for x, y in wishes.clicks:
+            self._click(x, y)
+        for file in wishes.inspect:
+            self._inspect(file)
+        if wishes.screenshot is not None:
+            self._sharpen()
+            self._uncover()
+            self.app.screenshot(wishes.screenshot)
+        if wishes.render is not None:
+            camera = self.app.state.camera.camera(*self.app.state.viewport)
+            self._export(ExportStill(camera, wishes.render), f"rendering {camera.width}×{camera.height}")
+        if wishes.orbit is not None:
+            self._film(wishes.orbit, wishes.orbit_seconds)
+        for file in wishes.files():
+            if not file.is_file():
+                raise UserError(f"{file}: was not written")
+            self.say(f"wrote {file}")
+
+    # ---- pieces ---------------------------------------------------------------------------------------------------
+
+    def _train(self, steps: int | None, seconds: float | None) -> None:
+        start = self._snapshot()
+        left = None if steps is None else max(steps - start.step, 0)
+        if left == 0:
+            self.say(f"no training: step {start.step:,} is past --steps {steps:,} already")
+            return
+        if steps is None and start.step >= start.total_steps:
+            self.say(f"no training: all {start.total_steps:,} steps of the schedule are done")
+            return
+        share, watched = start.wanted_share, self.app.state.has_display
+        if not watched:
+            self.worker.send(SetShare(UNWATCHED_SHARE))
+        self.worker.send(Train(left, seconds))
+        rate = 0.0
+        with Display("training") as bar:
+
+            def done(s: Snapshot) -> bool:
+                nonlocal rate
+                rate = s.rays_per_second or rate
+                parts = [0.0]
+                if left:
+                    parts.append((s.step - start.step) / left)
+                if seconds:
+                    parts.append((s.seconds - start.seconds) / seconds)
+                psnr = f"{s.history.psnr[-20:].mean():.1f} dB" if len(s.history.psnr) else ""
+                bar.show(min(max(parts), 1.0), f"step {s.step:,}  {s.rays_per_second:,.0f} rays/s  {psnr}")
+                return s.step > start.step and s.status in ("paused", "finished")
+
+            try:
+                self._wait(done)
+            except Closed:
+                self.worker.send(Pause())
+                raise
+        if not watched:
+            self.worker.send(SetShare(share))
+        s = self._snapshot()
+        trained = s.seconds - start.seconds
+        self.say(f"trained to step {s.step:,} in {trained:.1f} s of training, {rate:,.0f} rays/s")
+
+    def _uncover(self) -> None:
+        """Take the notices off the viewport: they are printed anyway, and a click must not land on one."""
+        for shown in self.app.state.notices:
+            shown.dismissed = True
+        self.app.settle()
+
+    def prepare(self) -> None:
+        """What comes before training: where one looks from, what the picture shows, and pins, whose histories begin."""
+        state, scene = self.app.state, self._snapshot().scene
+        state.mode = self.wishes.mode
+        if self.wishes.camera:
+            assert scene is not None
+            state.camera.go_to(picked_camera(scene, self.wishes.camera))
+            self._wait(lambda _: not state.camera.flying)
+        self._uncover()
+        self._check_room()
+        for x, y in self.wishes.pins:
+            _, _, column, row = self._place("pin", x, y)
+            camera = state.camera.camera(*state.viewport)
+            self.app.perform(PinRay(Inspect(camera, (column, row))))
+
+    def _check_room(self) -> None:
+        """Whether --pin has it: the demo's own pins give way, those of a hand do not. Raises UserError."""
+        pins, asked = self.app.state.pins, len(self.wishes.pins)
+        room = MOST - len(pins) + len(spare(pins))
+        if asked > room:
+            beside = f"beside the rays that are pinned in {self.wishes.load} there is room for {room}"
+            raise UserError(f"--pin: given {asked} times; {beside}: leave the others out")
+
+    def _place(self, option: str, x: str, y: str) -> tuple[float, float, int, int]:
+        """Where the viewport begins, and the pixel of it that a command line means. Raises UserError."""
+        if "viewport" not in self.app.widgets:
+            raise UserError(f"--{option} {x} {y}: there is no viewport in so small a window; give a larger --size")
+        left, top, right, bottom = self.app.widgets["viewport"]
+        return left, top, _position(option, x, right - left), _position(option, y, bottom - top)
+
+    def _click(self, x: str, y: str) -> None:
+        left, top, column, row = self._place("click", x, y)
+        self.app.hand.click(left + column + 0.5, top + row + 0.5)
+        asked = self.app.state.inspect
+        if asked is None:
+            raise UserError(f"--click {x} {y}: hit no pixel of the viewport")
+        self._wait(lambda s: s.ray is not None and s.ray.pixel == asked.pixel and s.opened_step == s.step)
+
+    def _inspect(self, file: Path) -> None:
+        pins = {pin.id: pin.name for pin in self.app.state.pins if not pin.hidden}
+        self._do(ExportRays(file, pins), lambda _: self._told("wrote"))
+
+    def _film(self, file: Path, seconds: float | None) -> None:
+        snapshot, form = self._snapshot(), self.app.state.orbit
+        form.file = str(file)
+        if seconds is not None and snapshot.scene is not None:
+            width, height = training_size(snapshot.scene)
+            form.frames, form.fps = SHORT_FRAMES, SHORT_FPS
+            speed = max(snapshot.preview_rays_per_second, SLOWEST)
+            affordable = speed * seconds / form.frames
+            scale = min(math.sqrt(affordable / (width * height)), 1.0)
+            form.width, form.height = (max(round(scale * side), SMALLEST) for side in (width, height))
+            takes = duration(form.frames * form.width * form.height / speed)
+            self.say(
+                f"orbit: {form.frames} frames of {form.width}×{form.height}, to take about {takes}; "
+                f"--orbit FILE writes one in the photos' {width}×{height}"
+            )
+        self._export(StartOrbitExport(), "orbit")
+
+    def _export(self, action: Command | StartOrbitExport, label: str) -> None:
+        before = self._snapshot().export
+        self.app.perform(action)
+        with Display(label) as bar:
+
+            def done(s: Snapshot) -> bool:
+                export = s.export
+                if export is None or export is before:
+                    return False
+                bar.show(export.done / max(export.total, 1), f"{export.file.name}", export.seconds_left)
+                return export.state != "running"
+
+            try:
+                self._wait(done)
+            except Closed:
+                self.worker.send(CancelExport())
+                raise
+
+    def _sharpen(self) -> None:
+        limit = time.monotonic() + SHARPEN_SECONDS
+        with Display("sharpening the picture") as bar:
+
+            def sharp(s: Snapshot) -> bool:
+                preview = s.preview
+                if preview is not None and preview.step == s.step and not self.app.stale:
+                    if preview.complete:
+                        return True
+                    coarser = 2 * preview.stride  # the level before the one under way is what is done for certain
+                    bar.show(1 / coarser**2, f"on to 1/{preview.stride} resolution")
+                return time.monotonic() > limit
+
+            self._wait(sharp)
+        s = self._snapshot()
+        if s.preview is None or self.app.stale:
+            self.say(f"screenshot: there was no picture of this view after {SHARPEN_SECONDS:.0f} s")
+        elif not s.preview.complete or s.preview.step != s.step:
+            sharp_to = f"1/{s.preview.stride} resolution at step {s.preview.step:,}"
+            self.say(f"screenshot: the picture came to {sharp_to} in {SHARPEN_SECONDS:.0f} s")
+
+    # ---- waiting --------------------------------------------------------------------------------------------------
+
+    def _snapshot(self) -> Snapshot:
+        return self.app.state.snapshot
+
+    def _told(self, word: str) -> bool:
+        return any(n.text.startswith(word) for n in self._seen)
+
+    def _do(self, command: Command, done: Callable[[Snapshot], bool], bar: Display | None = None) -> None:
+        self._seen.clear()
+        self.app.perform(command)
+
+        def and_show(s: Snapshot) -> bool:
+            if bar is not None and s.loading:
+                bar.show(0, s.loading)
+            return done(s)
+
+        self._wait(and_show)
+
+    def _wait(self, done: Callable[[Snapshot], bool]) -> None:
+        """Keep the app alive until `done`. Raises UserError with the worker's complaint, Closed on request."""
+        known = len(self.app.state.notices)
+        while True:
+            self.app.window.poll(0.02)
+            due = self.app.state.time + FRAME_SECONDS <= time.monotonic()
+            self.app.frame(force=due and self.app.state.has_display)
+            for shown in self.app.state.notices[known:]:
+                if shown.notice.level == "error":
+                    raise UserError(shown.notice.text)
+                self._seen.append(shown.notice)
+            known = len(self.app.state.notices)
+            if done(self._snapshot()):
+                return
+            if self.interrupted() or self.app.window.should_close():
+                raise Closed
+            if not self.worker.alive:
+                raise UserError("the worker ended unexpectedly")
+
+
+def _coordinate(option: str, text: str) -> float:
+    """A coordinate of --click or --pin: a fraction of the viewport if it has a decimal point, else pixels."""
+    try:
+        value = float(text) if "." in text else int(text)
+    except ValueError:
+        raise UserError(f"--{option} {text}: expected a whole number of pixels, or a fraction such as 0.5") from None
+    if not 0 <= value <= (1 if "." in text else math.inf):  # not a number is not in between either
+        raise UserError(f"--{option} {text}: lies outside the viewport")
+    return value
+
+
+def _position(option: str, text: str, size: float) -> int:
+    """The pixel that a coordinate means in a viewport of `size`. Raises UserError."""
+    value = _coordinate(option, text) * (size if "." in text else 1)
+    if value > size:
+        raise UserError(f"--{option} {text}: outside the viewport, which has {size:.0f} pixels here")
+    return min(int(value), int(size) - 1)

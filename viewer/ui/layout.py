@@ -1,0 +1,179 @@
+"""Where the panels lie: the default, and the user's own, remembered between runs."""
+
+from __future__ import annotations
+
+import os
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+
+from imgui_bundle import ImVec2, ImVec4, imgui
+
+from .contract import Panel
+
+VIEWPORT = "Viewport"
+HEADER = "; nerf-viewer layout 1 "
+FRONT = "; in front: "  # imgui takes it for a comment
+NOWHERE = "Pos=60,60\n"
+RIGHT_EM, BOTTOM_EM, BOTTOM_RIGHT_EM = 23.0, 17.5, 23.0
+BOTTOM_SHARE = 0.34  # of the height, at least: a tall window has taller plots, not only a taller picture
+MIDDLE_EM = 23.9  # the second panel of the right column holds plots and buttons of fixed height
+TOP_SHARE = 0.47  # of the column's rest for the panel above it; what is left goes to the last panels, as tabs
+
+
+class Layout:
+    """file: where the layout is kept; None: nothing is read or written."""
+
+    def __init__(self, file: Path | None) -> None:
+        self._file = file
+        self._build_next = True
+        self._raise_next: tuple[str, ...] = ()  # windows whose tabs come to the front
+        self._raise_soon: tuple[str, ...] = ()  # and those for which that must wait until the windows are there
+        self._remembered = ""
+        self._front: tuple[str, ...] = ()  # the panels that lie before others, as they were last drawn
+
+    def load(self) -> str | None:
+        """Hand the remembered layout to imgui, before its first frame; a warning when the file is no good."""
+        imgui.get_io().set_ini_filename(None)  # imgui writes nothing by itself
+        if self._file is None or not self._file.exists():
+            return None
+        try:
+            header, _, body = self._file.read_text("utf-8").partition("\n")
+            if header != f"{HEADER}{_checksum(body)}":
+                raise ValueError("damaged")
+        except (OSError, ValueError) as error:  # UnicodeDecodeError is a ValueError
+            backup = self._file.with_suffix(".bad")
+            try:
+                self._file.replace(backup)
+            except OSError as failure:
+                return f"{self._file}: the window layout cannot be read ({error}; {failure}); the default is shown"
+            return f"{self._file}: the window layout was damaged; the default is shown, the old file is {backup.name}"
+        imgui.load_ini_settings_from_memory(body)
+        self._remembered = body
+        self._build_next = False
+        return None
+
+    def save_if_changed(self) -> str | None:
+        """Write the layout when imgui says that it changed; a warning when that fails, and then no more attempts."""
+        io = imgui.get_io()
+        if not io.want_save_ini_settings:
+            return None
+        io.want_save_ini_settings = False
+        return self.save()
+
+    def save(self) -> str | None:
+        """Write the layout now; a warning when that fails."""
+        if self._file is None:
+            return None
+        body = f"{FRONT}{'|'.join(self._front)}\n{imgui.save_ini_settings_to_memory()}"
+        try:
+            self._file.parent.mkdir(parents=True, exist_ok=True)
+            part = self._file.with_suffix(f".{os.getpid()}.part")
+            part.write_text(f"{HEADER}{_checksum(body)}\n{body}", "utf-8")
+            part.replace(self._file)
+        except OSError as error:
+            file, self._file = self._file, None
+            return f"{file}: the window layout cannot be kept ({error.strerror})"
+        return None
+
+    def reset(self) -> None:
+        """Show the default from the next frame on."""
+        self._build_next = True
+
+    def dock(self, panels: Sequence[Panel], em: float, front: tuple[str, ...]) -> None:
+        """The dock space over what the bars leave of the window; call before the panels' windows.
+
+        front: the titles of those that were not behind another's tab in the last frame.
+        """
+        self._front = front or self._front
+        area = imgui.get_main_viewport()
+        space = imgui.get_id("docks")
+        if self._remembered:  # of another version, perhaps: a panel without a place would float over the others
+            places = {panel.title for panel in panels if panel.dock != "overlay"} | {VIEWPORT}
+            self._build_next = not all(_has_place(self._remembered, title) for title in places)
+            first = self._remembered.partition("\n")[0]
+            self._front = tuple(first.removeprefix(FRONT).split("|")) if first.startswith(FRONT) else ()
+            self._raise_soon, self._remembered = self._front, ""
+        elif self._raise_soon:  # imgui shows the last tab that is submitted, not the one that was in front
+            self._raise_next, self._raise_soon = self._raise_soon, ()
+        if self._build_next and area.work_size.x > 0 and area.work_size.y > 0:
+            self._build_next = False
+            self._raise_next = _build(space, panels, area.work_size, em)
+        elif self._raise_next:
+            for title in self._raise_next:
+                imgui.set_window_focus(title)
+            self._raise_next = ()
+        # nothing is painted under the docks: in software GL a layer over the whole window takes a quarter of the frame
+        imgui.push_style_color(imgui.Col_.window_bg, ImVec4(0, 0, 0, 0))
+        imgui.dock_space_over_viewport(space, area)
+        imgui.pop_style_color()
+
+    @property
+    def raising(self) -> bool:
+        """Whether the next frame brings tabs to the front."""
+        return bool(self._raise_next or self._raise_soon)
+
+    def bring_forward(self, titles: Sequence[str]) -> None:
+        """From the next frame on these are the tabs in front; docks that return show their last ones otherwise."""
+        self._raise_next = tuple(titles)
+
+
+def in_docks() -> bool:
+    """Whether the current window is docked in the main window: the cleared framebuffer is then right behind it."""
+    node = imgui.internal.get_window_dock_node()
+    return node is not None and imgui.internal.dock_node_get_root_node(node).is_dock_space()
+
+
+def _has_place(body: str, title: str) -> bool:
+    """Whether a remembered layout says where a window lies. imgui lets one that nobody placed float at NOWHERE."""
+    _, found, after = body.partition(f"[Window][{title}]\n")
+    section = after.partition("\n\n")[0]
+    return bool(found) and ("DockId=" in section or NOWHERE not in section)
+
+
+def _checksum(body: str) -> str:
+    return f"{zlib.crc32(body.encode()):08x}"
+
+
+def _build(space: int, panels: Sequence[Panel], size: ImVec2, em: float) -> tuple[str, ...]:
+    """The default; gives the titles of the first of the tabs that share a place: imgui shows the last."""
+    docks = imgui.internal
+    docks.dock_builder_remove_node(space)
+    docks.dock_builder_add_node(space, imgui.internal.DockNodeFlagsPrivate_.dock_space)
+    docks.dock_builder_set_node_size(space, size)
+    right = docks.dock_builder_split_node(space, imgui.Dir.right, _share(RIGHT_EM * em, size.x))
+    rest = right.id_at_opposite_dir
+    bottom = docks.dock_builder_split_node(rest, imgui.Dir.down, max(_share(BOTTOM_EM * em, size.y), BOTTOM_SHARE))
+    left_width = size.x * (1 - _share(RIGHT_EM * em, size.x))
+    corner = docks.dock_builder_split_node(bottom.id_at_dir, imgui.Dir.right, _share(BOTTOM_RIGHT_EM * em, left_width))
+    docks.dock_builder_dock_window(VIEWPORT, bottom.id_at_opposite_dir)
+    first = []
+    for place, node in (("bottom", corner.id_at_opposite_dir), ("bottom_right", corner.id_at_dir)):
+        titles = [panel.title for panel in panels if panel.dock == place]
+        for title in titles:
+            docks.dock_builder_dock_window(title, node)
+        first += titles[:1]
+    middle = _share(MIDDLE_EM * em, size.y)
+    rooms = (TOP_SHARE * (1 - middle), middle)
+    first.append(_stack(right.id_at_dir, [panel.title for panel in panels if panel.dock == "right"], rooms))
+    docks.dock_builder_finish(space)
+    return tuple(title for title in first if title)
+
+
+def _stack(node: int, titles: list[str], rooms: Sequence[float]) -> str:
+    """One below the other in `rooms`, shares of the height; the rest share what is left as tabs: the first's title."""
+    left = 1.0
+    for room in rooms:
+        if len(titles) < 2:
+            break
+        split = imgui.internal.dock_builder_split_node(node, imgui.Dir.up, room / left)
+        imgui.internal.dock_builder_dock_window(titles.pop(0), split.id_at_dir)
+        node, left = split.id_at_opposite_dir, left - room
+    for title in titles:
+        imgui.internal.dock_builder_dock_window(title, node)
+    return titles[0] if titles else ""
+
+
+def _share(wanted: float, whole: float) -> float:
+    """Of a side, but never more than half: in a tiny window the picture still comes first."""
+    return min(wanted / max(whole, 1.0), 0.5)

@@ -1,0 +1,306 @@
+"""What several panels draw alike: figures with units, buttons that tests can find, hints, confirmations."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from imgui_bundle import ImVec2, ImVec4, imgui, implot
+from imgui_bundle import icons_fontawesome_6 as icons
+
+from nerf_core.common.colormaps import Name, colored
+
+if TYPE_CHECKING:
+    from nerf_core.live.messages import Notice, Snapshot
+    from nerf_core.probe import PassProbe
+
+    from .contract import Ui
+
+NOTHING = "–"  # shown where there is no number
+SCALE_STEPS = 16  # of a colour scale: as many as colour maps have stops
+
+# ---- words ---------------------------------------------------------------------------------------------------
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """`digits` significant digits with a real minus sign; a dash for None, NaN and infinity."""
+    if value is None or not math.isfinite(value):
+        return NOTHING
+    return f"{value:.{digits}g}".replace("-", "−")
+
+
+def vector(values: Sequence[float] | np.ndarray, decimals: int = 3) -> str:
+    """Fixed decimals and a place for the sign, so that columns of figures do not jump."""
+    return " ".join(f"{float(v): .{decimals}f}".replace("-", "−") if math.isfinite(v) else NOTHING for v in values)
+
+
+def triple(rgb: np.ndarray) -> str:
+    """A colour's three numbers."""
+    return vector(rgb).replace("  ", " ").strip()
+
+
+def duration(seconds: float | None) -> str:
+    """Two units at most: "0.4 s", "42 s", "1 min 10 s", "2 h 5 min"."""
+    if seconds is None or not math.isfinite(seconds):
+        return NOTHING
+    if seconds < 1:
+        return f"{max(seconds, 0):.1f} s"
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    return f"{whole // 3600:,} h {whole % 3600 // 60} min"
+
+
+def rate(per_second: float) -> str:
+    """Three significant digits: "640k", "1.25M"; a dash before the first measurement."""
+    if not math.isfinite(per_second) or per_second <= 0:
+        return NOTHING
+    for size, letter in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if per_second >= size:
+            return f"{per_second / size:.3g}{letter}"
+    return f"{per_second:.3g}"
+
+
+def color_of(rgb: Sequence[float] | np.ndarray, alpha: float = 1.0) -> ImVec4:
+    """A colour of the model as imgui takes it: clipped to [0, 1], black where it is not finite."""
+    r, g, b = (float(c) for c in np.clip(np.nan_to_num(np.asarray(rgb, np.float64)), 0, 1))
+    return ImVec4(r, g, b, alpha)
+
+
+def faded(color: ImVec4, alpha: float) -> ImVec4:
+    return ImVec4(color.x, color.y, color.z, color.w * alpha)
+
+
+def packed(color: ImVec4) -> int:
+    """The colour as draw lists take it."""
+    return imgui.color_convert_float4_to_u32(color)
+
+
+def tints(rgb: np.ndarray, alpha: np.ndarray | float = 1.0) -> list[int]:
+    """Colours (N, 3) in [0, 1] as imgui packs them; what is no number is black."""
+    rgba = np.column_stack([rgb, np.broadcast_to(alpha, len(rgb))])
+    levels = np.round(255 * np.clip(np.nan_to_num(rgba), 0, 1)).astype(np.uint32)
+    return (levels << np.array([0, 8, 16, 24], np.uint32)).sum(-1).tolist()
+
+
+def exists(path: Path) -> bool:
+    """Whether there is something at a path as a user types it."""
+    return os.path.exists(os.path.expanduser(path))
+
+
+def unsaved_steps(snapshot: Snapshot) -> int:
+    """How many training steps would be lost: those since the newest checkpoint."""
+    return max(snapshot.step - snapshot.saved_step, 0)
+
+
+# ---- widgets -------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def mono(ui: Ui) -> Iterator[None]:
+    imgui.push_font(ui.mono, ui.em)
+    yield
+    imgui.pop_font()
+
+
+def hint(ui: Ui, text: str, color: ImVec4 | None = None) -> None:
+    """A quiet line that wraps at the window's edge."""
+    imgui.push_style_color(imgui.Col_.text, color or ui.theme.muted)
+    imgui.text_wrapped(text)
+    imgui.pop_style_color()
+
+
+def button(ui: Ui, label: str, mark: str, *, enabled: bool = True, tip: str = "", width: float = 0.0) -> bool:
+    """A button that tests find as `mark`; its tip also shows while it is disabled."""
+    imgui.begin_disabled(not enabled)
+    pressed = imgui.button(f"{label}##{mark}", ImVec2(width, 0))
+    imgui.end_disabled()
+    ui.mark(mark)
+    if tip and imgui.is_item_hovered(imgui.HoveredFlags_.allow_when_disabled | imgui.HoveredFlags_.for_tooltip):
+        imgui.set_tooltip(tip)
+    return pressed
+
+
+def keep_in_front() -> None:
+    """Hold the window that was just begun over the docked ones, which come forward when they are clicked."""
+    imgui.internal.bring_window_to_display_front(imgui.internal.get_current_window())
+
+
+def same_line_if_fits(label: str, more: float = 0.0) -> None:
+    """Stay on the line when a button called `label`, and `more` pixels, still fit beside the last item, else wrap."""
+    style = imgui.get_style()
+    width = imgui.calc_text_size(label).x + 2 * style.frame_padding.x + more
+    right = imgui.get_cursor_screen_pos().x + imgui.get_content_region_avail().x
+    if imgui.get_item_rect_max().x + style.item_spacing.x + width <= right:
+        imgui.same_line()
+
+
+def swatch(ui: Ui, rgb: Sequence[float] | np.ndarray) -> None:
+    """A square of the colour, as high as a line, with a hairline so that it shows on any surface."""
+    size = imgui.get_text_line_height()
+    at = imgui.get_cursor_screen_pos()
+    inset = 0.1 * ui.em
+    low, high = ImVec2(at.x, at.y + inset), ImVec2(at.x + size - inset, at.y + size - inset)
+    draw = imgui.get_window_draw_list()
+    draw.add_rect_filled(low, high, packed(color_of(rgb)))
+    draw.add_rect(low, high, packed(ui.theme.hairline))
+    imgui.dummy(ImVec2(size, size))
+
+
+def color_scale(draw: imgui.ImDrawList, low: ImVec2, high: ImVec2, name: Name = "viridis") -> None:
+    """A colour map from its beginning, on the left, to its end."""
+    colors = tints(colored(np.linspace(0, 1, SCALE_STEPS + 1), 0, 1, name))
+    edges = np.linspace(low.x, high.x, SCALE_STEPS + 1).tolist()
+    for (left, first), (right, last) in pairwise(zip(edges, colors, strict=True)):
+        draw.add_rect_filled_multi_color(ImVec2(left, low.y), ImVec2(right, high.y), first, last, last, first)
+
+
+Row = tuple[str, str] | tuple[str, str, Callable[[], None]]
+
+
+def figures(ui: Ui, name: str, rows: Sequence[Row], width: float | None = None) -> None:
+    """Rows of a label and a figure, the figures in one column of the mono font; a third entry draws before the figure.
+
+    Too narrow for two columns, a figure goes under its label. width: None is what the window has left (a tooltip,
+    which grows with its content, has to be told).
+    """
+    width = width or imgui.get_content_region_avail().x
+    label_width = max(imgui.calc_text_size(row[0]).x for row in rows) + 0.8 * ui.em
+    stacked = width < label_width + 6 * ui.em
+    if not imgui.begin_table(name, 1 if stacked else 2, imgui.TableFlags_.sizing_fixed_fit, ImVec2(width, 0)):
+        return
+    if not stacked:
+        imgui.table_setup_column("label", imgui.TableColumnFlags_.width_fixed, label_width)
+        imgui.table_setup_column("figure", imgui.TableColumnFlags_.width_stretch)
+    for row in rows:
+        imgui.table_next_column()
+        imgui.text_colored(ui.theme.muted, row[0])
+        imgui.table_next_column()
+        if len(row) == 3:
+            row[2]()
+            imgui.same_line(0, 0.2 * ui.em)
+        imgui.push_text_wrap_pos(0.0)  # numbers that do not fit beside each other go below each other
+        with mono(ui):
+            imgui.text_unformatted(row[1])
+        imgui.pop_text_wrap_pos()
+    imgui.end_table()
+
+
+def sample_tooltip(ui: Ui, p: PassProbe, index: int) -> None:
+    """A sample's numbers, beside the mouse."""
+    rows: list[Row] = [
+        ("t", f"{p.t[index]:.5f}"),
+        ("σ", number(float(p.sigma[index]), 5)),
+        ("α", f"{p.alpha[index]:.5f}"),
+        ("T", f"{p.transmittance[index]:.5f}"),
+        ("w", f"{p.weights[index]:.5f}"),
+        ("rgb", triple(p.rgb[index]), partial(swatch, ui, p.rgb[index])),
+    ]
+    if imgui.begin_tooltip():
+        imgui.text_colored(ui.theme.muted, f"{p.name} sample {index + 1:,} of {len(p.t):,}")
+        figures(ui, "sample", rows, 15 * ui.em)
+        imgui.end_tooltip()
+
+
+def field_width(ui: Ui, label: str) -> None:
+    """Size the next field so that its label still fits to its right, but never under 4 em."""
+    avail = imgui.get_content_region_avail().x
+    label_width = imgui.calc_text_size(label, hide_text_after_double_hash=True).x
+    spacing = imgui.get_style().item_inner_spacing.x if label_width else 0.0
+    imgui.set_next_item_width(max(avail - label_width - spacing, min(avail, 4 * ui.em)))
+
+
+LEVELS = {
+    "info": icons.ICON_FA_CIRCLE_INFO,
+    "warning": icons.ICON_FA_TRIANGLE_EXCLAMATION,
+    "error": icons.ICON_FA_CIRCLE_XMARK,
+}
+
+
+def notice_text(ui: Ui, notice: Notice) -> None:
+    """The level's sign in its colour, then the text, which wraps; without the path that it ends in, which has its own
+    line."""
+    color = {"info": ui.theme.good, "warning": ui.theme.warning, "error": ui.theme.error}[notice.level]
+    imgui.text_colored(color, LEVELS[notice.level])
+    imgui.same_line()
+    imgui.push_text_wrap_pos(0.0)
+    imgui.text_unformatted(notice.text if notice.path is None else notice.text.removesuffix(f" {notice.path}"))
+    imgui.pop_text_wrap_pos()
+
+
+def field_beside(ui: Ui, *labels: str) -> None:
+    """Size the next field so that buttons of these labels fit beside it, but never under 5 em."""
+    style, room = imgui.get_style(), imgui.get_content_region_avail().x
+    frame = 2 * style.frame_padding.x + style.item_spacing.x
+    beside = sum(imgui.calc_text_size(label).x + frame for label in labels)
+    imgui.set_next_item_width(max(room - beside - 1, min(room, 5 * ui.em)))  # a pixel against rounding
+
+
+def path_line(ui: Ui, path: Path, mark: str) -> None:
+    """A path that wraps, and a button that copies it whole."""
+    if button(ui, icons.ICON_FA_COPY, mark, tip=f"copy the path: {path}"):
+        imgui.set_clipboard_text(str(path))
+    imgui.same_line()
+    imgui.text_wrapped(str(path))
+
+
+def axis_name(ui: Ui, text: str, *, right: bool = False, height: float = 0.0) -> None:
+    """Name an axis within the plot, where it costs no room and reads level; call between plot and end.
+
+    height: how far down, from 0 (the top) to 1.
+    """
+    at, size, extent = implot.get_plot_pos(), implot.get_plot_size(), imgui.calc_text_size(text)
+    gap = 0.25 * ui.em
+    x = at.x + size.x - extent.x - gap if right else at.x + gap
+    y = at.y + height * (size.y - extent.y)
+    draw = implot.get_plot_draw_list()
+    implot.push_plot_clip_rect()
+    plate = faded(implot.get_style().color_(implot.Col_.plot_bg), 0.75)
+    draw.add_rect_filled(ImVec2(x - gap, y), ImVec2(x + extent.x + gap, y + extent.y), packed(plate))
+    draw.add_text(ImVec2(x, y), packed(ui.theme.muted), text)
+    implot.pop_plot_clip_rect()
+
+
+class Limits:
+    """An axis's, which follow what there is to see until the user moves them."""
+
+    def __init__(self) -> None:
+        self.low, self.high = implot.BoxedValue(0.0), implot.BoxedValue(1.0)
+        self._set = (0.0, 1.0)
+
+    def follow(self, low: float, high: float, fresh: bool) -> None:
+        """fresh: what was there before is gone, and with it what the user made of its limits."""
+        if fresh or (self.low.value, self.high.value) == self._set:
+            self._set = self.low.value, self.high.value = low, high
+
+
+class Confirmation:
+    """Asks in place, without a dialog, before something that cannot be undone."""
+
+    def __init__(self) -> None:
+        self.asking = self._shown = False
+
+    def draw(self, ui: Ui, question: str, answer: str, mark: str, needed: bool) -> bool:
+        """Show the question while it is asked and `needed`; True in the frame in which it is answered with yes."""
+        self.asking = self.asking and needed and not imgui.is_key_pressed(imgui.Key.escape, False)
+        if not self.asking:
+            self._shown = False
+            return False
+        hint(ui, question, ui.theme.warning)
+        yes = button(ui, answer, f"{mark}_confirm")
+        same_line_if_fits("Keep")
+        if button(ui, "Keep", f"{mark}_keep") or yes:
+            self.asking = False
+        if not self._shown:  # it may lie below what the panel shows
+            imgui.set_scroll_here_y(1.0)
+            self._shown = True
+        return yes
