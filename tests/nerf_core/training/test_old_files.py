@@ -1,0 +1,55 @@
+"""Runs and checkpoints of before the modules moved into packages load, and go on."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+import torch
+
+from nerf_core.datasets import LoadOptions, load_scene
+from nerf_core.geometry.scene import Scene
+from nerf_core.live.pin_files import restored
+from nerf_core.training import checkpoint
+from nerf_core.training.run_folder import RunFolder
+from nerf_core.training.trainer import Trainer
+
+FILES = Path(__file__).parents[2] / "fixtures" / "before_packages"
+METHODS = ("voxels", "hash", "nerf", "nerf-guided")
+
+
+@pytest.fixture(scope="module")
+def demo() -> Scene:
+    return load_scene(None, LoadOptions(max_size=16))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_an_old_run_goes_on(method: str, demo: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nerf_core.training.run_folder.load_scene", lambda *_: demo)  # loaded once for all
+    run = RunFolder(shutil.copytree(FILES / method, tmp_path / method))
+    trainer, _ = run.restore()
+    assert (trainer.method_name, trainer.step_count, trainer.seed) == (method, 12, 3)
+    stored = checkpoint.newest(run.path)[2]
+    state = trainer.state()
+    assert set(state) == set(stored)
+    assert all(torch.equal(value.cpu(), stored[name]) for name, value in state.items())
+    assert trainer.step().step == 13
+
+
+def test_an_old_run_is_read_with_its_own_scene(tmp_path: Path) -> None:
+    run = RunFolder(shutil.copytree(FILES / "voxels", tmp_path / "voxels"))
+    data, settings = run.config()
+    assert data is None
+    assert settings.load == LoadOptions(max_size=16)
+    assert settings.changes == {"start": "4", "resolution": "4"}
+
+
+def test_an_old_window_checkpoint_brings_its_pins_back(demo: Scene) -> None:
+    description, state = checkpoint.load(FILES / "window.safetensors")
+    assert Trainer.resume(demo, description, state).step_count == 12
+    histories = restored(description, state)
+    pins = description["session"]["pins"]
+    assert len(histories) == len(pins) == 5  # the demo scene's own three and two more
+    assert all(len(history.steps) > 0 for _, history in histories)
+    assert [tuple(pin["pixel"]) for pin in pins] == [ray.pixel for ray, _ in histories]
