@@ -27,6 +27,7 @@ class ViewerOptions:
 
     If any file is asked for, the window does what was asked for and closes. With --headless, or where there is no
     display, the same happens offscreen. Exit status 0 only if everything asked for was written.
+    --version prints the version.
     """
 
     train: TrainOptions

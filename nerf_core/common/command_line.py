@@ -5,13 +5,15 @@ from __future__ import annotations
 import io
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import redirect_stderr
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 import tyro
 
+from nerf_core import __version__
 from nerf_core.common.errors import UserError
 from nerf_core.common.user_paths import own_path
 
@@ -21,9 +23,6 @@ CONFIG = (
     tyro.conf.FlagCreatePairsOff,
     tyro.conf.DisallowNone,
 )
-
-
-REPEATABLE = ("--click", "--inspect", "--pin", "--set", "--write")
 UNREAD = (  # what tyro says of values, and what is said of them here
     (r"Could not parse arguments \[(.*)\] into .*\bint\b.*", r"cannot be read: \1: whole numbers are needed"),
     (r"Could not parse arguments \[(.*)\] into .*", r"cannot be read: \1"),
@@ -32,30 +31,48 @@ UNREAD = (  # what tyro says of values, and what is said of them here
 )
 
 
-def parse(kind: Any, prog: str, arguments: Sequence[str] | None) -> Any:
+def parse(kind: Any, prog: str, arguments: Sequence[str] | None, description: str | None = None) -> Any:
     """An instance of the dataclass (or of one of a union's) that `arguments` (None: the process's own) describe.
 
-    Raises UserError naming what cannot be taken, SystemExit(0) after --help.
+    description: what --help says of the program; by default the docstring of `kind`.
+    Raises UserError naming what cannot be taken, SystemExit(0) after --help and --version.
     """
     arguments = [_at_home(one) for one in (sys.argv[1:] if arguments is None else arguments)]
+    if arguments == ["--version"]:
+        print(f"{prog} {__version__}")
+        raise SystemExit(0)
     options = [a.partition("=")[0].replace("_", "-") for a in arguments if a.startswith("--")]
+    repeatable = set(_repeatable(kind))
     for option in options:
-        if options.count(option) > 1 and option not in REPEATABLE:
+        if options.count(option) > 1 and option not in repeatable:
             raise UserError(f"{option}: given {options.count(option)} times; once is enough")
     said = io.StringIO()
     try:
         with redirect_stderr(said):
-            return tyro.cli(kind, prog=prog, args=arguments, config=CONFIG)
+            return tyro.cli(kind, prog=prog, description=description, args=arguments, config=CONFIG)
     except SystemExit as end:
         if not end.code:
             raise
         text = _sentence(said.getvalue())
         whole = (
             f"{prog} {arguments[0]}"
-            if get_args(kind) and arguments and arguments[0].isalpha() and "--" in text
+            if get_args(kind) and arguments and arguments[0].replace("-", "").isalpha() and "--" in text
             else prog
         )
         raise UserError(f"{text}; {whole} --help lists the options") from None
+
+
+def _repeatable(kind: Any) -> Iterator[str]:
+    """The options of a dataclass, of those in its fields and of all in a union that may be given more than once."""
+    for part in get_args(kind) if get_origin(kind) in (Union, Annotated) else ():
+        yield from _repeatable(part)
+    if not (isinstance(kind, type) and is_dataclass(kind)):
+        return
+    types = get_type_hints(kind)
+    for field in fields(kind):
+        if get_origin(types[field.name]) is list:
+            yield f"--{field.name.replace('_', '-')}"
+        yield from _repeatable(types[field.name])
 
 
 def _at_home(argument: str) -> str:

@@ -13,6 +13,7 @@ from pathlib import Path
 import imageio_ffmpeg
 import pytest
 
+import nerf_core
 from nerf_core.cli import main
 from nerf_core.training import checkpoint
 from nerf_core.training.run_folder import RunFolder
@@ -273,3 +274,10 @@ def test_probe_opens_a_pixel_of_a_run(capture: Path, tmp_path: Path, capsys: pyt
     ):
         assert main(["probe", str(run), *wrong]) == 2
         assert text in said(capsys)
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["--version"])
+    assert caught.value.code == 0
+    assert capsys.readouterr().out == f"nerf-core {nerf_core.__version__}\n"

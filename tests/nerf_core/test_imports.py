@@ -19,12 +19,12 @@ CORE, VIEWER = Path(nerf_core.__file__).parent, Path(viewer.__file__).parent
 ORDER = (
     "nerf_core.common", "nerf_core.geometry", "nerf_core.volume", "nerf_core.datasets", "nerf_core.kernels",
     "nerf_core.methods", "nerf_core.rendering", "nerf_core.training", "nerf_core.probe", "nerf_core.live",
-    "nerf_core.cli",
+    "nerf_core.commands", "nerf_core.cli",
     "viewer.window", "viewer.model", "viewer.ui", "viewer.draw", "viewer.commands", "viewer.panels", "viewer.app",
     "viewer.session", "viewer.cli",
 )  # fmt: skip
 # Folders of plug-ins: no file that registers something is imported by a sibling.
-PLUGINS = ("nerf_core/datasets/formats", "nerf_core/methods", "viewer/panels")
+PLUGINS = ("nerf_core/datasets/formats", "nerf_core/methods", "nerf_core/commands", "viewer/panels")
 # What only a window, a format, a video or a command line needs.
 EDGES = {
     "moderngl", "glfw", "imgui_bundle", "viewer", "pycolmap", "tyro", "rich", "imageio_ffmpeg", "numba", "platformdirs",

@@ -1,0 +1,66 @@
+"""`nerf-core eval`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+import tyro
+
+from nerf_core.commands import COMMANDS
+from nerf_core.commands.shared import MOVED_HELP, restored, tell
+from nerf_core.common.console import Display
+from nerf_core.common.files import write_atomically
+from nerf_core.common.signals import Signals
+from nerf_core.training.evaluate import evaluate, select
+from nerf_core.training.metrics import Lpips
+from nerf_core.training.run_folder import RunFolder
+
+
+@COMMANDS.register("eval")
+@dataclass(frozen=True)
+class Eval:
+    """Compare a trained run with held-out photos: writes metrics.json and eval/ (rendering | photo)."""
+
+    order: ClassVar[int] = 1
+
+    run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR", help="A run folder.")]
+    split: Literal["test", "val", "train"] | None = None
+    """By default test, else val, else every 8th photo."""
+    views: int | None = None
+    """Only so many of them, evenly spread; metrics.json then says that it is a subset."""
+    lpips_weights: Path | None = None
+    """VGG16 and LPIPS heads in one .safetensors file; without it LPIPS is not computed."""
+    data: Annotated[Path | None, tyro.conf.arg(help=MOVED_HELP)] = None
+    device: str = "auto"
+    """auto, cpu, cuda or cuda:N."""
+
+    def run(self, signals: Signals) -> int:
+        run = RunFolder(self.run_folder)
+        trainer = restored(run, self.data, self.device)
+        selection = select(trainer.scene, self.split, self.views)
+        lpips = None if self.lpips_weights is None else Lpips(self.lpips_weights, trainer.device)
+        count = len(selection.views)
+        signals.be_polite()
+        with Display("evaluating") as display:
+
+            def progress(done: int, fraction: float) -> None:
+                signals.check()
+                display.show(fraction, f"{done} of {count} images")
+
+            metrics = evaluate(trainer, selection, lpips=lpips, pictures=run.path / "eval", progress=progress)
+        file = run.path / "metrics.json"
+        write_atomically(file, json.dumps(metrics, indent=2, allow_nan=False) + "\n")
+        _print_metrics(metrics, count)
+        tell([trainer.method.stage] if trainer.method.stage else [])
+        print(f"wrote {file} and {run.path / 'eval'}")
+        return 0
+
+
+def _print_metrics(metrics: dict[str, Any], count: int) -> None:
+    mean = metrics["mean"]
+    lpips = "not computed (needs --lpips-weights)" if mean["lpips"] is None else f"{mean['lpips']:.4f}"
+    of = f"{count} {metrics['split']} images" + (f" ({metrics['subset']})" if "subset" in metrics else "")
+    print(f"{of} at step {metrics['step']:,}: PSNR {mean['psnr']:.2f} dB, SSIM {mean['ssim']:.4f}, LPIPS {lpips}")

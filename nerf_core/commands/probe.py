@@ -1,0 +1,62 @@
+"""`nerf-core probe`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+import tyro
+
+from nerf_core.commands import COMMANDS
+from nerf_core.commands.shared import MOVED_HELP, restored
+from nerf_core.common.errors import UserError
+from nerf_core.common.signals import Signals
+from nerf_core.geometry.camera_files import picked_camera
+from nerf_core.training.run_folder import RunFolder
+
+
+@COMMANDS.register("probe")
+@dataclass(frozen=True)
+class Probe:
+    """Open a pixel of a run: where its colour comes from, what is wrong with it, what the photos know of it."""
+
+    order: ClassVar[int] = 3
+
+    run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
+    """The run folder that `nerf-core train` wrote."""
+    camera: str
+    """A photo of the capture by its name (test/r_3.png) or its end, or a .json file with a camera, as an opened ray's
+    has."""
+    pixel: tuple[int, int]
+    """Column and row, counted from the top left, in the camera's picture."""
+    write: list[Path] = field(default_factory=list)
+    """A file to write: .json or .npz with everything, .csv with the samples, .png or .svg with a figure. Repeatable."""
+    t: float | None = None
+    """Where on the ray its radiance is looked at; by default on the surface."""
+    data: Annotated[Path | None, tyro.conf.arg(help=MOVED_HELP)] = None
+    device: str = "auto"
+    """cpu, cuda, or auto."""
+
+    def run(self, signals: Signals) -> int:
+        from nerf_core.probe import open_pixel, write_inspection
+        from nerf_core.probe.report import check_format
+
+        for file in self.write:
+            check_format(file)
+        trainer = restored(RunFolder(self.run_folder), self.data, self.device)
+        camera = picked_camera(trainer.scene, self.camera)
+        try:
+            opened = open_pixel(trainer.method, trainer.scene, camera, self.pixel, trainer.step_count, self.t)
+        except UserError as error:  # it begins with the name of what is wrong: pixel, t
+            raise UserError(f"--{error}") from None
+        ray, verdict = opened.ray, opened.verdict
+        assert verdict is not None
+        print(f"{verdict.kind}: {'; '.join(verdict.reasons)}")
+        depth = "none" if ray.depth_median is None else f"{ray.depth_median:.4g}"
+        color = ", ".join(f"{v:.3f}" for v in ray.color)
+        print(f"colour {color}; opacity {ray.opacity:.3f}; median depth {depth}; step {ray.step:,}")
+        for file in self.write:
+            write_inspection([opened], file)
+            print(f"wrote {file}")
+        return 0

@@ -1,0 +1,40 @@
+"""What several subcommands do alike: load a run, show progress, say notes and warnings."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from nerf_core.common.console import Display
+from nerf_core.training.run_folder import RunFolder
+from nerf_core.training.trainer import Trainer
+
+MOVED_HELP = "Where the capture is now, if it moved."
+
+
+@contextmanager
+def loading() -> Iterator[Callable[[int, int], None]]:
+    """A progress display for photos; yields what to call as (photos done, photos in all)."""
+    with Display("loading") as display:
+        yield lambda done, total: display.show(done / total, f"{done} of {total} photos")
+
+
+def restored(run: RunFolder, data: Path | None, device: str) -> Trainer:
+    """The newest checkpoint of a run with its scene; notes about both are printed. Raises UserError."""
+    with loading() as progress:
+        trainer, notes = run.restore(data, device, progress)
+    tell(notes)
+    return trainer
+
+
+def tell(notes: Sequence[str]) -> None:
+    """Print each note on a line."""
+    for note in notes:
+        print(f"note: {note}")
+
+
+def warn(text: str) -> None:
+    """Print a warning on standard error."""
+    print(f"warning: {text}", file=sys.stderr, flush=True)

@@ -1,0 +1,99 @@
+"""`nerf-core train`."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+import tyro
+
+from nerf_core.commands import COMMANDS
+from nerf_core.commands.shared import loading, restored, tell, warn
+from nerf_core.common.console import Display, duration
+from nerf_core.common.device import describe, pick_device
+from nerf_core.common.errors import UserError
+from nerf_core.common.signals import Signals
+from nerf_core.datasets import load_scene
+from nerf_core.kernels import choice as kernels
+from nerf_core.training.loop import Progress, train_run
+from nerf_core.training.options import TrainOptions, run_name
+from nerf_core.training.run_folder import RunFolder, must_agree
+from nerf_core.training.trainer import Trainer, choose_method
+
+DATA_HELP = "Folder of the capture (or its .json file); none: the demo scene."
+
+
+@COMMANDS.register("train")
+@dataclass(frozen=True)
+class Train:
+    """Train a scene into a run folder. Ctrl-C or SIGTERM saves and ends; --resume then continues."""
+
+    order: ClassVar[int] = 0
+
+    training: TrainOptions
+    data: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="DATA", help=DATA_HELP)] = None
+    out: Path | None = None
+    """The run folder; by default runs/SCENE-METHOD."""
+    resume: bool = False
+    """Continue the run in --out with its own data, options and schedule; --steps and --seconds still say when it
+    ends, counted from its beginning."""
+    save_every: float = 60.0
+    """Seconds of training between checkpoints; the newest two are kept."""
+
+    def run(self, signals: Signals) -> int:
+        settings = self.training.settings()
+        if not self.save_every > 0:
+            raise UserError(f"--save-every {self.save_every}: give a number above 0")
+        method, _ = choose_method(settings.method, pick_device(settings.device))
+        run = RunFolder(self.out or Path("runs") / run_name(self.data, method))
+        if self.resume:
+            must_agree(settings, run)
+        began = time.monotonic()
+        with run.claimed():
+            if self.resume:
+                trainer = restored(run, self.data, settings.device)
+                run.rewind(trainer.step_count)
+                print(f"continuing {run.path} at step {trainer.step_count:,}")
+            else:
+                run.must_be_new()
+                with loading() as progress:
+                    scene = load_scene(self.data, settings.load, progress)
+                tell(scene.notes)
+                trainer = Trainer(scene, settings)
+                tell([note for note in (kernels.note(trainer.device),) if note])
+                run.begin(self.data, settings, trainer)
+            return self._train(run, trainer, signals, time.monotonic() - began)
+
+    def _train(self, run: RunFolder, trainer: Trainer, signals: Signals, loading: float) -> int:
+        goal = self.training.goal(trainer.total_steps)
+        if goal.reached(trainer):
+            print(f"nothing to do: {_summary(trainer)}; --steps and --seconds count from the beginning of the run")
+            return 0
+        signals.be_polite()
+        views = len(trainer.scene.split("train"))
+        print(
+            f"training {trainer.method_name}{f' ({trainer.reason})' if trainer.reason else ''} on {trainer.scene.name} "
+            f"({views} photos), {describe(trainer.device)}",
+            flush=True,
+        )
+        with Display("training") as display:
+
+            def show(p: Progress) -> None:
+                text = f"step {p.step:,}, {p.rays_per_second:,.0f} rays/s, {p.psnr:.2f} dB"
+                text += f"; {trainer.method.stage}" if trainer.method.stage else ""
+                display.show(p.fraction, text, p.seconds_left)
+
+            finished = train_run(
+                run, trainer, goal, save_every=self.save_every, show=show, warn=warn,
+                stop=lambda: signals.received is not None,
+            )  # fmt: skip
+        ending = "finished" if finished else "stopped"
+        print(f"{ending}: {_summary(trainer)}; loading took {duration(loading)}; saved {run.checkpoints()[-1]}")
+        return 0 if finished else 128 + (signals.received or 0)
+
+
+def _summary(trainer: Trainer) -> str:
+    text = f"step {trainer.step_count:,} after {duration(trainer.seconds)} of training"
+    return f"{text} ({trainer.method.stage})" if trainer.method.stage else text
