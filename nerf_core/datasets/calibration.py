@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import torch
 
 from nerf_core.common.errors import UserError
 from nerf_core.datasets.capture import Photo
 from nerf_core.datasets.images import Header
-from nerf_core.geometry.cameras import Camera, distort, undistort
+from nerf_core.geometry.camera import Camera
 
 ASPECT_TOLERANCE = 0.02  # reduced photos round each side to whole pixels
 FOCAL_RANGE = (0.05, 100.0)  # in image sizes: a field of view between 169° and half a degree
@@ -62,11 +61,10 @@ def _odd(camera: Camera) -> list[tuple[str, float]]:
     shift = max(abs(camera.cx / camera.width - 0.5), abs(camera.cy / camera.height - 0.5))
     if shift > 0.5:
         odd.append(("principal", shift))
-    lens = camera.intrinsics()[6:]
-    if any(lens):
+    if camera.lens.bends:
         border = _border(camera)
         with np.errstate(all="ignore"):  # absurd coefficients overflow; that is what is looked for
-            back = distort(undistort(torch.from_numpy(border), torch.tensor(lens).double()).numpy(), *lens)
+            back = camera.lens.distort(camera.lens.undistort(border))
             error = np.abs((back - border) * (camera.fx, camera.fy)).max()
         if not error <= FOLD_PIXELS:
             odd.append(("fold", float(error)))

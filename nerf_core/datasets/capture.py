@@ -15,7 +15,7 @@ from typing import ClassVar, Literal, Protocol
 import numpy as np
 
 from nerf_core.common.registry import Registry
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
 
 HOLD_OUT = 8  # every 8th photo, from the first, is held out where a capture names no splits (LLFF's rule)
 

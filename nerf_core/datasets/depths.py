@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nerf_core.datasets.capture import Capture
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
 
 MARGIN = 0.9  # official LLFF: samples begin at 0.9 of the nearest bound; the farthest percentile gets as much
 PERCENTILES = (0.5, 50.0, 99.5)  # a sparse model has outliers on both sides

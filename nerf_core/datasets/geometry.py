@@ -12,7 +12,9 @@ from nerf_core.common.errors import UserError
 from nerf_core.datasets.capture import Capture, LoadOptions
 from nerf_core.datasets.depths import Depths, known_depths
 from nerf_core.datasets.rig import common_focus, mean_camera, spread, up_direction, upright
-from nerf_core.geometry.cameras import Camera, Cameras, Ndc
+from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.cameras import Cameras
+from nerf_core.geometry.ndc import Ndc
 
 SYNTHETIC_DEPTHS = (2.0, 6.0)  # of the official Blender configurations
 NDC_NEAR_BOUND = 0.75  # official LLFF: the nearest content lies at 1/0.75, before the near plane at 1

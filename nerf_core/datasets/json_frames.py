@@ -15,7 +15,8 @@ from nerf_core.common.json_files import Fields, scaled_note
 from nerf_core.datasets.capture import Photo
 from nerf_core.datasets.images import UnreadableError, damage_notes, measure
 from nerf_core.datasets.photo_paths import find_photos, photo_name
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.lens import Lens
 
 LENSES = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")  # all are cases of k1, k2, p1, p2
 NARROWEST = 1e-4  # smallest focal length in image widths: below, the field of view is 180° for all that is known
@@ -114,7 +115,6 @@ def _camera(frame: Frame, path: Path, c2w: np.ndarray) -> Camera:
     fx, fy = _focal(frame, "x", width), _focal(frame, "y", height)
     if fx is None and fy is None:
         raise UserError(f"{frame.fields.file}: fl_x and camera_angle_x are missing: add one of them")
-    values = {key: _optional(frame, key, 0.0) for key in ("k1", "k2", "k3", "p1", "p2")}
     return Camera(
         width,
         height,
@@ -123,7 +123,7 @@ def _camera(frame: Frame, path: Path, c2w: np.ndarray) -> Camera:
         cx=_optional(frame, "cx", width / 2),
         cy=_optional(frame, "cy", height / 2),
         c2w=c2w,
-        **values,
+        lens=Lens(*(_optional(frame, key, 0.0) for key in ("k1", "k2", "k3", "p1", "p2"))),
     )
 
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.json_files import read_json
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.lens import Lens
 from nerf_core.geometry.scene import Scene
 
 MOST_PIXELS = 1 << 16  # a side
@@ -25,7 +26,9 @@ CAMERA_FILE = f'an object as an opened ray\'s file has under "camera" ({", ".joi
 
 def camera_values(camera: Camera) -> dict[str, Any]:
     """Every field by its name, c2w as lists."""
-    return {**asdict(camera), "c2w": camera.c2w.tolist()}
+    values = asdict(camera)
+    lens = values.pop("lens")
+    return {**values, "c2w": camera.c2w.tolist(), **lens}
 
 
 def camera_of(values: Mapping[str, Any]) -> Camera:
@@ -35,15 +38,15 @@ def camera_of(values: Mapping[str, Any]) -> Camera:
     for name in NEEDED:
         if name not in values:
             raise ValueError(f"field {name} is missing")
-    lens = {f.name: _number(values, f.name) for f in fields(Camera) if f.name != "c2w"}
-    width, height = lens.pop("width"), lens.pop("height")
+    width, height = _number(values, "width"), _number(values, "height")
+    fx, fy, cx, cy = (_number(values, name) for name in ("fx", "fy", "cx", "cy"))
+    lens = {f.name: _number(values, f.name) for f in fields(Lens)}
     if not all(0 < side <= MOST_PIXELS and side.is_integer() for side in (width, height)):
         raise ValueError(f"a picture of {width:g} × {height:g} pixels")
-    if not (FOCAL[0] <= lens["fx"] <= FOCAL[1] and FOCAL[0] <= lens["fy"] <= FOCAL[1]):
+    if not (FOCAL[0] <= fx <= FOCAL[1] and FOCAL[0] <= fy <= FOCAL[1]):
         raise ValueError(f"fx and fy must lie between {FOCAL[0]:g} and {FOCAL[1]:g}")
-    for name in lens.keys() - {"fx", "fy"}:
-        most = FARTHEST if name[0] == "c" else LENS
-        if not abs(lens[name]) <= most:
+    for name, value, most in (("cx", cx, FARTHEST), ("cy", cy, FARTHEST), *((k, v, LENS) for k, v in lens.items())):
+        if not abs(value) <= most:
             raise ValueError(f"{name} must lie between ±{most:g}")
     try:
         c2w = np.array(values["c2w"], np.float64)
@@ -53,7 +56,7 @@ def camera_of(values: Mapping[str, Any]) -> Camera:
         raise ValueError(f"c2w must be 3 × 4 numbers between ±{FARTHEST:g}")
     if not (np.allclose(c2w[:, :3] @ c2w[:, :3].T, np.eye(3), atol=1e-4) and np.linalg.det(c2w[:, :3]) > 0):
         raise ValueError("the first three columns of c2w must be a rotation")
-    return Camera(int(width), int(height), c2w=c2w, **lens)
+    return Camera(int(width), int(height), fx, fy, cx, cy, c2w, Lens(**lens))
 
 
 def _number(values: Mapping[str, Any], name: str) -> float:

@@ -14,7 +14,7 @@ def fast_rays(
     index: Tensor, pixels: Tensor, focal: Tensor, principal: Tensor, lens: Tensor, c2w: Tensor, near: float, far: float
 ) -> tuple[Tensor, Tensor, Tensor, Tensor] | None:
     """Origins, directions (R, 3), near, far (R,) float32 as in `Cameras.rays`; None where numba is missing."""
-    if index.device.type != "cpu" or numba_obstacle():
+    if numba_obstacle():
         return None
     from nerf_core.geometry.numba_rays import rays
 

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 
 from nerf_core.common.jit.vectors import jit
+from nerf_core.geometry.lens import FAR_OFF, NEWTON_STEPS, SINGULAR, newton_step
 
-UNDISTORT_STEPS = 10  # as `nerf_core.geometry.cameras.undistort`, which explains both
-SINGULAR = 1e-9
-FAR_OFF = 1e9  # as `nerf_core.geometry.cameras.FAR_OFF`
 SMALL = 1e-13  # of the image plane: Newton's next step is below what float32 directions can hold
+_newton_step = jit(newton_step)
 
 
 @jit
@@ -27,19 +26,11 @@ def rays(
         x, y = x0, y0
         k1, k2, k3, p1, p2 = lens[n, 0], lens[n, 1], lens[n, 2], lens[n, 3], lens[n, 4]
         if k1 != 0 or k2 != 0 or k3 != 0 or p1 != 0 or p2 != 0:
-            for _ in range(UNDISTORT_STEPS):
-                r2 = x * x + y * y
-                radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-                slope = k1 + r2 * (2 * k2 + 3 * r2 * k3)
-                ex = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) - x0
-                ey = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y - y0
-                xx = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
-                xy = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
-                yy = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
-                det = xx * yy - xy * xy
+            for _ in range(NEWTON_STEPS):
+                mx, my, det = _newton_step(x, y, x0, y0, k1, k2, k3, p1, p2)
                 if abs(det) <= SINGULAR:
                     break
-                mx, my = (yy * ex - xy * ey) / det, (xx * ey - xy * ex) / det
+                mx, my = mx / det, my / det
                 x -= mx
                 y -= my
                 if abs(mx) + abs(my) < SMALL:

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from nerf_core.common.errors import UserError
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene, View
 from nerf_core.geometry.turntable import angles_from, rotation_from
 

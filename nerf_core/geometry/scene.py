@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from nerf_core.common.errors import shorten
-from nerf_core.geometry.cameras import Camera, Ndc
+from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.ndc import Ndc
 
 SPLITS = ("train", "val", "test")
 

@@ -13,7 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nerf_core.geometry.cameras import Ndc, camera_rays
+from nerf_core.geometry.cameras import camera_rays
+from nerf_core.geometry.ndc import Ndc
 from nerf_core.geometry.rays import EMPTY, Rays, Rendering
 from nerf_core.geometry.scene import Scene
 

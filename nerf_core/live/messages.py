@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
 from nerf_core.probe import Opened, RadianceProbe, RayHistory, RayProbe, Sightings
 from nerf_core.probe.radiance import Around

@@ -14,7 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
 from nerf_core.live.messages import Preview
 from nerf_core.rendering.images import to_bytes
 from nerf_core.rendering.modes import COLOR

@@ -9,7 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nerf_core.geometry.cameras import BESIDE, Cameras, distort, shown
+from nerf_core.geometry.camera import BESIDE
+from nerf_core.geometry.cameras import Cameras
+from nerf_core.geometry.lens import Lens
 from nerf_core.geometry.rays import Rays, Trace
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method
@@ -110,12 +112,13 @@ class Witnesses:
         local = np.einsum("cij,ci->cj", self._c2w[:, :, :3], offsets)
         depth = -local[:, 2]
         plane = np.stack([local[:, 0], -local[:, 1]], -1) / np.maximum(depth, 1e-12)[:, None]  # behind: not framed
-        width, height, fx, fy, cx, cy, *lens = self._intrinsics.T
+        width, height, fx, fy, cx, cy, *coefficients = self._intrinsics.T
+        lens = Lens(*coefficients)
         plane = np.clip(plane, -BESIDE, BESIDE)
-        bent = distort(plane, *lens)
+        bent = lens.distort(plane)
         pixels = bent * np.stack([fx, fy], -1) + np.stack([cx, cy], -1)
-        if np.any(lens):
-            depth = np.where(shown(plane, bent, np.stack(lens, -1)), depth, -1.0)
+        if lens.bends:
+            depth = np.where(lens.shows(plane, bent), depth, -1.0)
         inside = (pixels >= 0).all(-1) & (pixels[:, 0] < width) & (pixels[:, 1] < height)
         return pixels, (depth > 0) & inside
 

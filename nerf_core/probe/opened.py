@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nerf_core.common.errors import UserError
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import METHODS, Method
 from nerf_core.methods.stages import Station

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from nerf_core.common.errors import UserError
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.rays import Rays, Samples, Trace
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method

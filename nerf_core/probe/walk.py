@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method
@@ -57,9 +57,8 @@ def walk(method: Method, scene: Scene, camera: Camera, ray: RayProbe) -> tuple[S
 def _camera_station(camera: Camera, ray: RayProbe) -> Station:
     column, row = ray.pixel
     x, y = (column + 0.5 - camera.cx) / camera.fx, (row + 0.5 - camera.cy) / camera.fy
-    lens = camera.intrinsics()[6:]
     straight = ray.direction @ camera.c2w[:, :3]
-    undone = (("with the lens undone", triple(straight / -straight[2])),) if any(lens) else ()
+    undone = (("with the lens undone", triple(straight / -straight[2])),) if camera.lens.bends else ()
     return Station(
         "Camera and pixel",
         "The pixel's centre (i + ½, j + ½), less the principal point and over the focal length, is a direction before "

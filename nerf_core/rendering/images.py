@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from nerf_core.geometry.cameras import Camera, camera_rays
+from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.cameras import camera_rays
 from nerf_core.geometry.rays import Rays, Rendering
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method

@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from nerf_core.common.errors import UserError
-from nerf_core.geometry.cameras import Camera, Cameras
+from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.cameras import Cameras
 from nerf_core.geometry.fast_rays import photo_colors
 from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene

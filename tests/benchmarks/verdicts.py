@@ -27,7 +27,7 @@ import torch
 from balls import Ball, looking, model_of, ring_scene
 from torch import Tensor
 
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene, View
 from nerf_core.methods.nerf.config import NerfConfig
 from nerf_core.methods.nerf.method import Nerf

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
 from nerf_core.live.messages import Command, Notice, OpenScene, Snapshot, Train, ViewRequest
 from nerf_core.live.worker import Worker

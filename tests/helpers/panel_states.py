@@ -8,7 +8,7 @@ from typing import get_args
 
 import numpy as np
 
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene, View
 from nerf_core.live.messages import Export, History, Inspect, Notice, Pinned, Preview, Snapshot, Status
 from nerf_core.methods.stages import BarCode, Colors, Marks, Station, Stems, Transfer

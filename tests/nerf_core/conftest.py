@@ -15,7 +15,8 @@ from desk import PATIENCE, Desk
 from PIL import Image
 
 from nerf_core.datasets.capture import LoadOptions
-from nerf_core.geometry.cameras import Camera, camera_rays
+from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.cameras import camera_rays
 from nerf_core.geometry.scene import Scene, View
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer

@@ -12,7 +12,7 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 
 from nerf_core.common.errors import UserError
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
 from nerf_core.live.messages import Inspect, Notice, Snapshot, ViewRequest
 from nerf_core.rendering.video import write_png
 

@@ -7,7 +7,7 @@ import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
 from nerf_core.probe import RayProbe
 from nerf_core.rendering.modes import COLOR, MODES, Mode

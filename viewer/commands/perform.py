@@ -11,7 +11,7 @@ from typing import Any
 from nerf_core.common.errors import UserError
 from nerf_core.common.user_paths import own_path
 from nerf_core.datasets.formats.demo import LANDMARKS
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.paths import orbit
 from nerf_core.geometry.scene import Scene
 from nerf_core.live.messages import (

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
 
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
 from nerf_core.probe import RayProbe
 
 from ..ui.widgets import packed, tints

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import moderngl
 import numpy as np
 
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
 from nerf_core.live.messages import Preview
 
 WARP_VERTEX = """

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from imgui_bundle import ImVec2, imgui
 
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
 from nerf_core.probe import RayProbe, Sightings
 

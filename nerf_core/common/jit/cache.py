@@ -16,6 +16,7 @@ PACKAGE = Path(__file__).parents[2]
 # Every file with compiled loops, relative to the package. A test compares this list with the files that use @jit.
 SOURCES = (
     "common/jit/vectors.py",
+    "geometry/lens.py",
     "geometry/numba_rays.py",
     "kernels/numba_march.py",
     "kernels/numba_packed.py",

@@ -17,7 +17,8 @@ from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions, Photo
 from nerf_core.datasets.colmap_files import AGAIN, check_model, find_models, image_count, suffix_of, text_names
 from nerf_core.datasets.photo_folders import PhotoFolder, choose_folder, photo_folders, photos_below
 from nerf_core.datasets.photo_paths import find_photos, photo_name
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.lens import Lens
 
 READ_SECONDS = 60.0  # a model of ten thousand photos takes some twenty
 LENSES = {  # parameters by camera model, in COLMAP's order; f stands for both focal lengths
@@ -144,7 +145,8 @@ def _camera(model: Model, index: int, folder: Path) -> Camera:
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6):
         raise UserError(f"{folder}: the pose of photo {photo} is no rotation: {AGAIN}")
     c2w = np.column_stack([rotation.T * (1, -1, -1), -rotation.T @ pose[:, 3]])
-    return Camera(int(width), int(height), fx, fy, c2w=c2w, **values)
+    cx, cy = values.pop("cx"), values.pop("cy")
+    return Camera(int(width), int(height), fx, fy, cx, cy, c2w, Lens(**values))
 
 
 def _photo_folder(root: Path, model: Path, names: Sequence[str], downscale: int) -> tuple[PhotoFolder, tuple[str, ...]]:

@@ -13,7 +13,7 @@ from nerf_core.common.errors import UserError, shorten
 from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions, Photo
 from nerf_core.datasets.photo_folders import PhotoFolder, choose_folder, photo_folders
 from nerf_core.datasets.photo_paths import photo_name
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
 
 FILE = "poses_bounds.npy"
 COLUMNS = 17  # a 3×5 matrix [rotation | position | height, width, focal], then near and far

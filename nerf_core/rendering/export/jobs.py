@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method
 from nerf_core.rendering.export.requests import Export

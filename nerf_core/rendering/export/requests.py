@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
 
 
 @dataclass(frozen=True)

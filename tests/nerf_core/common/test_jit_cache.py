@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import os
 import time
 from pathlib import Path
@@ -38,3 +40,16 @@ def test_where_nothing_can_be_kept_a_folder_that_nobody_can_guess_is_used(
     first, second = numba_here._own_folder(), numba_here._own_folder()
     assert first != second
     assert first.stat().st_mode & 0o077 == 0
+
+
+def test_the_list_of_sources_holds_every_compiled_file() -> None:
+    """A change of a file that is not listed would leave the old loops in the cache."""
+    compiled = set()
+    for file in numba_here.PACKAGE.rglob("*.py"):
+        if "common.jit.vectors import" not in file.read_text(encoding="utf-8"):
+            continue
+        name = ".".join(("nerf_core", *file.relative_to(numba_here.PACKAGE).with_suffix("").parts))
+        for value in vars(importlib.import_module(name)).values():
+            if hasattr(value, "py_func"):
+                compiled.add(Path(inspect.getfile(value.py_func)).relative_to(numba_here.PACKAGE).as_posix())
+    assert set(numba_here.SOURCES) == compiled | {"common/jit/vectors.py"}

@@ -12,7 +12,8 @@ from nerf_core.common.errors import UserError
 from nerf_core.datasets import DATASETS, Capture, LoadOptions, load_scene
 from nerf_core.datasets.colmap_files import check_model
 from nerf_core.datasets.formats import colmap
-from nerf_core.geometry.cameras import Camera, camera_rays
+from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.cameras import camera_rays
 from nerf_core.geometry.scene import Scene
 
 COUNT = 6

@@ -12,7 +12,8 @@ from nerf_core.datasets import Capture, LoadOptions, Photo, load_scene
 from nerf_core.datasets.depths import known_depths
 from nerf_core.datasets.geometry import Normalised, normalise
 from nerf_core.datasets.rig import common_focus, mean_camera, up_direction, upright
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.lens import Lens
 
 AUTO, ON = LoadOptions(), LoadOptions(ndc="on")
 
@@ -172,7 +173,7 @@ def test_a_lens_that_sees_farther_counts() -> None:
     turned = looking((0, 0, 0), (np.sin(1.1), np.cos(1.1), 0))
     given_ = capture([*wall(), turned], near=2.0, far=9.0, ndc_capable=True)
     assert normalise(given_, AUTO).ndc is not None
-    barrel = tuple(replace(photo, camera=replace(photo.camera, k1=-0.3)) for photo in given_.photos)
+    barrel = tuple(replace(photo, camera=replace(photo.camera, lens=Lens(k1=-0.3))) for photo in given_.photos)
     assert normalise(replace(given_, photos=barrel), AUTO).ndc is None
 
 

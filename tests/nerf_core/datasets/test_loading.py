@@ -230,5 +230,5 @@ def test_fox(scenes: Path) -> None:
     assert len(scene.views) == 50
     assert {k: len(v) for k, v in scene.splits.items()} == {"train": 43, "test": 7}
     assert {image.shape for image in scene.images} == {(240, 135, 3)}
-    assert scene.views[0].camera.k1 == 0.0578421
+    assert scene.views[0].camera.lens.k1 == 0.0578421
     assert "17 of 67 listed photos are missing" in notes(scene)

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from nerf_core.common.errors import UserError
-from nerf_core.geometry.cameras import Camera, Ndc
+from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.lens import Lens
+from nerf_core.geometry.ndc import Ndc
 from nerf_core.geometry.paths import PATHS, capture_distance, held_out_views, orbit, spiral
 from nerf_core.geometry.scene import Scene, View
 from nerf_core.geometry.turntable import angles_from, looking_along, rotation_from
@@ -150,7 +152,7 @@ def test_held_out_views_keep_lens_and_pixel_shape() -> None:
     sizes = [(30, 40) if i == 4 else (40, 30) for i in range(len(poses))]
     scene = make_scene(poses, sizes)
     views = list(scene.views)
-    views[0] = replace(views[0], camera=replace(views[0].camera, k1=0.1, cx=17.0))
+    views[0] = replace(views[0], camera=replace(views[0].camera, lens=Lens(k1=0.1), cx=17.0))
     scene = replace(scene, views=tuple(views))
     path = held_out_views(scene)
     assert path[0] == scene.views[0].camera

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
 from nerf_core.live.refinement import COARSEST, FRESH_SECONDS, Refinement, first_stride
 from nerf_core.rendering.images import to_bytes
 

@@ -10,7 +10,8 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from nerf_core.geometry.cameras import Ndc, camera_rays
+from nerf_core.geometry.cameras import camera_rays
+from nerf_core.geometry.ndc import Ndc
 from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods.nerf.config import NerfConfig

@@ -12,7 +12,8 @@ import torch
 from torch.nn.functional import softplus
 
 from nerf_core.common.errors import UserError
-from nerf_core.geometry.cameras import Ndc, camera_rays
+from nerf_core.geometry.cameras import camera_rays
+from nerf_core.geometry.ndc import Ndc
 from nerf_core.geometry.scene import Scene
 from nerf_core.geometry.spaces import Space, contract
 from nerf_core.kernels import choice

@@ -10,7 +10,8 @@ import torch
 from balls import Ball, Balls, model_of, ring_scene
 from panel_states import make_scene
 
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.lens import Lens
 from nerf_core.geometry.scene import Scene
 from nerf_core.probe import Witnesses, diffuse_of
 from nerf_core.probe.evidence import unseen
@@ -27,7 +28,7 @@ def scene() -> Scene:
 def test_photos_that_have_the_point_in_their_frame_are_told_from_the_others() -> None:
     """Against the cameras' own projection, lens and all; some look away from the point, one stands in it."""
     scene, rng = make_scene(), np.random.default_rng(3)
-    bent = tuple(replace(view, camera=replace(view.camera, k1=0.3, p1=0.02)) for view in scene.views)
+    bent = tuple(replace(view, camera=replace(view.camera, lens=Lens(k1=0.3, p1=0.02))) for view in scene.views)
     witnesses = Witnesses(replace(scene, views=bent))
     for point in [*rng.normal(scale=1.5, size=(20, 3)), bent[scene.split("train")[0]].camera.c2w[:, 3]]:
         pixels, framed = witnesses.project(point)
@@ -57,7 +58,7 @@ def test_of_very_many_photos_those_are_asked_that_look_from_everywhere(monkeypat
 
 def test_what_a_lens_folds_into_the_frame_is_not_in_it() -> None:
     """A barrel lens's polynomial turns back far outside of the picture: a ray through that pixel looks elsewhere."""
-    camera = Camera(800, 600, 600.0, 600.0, 400.0, 300.0, np.eye(4)[:3], k1=-0.28)
+    camera = Camera(800, 600, 600.0, 600.0, 400.0, 300.0, np.eye(4)[:3], Lens(k1=-0.28))
     scene = make_scene()
     views = (replace(scene.views[0], camera=camera),)
     witnesses = Witnesses(replace(scene, views=views, images=scene.images[:1], splits={"train": (0,)}))

@@ -14,7 +14,7 @@ from balls import model_of
 from torch import Tensor, nn
 
 from nerf_core.common.errors import UserError
-from nerf_core.geometry.cameras import Ndc
+from nerf_core.geometry.ndc import Ndc
 from nerf_core.geometry.scene import Scene
 from nerf_core.kernels.torch_voxels import TorchVoxels
 from nerf_core.methods.guided.method import GuidedNerf

@@ -21,6 +21,7 @@ from panel_states import make_opened, make_ray, odd_opened
 from nerf_core.common.errors import UserError
 from nerf_core.geometry.camera_files import camera_of, camera_values, picked_camera
 from nerf_core.geometry.cameras import Cameras
+from nerf_core.geometry.lens import Lens
 from nerf_core.geometry.scene import Scene, View
 from nerf_core.probe import FAR_DEGREES, Opened, PassProbe, RayHistory, open_pixel, write_inspection
 from nerf_core.probe.figure import FEWEST, page
@@ -308,7 +309,7 @@ def test_what_cannot_be_written_is_told(opened: Opened, tmp_path: Path) -> None:
 
 
 def test_a_camera_comes_back_from_its_values() -> None:
-    camera = replace(looking((4.0, 1.0, 0.9), 13), k1=0.1, p2=-0.01)
+    camera = replace(looking((4.0, 1.0, 0.9), 13), lens=Lens(k1=0.1, p2=-0.01))
     again = camera_of(json.loads(json.dumps(camera_values(camera))))
     assert again.intrinsics() == camera.intrinsics()
     np.testing.assert_array_equal(again.c2w, camera.c2w)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from balls import Ball, model_of, ring_scene
 
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.lens import Lens
 from nerf_core.geometry.scene import Scene
 from nerf_core.probe import open_ray
 from nerf_core.probe.walk import truth_of, walk
@@ -29,7 +30,7 @@ def numbers(text: str) -> np.ndarray:
 @pytest.mark.parametrize("k1", [0.0, BARREL])
 def test_the_camera_says_which_way_the_pixel_looks(scene: Scene, k1: float) -> None:
     """Its last row, turned into the world, is the ray's direction: with a lens, only once that is undone."""
-    camera = replace(scene.views[0].camera, k1=k1)
+    camera = replace(scene.views[0].camera, lens=Lens(k1=k1))
     method = model_of(scene, BALL)
     ray = open_ray(method, scene, camera, (3, 35), 0)
     rows = dict(walk(method, scene, camera, ray)[0].rows)
@@ -41,7 +42,7 @@ def test_the_camera_says_which_way_the_pixel_looks(scene: Scene, k1: float) -> N
 
 def test_a_photo_tells_only_of_what_its_lens_shows(scene: Scene) -> None:
     """From where a photo was taken, another camera sees more: there the photo's lens folds and says nothing."""
-    lens = Camera(40, 30, 30.0, 30.0, 20.0, 15.0, scene.views[0].camera.c2w, k1=BARREL)
+    lens = Camera(40, 30, 30.0, 30.0, 20.0, 15.0, scene.views[0].camera.c2w, Lens(k1=BARREL))
     photo = np.zeros((30, 40, 3), np.uint16)
     views = (replace(scene.views[0], camera=lens), *scene.views[1:])
     scene = replace(scene, views=views, images=(photo, *scene.images[1:]))

@@ -11,7 +11,7 @@ import scripted
 from imgui_bundle import ImVec2, ImVec4, imgui
 from panel_states import make_camera, make_ray
 
-from nerf_core.geometry.cameras import Camera
+from nerf_core.geometry.camera import Camera
 from nerf_core.live.messages import Preview, ViewRequest
 from viewer.draw.imgui_renderer import ImguiRenderer
 from viewer.draw.overlays import Box, Overlay, axis_directions, clear_of, clip_segments, frusta, uncovered

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nerf_core.geometry.cameras import Camera, Ndc
+from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.ndc import Ndc
 from nerf_core.geometry.scene import Scene, View
 from nerf_core.geometry.turntable import angles_from, rotation_from
 from viewer.model.camera_control import MAX_ELEVATION, MOVING_SECONDS, CameraControl

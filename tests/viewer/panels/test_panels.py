@@ -23,6 +23,7 @@ from panel_states import (
 )
 
 from nerf_core.datasets import LoadOptions
+from nerf_core.geometry.lens import Lens
 from nerf_core.live.messages import (
     CancelExport,
     ExportRays,
@@ -535,7 +536,7 @@ def test_a_thumbnail_is_of_the_photo_around_the_point(
 ) -> None:
     """Through a lens, and at the rim, where the outermost pixels go on."""
     rng, scene = np.random.default_rng(5), make_scene()
-    views = tuple(replace(view, camera=replace(view.camera, k1=-0.2)) for view in scene.views)
+    views = tuple(replace(view, camera=replace(view.camera, lens=Lens(k1=-0.2))) for view in scene.views)
     images = tuple(rng.integers(0, 65536, (150, 200, 3), np.uint16) for _ in views)
     scene = replace(scene, views=views, images=images)
     witnesses = Witnesses(scene)

@@ -17,7 +17,8 @@ import pytest
 
 from nerf_core.common.errors import UserError
 from nerf_core.datasets import LoadOptions, load_scene
-from nerf_core.geometry.cameras import Camera, camera_rays
+from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.cameras import camera_rays
 from viewer.model.pins import MOST
 from viewer.session.script import Wishes
 from viewer.session.session import autosave_path

@@ -1,0 +1,65 @@
+"""One camera: intrinsics, lens and pose.
+
+Camera axes are OpenGL's: x right, y up, looking along −z. Pixel (i, j), column i and row j from the top left,
+has its centre at (i + 0.5, j + 0.5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nerf_core.geometry.lens import PINHOLE, Lens
+
+BESIDE = 1e6  # on the image plane: points farther out lie beside the camera; a lens raises them to the 7th power
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera with a lens, all lengths in pixels.
+
+    c2w: (3, 4) float64, camera to world, rotation orthonormal.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    c2w: np.ndarray
+    lens: Lens = PINHOLE
+
+    def intrinsics(self) -> tuple[float, ...]:
+        """width, height, fx, fy, cx, cy, then the lens's coefficients: everything but the pose."""
+        return self.width, self.height, self.fx, self.fy, self.cx, self.cy, *self.lens.coefficients
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same field of view over another number of pixels; the lens coefficients do not depend on it."""
+        sx, sy = width / self.width, height / self.height
+        return replace(
+            self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy
+        )
+
+    def moved(self, c2w: np.ndarray) -> Camera:
+        """The same camera with another pose: c2w, the first 3 rows of which count."""
+        return replace(self, c2w=np.asarray(c2w, dtype=np.float64)[:3, :4])
+
+    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """World points (P, 3) → pixel coordinates (P, 2) and z-depths (P,); points with depth ≤ 0 lie behind.
+
+        NaN where they would fall into the picture, but the lens shows something else there: see `Lens.shows`.
+        """
+        local = (points - self.c2w[:, 3]) @ self.c2w[:, :3]
+        z = -local[:, 2]
+        safe = np.where(np.abs(z) < 1e-12, 1e-12, z)  # a point in the camera's plane has no pixel; depth tells
+        plane = np.stack([local[:, 0], -local[:, 1]], -1) / safe[:, None]
+        if not self.lens.bends:
+            return plane * (self.fx, self.fy) + (self.cx, self.cy), z
+        plane = np.clip(plane, -BESIDE, BESIDE)
+        bent = self.lens.distort(plane)
+        pixels = bent * (self.fx, self.fy) + (self.cx, self.cy)
+        k = np.flatnonzero((z > 0) & (pixels >= 0).all(-1) & (pixels < (self.width, self.height)).all(-1))
+        pixels[k[~self.lens.shows(plane[k], bent[k])]] = np.nan
+        return pixels, z
