@@ -1,0 +1,72 @@
+"""README and docs: short enough, links that lead somewhere, pictures that load fast, code that runs."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PICTURES = sorted(p for p in (ROOT / "docs").iterdir() if p.suffix in (".webp", ".svg", ".png"))
+NEWCOMER_LINES = 200  # of the README: what one reads in five minutes
+LARGEST_PICTURE = 300_000  # bytes
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
+PYTHON = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def _name(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def _anchors(page: Path) -> set[str]:
+    """The anchors that GitHub gives to a page's headings."""
+    headings = re.findall(r"^#+ (.*)$", FENCE.sub("", page.read_text(encoding="utf-8")), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def _links(page: Path) -> list[str]:
+    return LINK.findall(FENCE.sub("", page.read_text(encoding="utf-8")))
+
+
+def test_a_newcomer_reads_the_readme_in_five_minutes() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= NEWCOMER_LINES
+
+
+@pytest.mark.parametrize("page", PAGES, ids=_name)
+def test_links_lead_somewhere(page: Path) -> None:
+    broken = []
+    for link in _links(page):
+        if re.match(r"https?://", link):
+            continue
+        file, _, anchor = link.partition("#")
+        target = (page.parent / file).resolve() if file else page
+        if not target.exists() or (anchor and anchor not in _anchors(target)):
+            broken.append(link)
+    assert not broken, f"{_name(page)} links to what is not there: {', '.join(broken)}"
+
+
+def test_every_page_is_in_the_index() -> None:
+    linked = {link.partition("#")[0] for link in _links(ROOT / "docs" / "README.md")}
+    assert {page.name for page in PAGES if page.name != "README.md"} <= linked
+
+
+@pytest.mark.parametrize("picture", PICTURES, ids=_name)
+def test_pictures_are_small_and_shown(picture: Path) -> None:
+    assert picture.stat().st_size <= LARGEST_PICTURE
+    assert any(picture.name in Path(link).name for page in PAGES for link in _links(page))
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if PYTHON.search(p.read_text(encoding="utf-8"))], ids=_name)
+def test_what_pages_import_is_there(page: Path) -> None:
+    """Imports of nerf_core in Python blocks; whole examples are run by tests of their own."""
+    for block in PYTHON.findall(page.read_text(encoding="utf-8")):
+        imports = [
+            node for node in ast.parse(block).body
+            if isinstance(node, ast.ImportFrom) and not node.level and (node.module or "").startswith("nerf_core")
+        ]  # fmt: skip
+        assert all(isinstance(node, ast.ImportFrom) for node in imports)
+        exec(compile(ast.Module(list(imports), []), _name(page), "exec"), {})

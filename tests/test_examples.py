@@ -1,0 +1,63 @@
+"""The scripts in examples/, with few steps on small photos."""
+
+from __future__ import annotations
+
+import csv
+import json
+import runpy
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nerf_core.datasets import LoadOptions, load_scene
+from nerf_core.training import checkpoint
+from nerf_core.training.trainer import Trainer
+
+FOLDER = Path(__file__).parent.parent / "examples"
+SMALL = 8  # downscale of the demo scene's photos: 25 × 25 pixels
+FEW = 20  # steps
+
+
+def script(name: str) -> Callable[..., Any]:
+    """The function `main` of an example."""
+    return runpy.run_path(str(FOLDER / f"{name}.py"))["main"]
+
+
+def test_every_example_is_tested() -> None:
+    text = Path(__file__).read_text(encoding="utf-8")
+    assert [file.name for file in FOLDER.glob("*.py") if f'script("{file.stem}")' not in text] == []
+
+
+def test_train_and_render(tmp_path: Path) -> None:
+    psnr = script("train_and_render")(tmp_path, FEW, SMALL)
+    assert psnr > 10  # a picture of the mean colour has some 12
+    assert (tmp_path / "rendering.png").is_file()
+    assert (tmp_path / "photo.png").is_file()
+
+
+def test_open_a_pixel(tmp_path: Path) -> None:
+    opened = script("open_a_pixel")(tmp_path, FEW, SMALL)
+    document = json.loads((tmp_path / "ray.json").read_text(encoding="utf-8"))
+    assert document["step"] == FEW
+    assert document["verdict"]["kind"] == opened.verdict.kind
+    np.testing.assert_allclose(document["color"], opened.ray.color, atol=1e-6)
+    assert "<svg" in (tmp_path / "ray.svg").read_text(encoding="utf-8")
+
+
+def test_batch_of_figures(tmp_path: Path) -> None:
+    files = script("batch_of_figures")(tmp_path, (3, 6), SMALL)
+    assert [file.name for file in files] == ["step-00003.svg", "step-00006.svg"]
+    assert all(file.is_file() for file in files)
+    with (tmp_path / "table.csv").open(newline="", encoding="utf-8") as file:
+        assert [row["step"] for row in csv.DictReader(file)] == ["3", "6"]
+
+
+def test_export(tmp_path: Path) -> None:
+    film, still, model = script("export")(tmp_path, FEW, SMALL, frames=3, side=32)
+    assert film.stat().st_size > 0
+    assert np.load(still).shape == (32, 32, 3)
+    description, state = checkpoint.load(model)
+    scene = load_scene(None, LoadOptions(downscale=SMALL))
+    assert Trainer.resume(scene, description, state, "cpu").step_count == FEW
