@@ -26,6 +26,7 @@ class CpuPacked:
     """`PackedKernels` through numba."""
 
     name = "numba"
+    fixed_shapes = False
 
     def __init__(self, shards: int) -> None:
         self.shards = shards

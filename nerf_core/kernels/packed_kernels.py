@@ -45,7 +45,11 @@ class HashLevels(NamedTuple):
 
 
 class PackedKernels(Protocol):
+    """name: of the implementation. fixed_shapes: training is fastest if the number of rays and samples in a step never
+    changes, because the step is then recorded once and replayed (CUDA graphs)."""
+
     name: str
+    fixed_shapes: bool
 
     def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor, room: int = 0) -> Samples:
         """Samples `step` cells apart in occupied cells; offsets (R,): where the first lies in its step.

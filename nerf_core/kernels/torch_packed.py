@@ -16,6 +16,7 @@ class TorchPacked:
     """`PackedKernels` in torch operations."""
 
     name = "torch"
+    fixed_shapes = False
 
     def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor, room: int = 0) -> Samples:
         found = march(cells, rays, step, offsets)

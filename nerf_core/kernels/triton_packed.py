@@ -30,6 +30,7 @@ class TritonPacked:
     """`PackedKernels` through Triton."""
 
     name = "triton"
+    fixed_shapes = True
 
     def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor, room: int = 0) -> Samples:
         count, device = len(rays), offsets.device

@@ -69,7 +69,19 @@ class Method(Protocol):
         """One optimiser step on R rays and their colours (R, 3); returns the mean squared error of the final colour.
 
         `pump` is called between pieces of at most some 10 ms on a CPU, so that a preview can be served. What it
-        raises abandons the step and leaves `state()` as it was.
+        raises abandons the step; the trainer then restores `generators` and calls what `undo` returned.
+        """
+        ...
+
+    @property
+    def generators(self) -> tuple[torch.Generator, ...]:
+        """The generators that `train` draws from."""
+        ...
+
+    def undo(self, step: int) -> Callable[[], None]:
+        """A function that takes back what training step `step` has changed when it is abandoned, but random numbers.
+
+        Called before the step begins.
         """
         ...
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -103,8 +104,8 @@ class Trainer:
     def step(self, pump: Callable[[], None] = nothing) -> Report:
         """One optimiser step. `pump` runs between gradient chunks; its time is not counted as training.
 
-        What `pump` raises abandons the step, which then has not happened: the state is what it was before, but for
-        notes on where something was seen, which the same step, done later, takes again.
+        What `pump` raises abandons the step: the state is what it was before. The notes on which cells were seen are
+        an exception, since the same step takes them again later.
         Out of device memory, the step is tried again in chunks of half the size, as often as they can be halved.
         Raises Diverged when the loss is not finite, torch.OutOfMemoryError when chunks cannot be smaller.
         """
@@ -116,21 +117,17 @@ class Trainer:
             pump()
             waited += time.perf_counter() - begin
 
-        start = time.perf_counter()
-        drawn, note = self.batches.state(), ""
-        rays, truth = self.batches.draw(self.method.draw(self.step_count))
+        start, note = time.perf_counter(), ""
         while True:
             try:
-                loss = self.method.train(rays, truth, self.step_count, self.steps or None, timed_pump)
+                with self.transaction():
+                    rays, truth = self.batches.draw(self.method.draw(self.step_count))
+                    loss = self.method.train(rays, truth, self.step_count, self.steps or None, timed_pump)
                 break
             except torch.OutOfMemoryError:
                 if not self.method.halve():
-                    self.batches.load_state(drawn)
                     raise
                 note = f"out of device memory at step {self.step_count + 1:,}: going on in chunks of half the size"
-            except BaseException:
-                self.batches.load_state(drawn)
-                raise
             torch.cuda.empty_cache()  # outside the handler: its traceback holds the tensors that did not fit
         seconds = time.perf_counter() - start - waited
         self.seconds += seconds
@@ -141,6 +138,20 @@ class Trainer:
             )
         self.history.add(self.step_count, loss)
         return Report(self.step_count, loss, psnr_of(loss), len(rays), seconds, note)
+
+    @contextmanager
+    def transaction(self) -> Iterator[None]:
+        """Restore everything that the next step changes if the block raises: random numbers, and the method's own."""
+        generators = self.batches.generator, *self.method.generators
+        drawn = [generator.get_state() for generator in generators]
+        undo = self.method.undo(self.step_count)
+        try:
+            yield
+        except BaseException:
+            for generator, state in zip(generators, drawn, strict=True):
+                generator.set_state(state)
+            undo()
+            raise
 
     def frozen_method(self) -> Method:
         """The model as it is now, with weights of its own: training on does not change it."""

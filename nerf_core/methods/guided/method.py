@@ -111,6 +111,13 @@ class GuidedNerf(MlpModel):
 
     # ---- training ---------------------------------------------------------------------------------------------------
 
+    @property
+    def generators(self) -> tuple[torch.Generator, ...]:
+        return self.generator, *self.guide.generators
+
+    def undo(self, step: int) -> Callable[[], None]:
+        return super().undo(step) if self._ready else self.guide.undo(step)
+
     def draw(self, step: int) -> Draw:
         return Draw(self.config.rays) if self._ready else self.guide.draw(step)
 
@@ -123,19 +130,14 @@ class GuidedNerf(MlpModel):
                 self.guide.finish()
             return error
         self.begin_step(step, steps)
-        drawn = self.generator.get_state()
         offsets = torch.rand(len(rays), generator=self.generator)
         piece = max(1, int(PIECE / self.average)) if self.device == CPU else len(rays)
         error, found = 0.0, 0
-        try:
-            for start in range(0, len(rays), piece):
-                part = slice(start, start + piece)
-                one, count = self._accumulate(rays[part], offsets[part], truth[part], 2 / truth.numel())
-                error, found = error + one, found + count
-                pump()
-        except BaseException:  # gradients are no state, but the random numbers drawn for them must be drawn again
-            self.generator.set_state(drawn)
-            raise
+        for start in range(0, len(rays), piece):
+            part = slice(start, start + piece)
+            one, count = self._accumulate(rays[part], offsets[part], truth[part], 2 / truth.numel())
+            error, found = error + one, found + count
+            pump()
         self.optimizer.step()
         self.average = max(1.0, 0.9 * self.average + 0.1 * found / len(rays))
         return error / truth.numel()

@@ -105,9 +105,19 @@ class Hash:
 
     # ---- training ---------------------------------------------------------------------------------------------------
 
+    @property
+    def generators(self) -> tuple[torch.Generator, ...]:
+        return (self.generator,)
+
+    def undo(self, step: int) -> Callable[[], None]:
+        def clear() -> None:
+            self.table_gradient.zero_()
+
+        return clear
+
     def draw(self, step: int) -> Draw:
         count = int(min(max(self.config.samples / self.needed, 64), self.config.most_rays))
-        if self.kernels.name == "triton":  # one of few numbers, since each takes a recording
+        if self.kernels.fixed_shapes:  # one of few numbers, since each takes a recording
             now = len(self.fixed.rays) if self.fixed is not None else 0
             count = now if 0.4 * count <= now <= 1.1 * count else 2 ** int(math.log2(count))
         return Draw(count)
@@ -120,19 +130,12 @@ class Hash:
         for group in self.optimizer.param_groups:  # loading a state puts another tensor there
             group["lr"] = self.rate
         self.optimizer.zero_grad(set_to_none=False)
-        drawn = self.generator.get_state()
         offsets = torch.rand(len(rays), generator=self.generator).to(self.device)
-        try:
-            # after memory ran out, rays drawn for a larger batch come once more, in pieces
-            if self.kernels.name == "triton" and len(rays) == self.draw(step).rays:
-                error, found = self._fixed(len(rays))(self.occupancy.cells, self.space.rays(rays), offsets, truth)
-            else:
-                error, found = self._pieces(rays, offsets, truth, pump)
-                self._update()
-        except BaseException:
-            self.generator.set_state(drawn)
-            self.table_gradient.zero_()
-            raise
+        if self.kernels.fixed_shapes:
+            error, found = self._fixed(len(rays))(self.occupancy.cells, self.space.rays(rays), offsets, truth)
+        else:
+            error, found = self._pieces(rays, offsets, truth, pump)
+            self._update()
         self.updates += 1
         if self.updates % AVERAGE_EVERY == 0:
             self._follow(self.updates // AVERAGE_EVERY)

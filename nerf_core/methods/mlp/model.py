@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from typing import Any, NamedTuple, Self
 
@@ -72,6 +72,14 @@ class MlpModel:
         origins, directions, exists = self.ndc.rays(rays.origins, rays.directions)
         first, one = self.ndc.first(rays.origins), torch.ones_like(rays.near)
         return Parametrised(origins, directions, first, one, directions.norm(dim=-1), exists, encoded)
+
+    @property
+    def generators(self) -> tuple[torch.Generator, ...]:
+        return (self.generator,)
+
+    def undo(self, step: int) -> Callable[[], None]:
+        """Does nothing: an unfinished step leaves gradients behind, which the next one clears."""
+        return lambda: None
 
     def begin_step(self, step: int, steps: int | None) -> None:
         """Gradients cleared, the learning rate where its exponential decay has it."""

@@ -124,12 +124,7 @@ class Nerf(MlpModel):
         """Loss: MSE of the coarse colour plus MSE of the fine one; Adam under an exponential decay."""
         self.begin_step(step, steps)
         scale = 1 / truth.numel()
-        drawn = self.generator.get_state()
-        try:
-            error, alive = self._gradients(rays, truth, scale, pump)
-        except BaseException:  # gradients are no state, but the random numbers drawn for them must be drawn again
-            self.generator.set_state(drawn)
-            raise
+        error, alive = self._gradients(rays, truth, scale, pump)
         self.optimizer.step()
         for name, living in alive.items():
             self._alive[name] = living / (len(rays) * self._samples(name))

@@ -94,6 +94,23 @@ class VoxelModel:
 
     # ---- training ---------------------------------------------------------------------------------------------------
 
+    @property
+    def generators(self) -> tuple[torch.Generator, ...]:
+        return (self.generator,)
+
+    def undo(self, step: int) -> Callable[[], None]:
+        """Drops gradients; if the step begins with a finer level, also brings the coarser one back."""
+        before = self.grid, self.moments, self.average, self.level, self.updates
+        seen = self.kernels.seen(self.grid) if self.level < self._level_at(step) else None
+
+        def back() -> None:
+            self.kernels.forget()
+            if seen is not None:
+                self.grid, self.moments, self.average, self.level, self.updates = before
+                self.kernels.see(self.grid, seen)
+
+        return back
+
     def draw(self, step: int) -> Draw:
         level = self._level_at(step)
         return Draw(self.config.first_rays if level == 0 else self.config.rays, shrink=self.levels[level].shrink)
@@ -104,28 +121,16 @@ class VoxelModel:
     def train(self, rays: Rays, truth: Tensor, step: int, steps: int | None, pump: Callable[[], None]) -> float:
         """Mean squared error; its gradient is a ray's own, so that Adam's ε means the same for every batch."""
         rays, truth = rays.to(self.device), truth.to(self.device)
-        c, drawn = self.config, self.generator.get_state()
-        before = self.grid, self.moments, self.average, self.level, self.updates
-        refines = self.level < self._level_at(step)
-        seen = self.kernels.seen(self.grid) if refines else None
-        error = 0.0
-        try:
-            while self.level < self._level_at(step):
-                self._refine(pump)
-            offsets = torch.rand(len(rays), generator=self.generator)
-            for start in range(0, len(rays), PIECE):
-                part = slice(start, start + PIECE)
-                march = self._march(offsets[part], c.smoothness, c.prune)
-                boxed = self.space.rays(rays[part])
-                error += self.kernels.accumulate(self.grid, boxed, truth[part], march)[0]
-                pump()
-        except BaseException:
-            self.generator.set_state(drawn)
-            self.kernels.forget()
-            if seen is not None:
-                self.grid, self.moments, self.average, self.level, self.updates = before
-                self.kernels.see(self.grid, seen)
-            raise
+        c, error = self.config, 0.0
+        while self.level < self._level_at(step):
+            self._refine(pump)
+        offsets = torch.rand(len(rays), generator=self.generator)
+        for start in range(0, len(rays), PIECE):
+            part = slice(start, start + PIECE)
+            march = self._march(offsets[part], c.smoothness, c.prune)
+            boxed = self.space.rays(rays[part])
+            error += self.kernels.accumulate(self.grid, boxed, truth[part], march)[0]
+            pump()
         self.updates += 1
         since = max(0, step - self.levels[self.level].begin)
         slower = 1 / (1 + since / c.slowdown)
@@ -176,8 +181,7 @@ class VoxelModel:
         return grow(self.grid.dense(self.kernels.seen(self.grid))[:x, :y, :z])
 
     def _refine(self, pump: Callable[[], None]) -> None:
-        """The next level: a smaller box around what is there, divided into smaller cells. Where the pump raises, there
-        is no such level yet."""
+        """The next level: a smaller box around what is there, divided into smaller cells."""
         old, level = self.grid, self.levels[self.level + 1]
         cells = self._filled() & old.occupied
         if not cells.any():  # nothing learnt yet: begin with everything once more
