@@ -16,7 +16,7 @@ import numpy as np
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
 from nerf_core.probe import Opened, RadianceProbe, RayHistory, RayProbe, Sightings
-from nerf_core.probe.radiance import Around
+from nerf_core.probe.directions import Around
 from nerf_core.rendering.export.requests import Export, ExportPath, ExportStill
 from nerf_core.rendering.modes import COLOR
 from nerf_core.training.loss_history import History

@@ -11,7 +11,7 @@ from torch import Tensor
 from nerf_core.common.registry import Registry
 from nerf_core.geometry.rays import Rays, Rendering, Trace
 from nerf_core.geometry.scene import Scene
-from nerf_core.methods.stages import Station
+from nerf_core.methods.stages import Stage
 
 
 class Draw(NamedTuple):
@@ -109,7 +109,7 @@ class Method(Protocol):
         """σ (P,) at world points (P, 3): that of `Samples.sigma` where space is not bent, else per unit of the box."""
         ...
 
-    def explain(self, rays: Rays) -> tuple[Station, ...]:
+    def explain(self, rays: Rays) -> tuple[Stage, ...]:
         """What happens to one ray between its beginning and its colour, with its own values."""
         ...
 

@@ -1,4 +1,4 @@
-"""What a method has to tell of one ray, from where it looks to the light that arrives: a walk of several stations."""
+"""What a method has to tell of one ray, from where it looks to the light that arrives: a walk of several stages."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ Chart = Stems | Marks | BarCode | Transfer | Colors
 
 
 @dataclass(frozen=True)
-class Station:
+class Stage:
     """A step of the method with this ray's values. sentence: what happens there. rows: labelled figures."""
 
     title: str
@@ -71,20 +71,20 @@ def triple(values: np.ndarray) -> str:
     return "  ".join(f"{float(v):.3f}" for v in values)
 
 
-def nothing_station() -> Station:
+def nothing_stage() -> Stage:
     """Of a ray without samples."""
-    return Station("No samples", "Nothing along this ray is worth a look: what comes back is the background alone.")
+    return Stage("No samples", "Nothing along this ray is worth a look: what comes back is the background alone.")
 
 
-def field_station(samples: Samples, sentence: str, title: str = "Density and colour") -> Station:
+def field_stage(samples: Samples, sentence: str, title: str = "Density and colour") -> Stage:
     """Density and colour along the first ray of `samples`."""
     t, sigma, rgb = (v[0].float().cpu().numpy() for v in (samples.t, samples.sigma, samples.rgb))
     strongest = int(np.argmax(samples.weights[0].cpu().numpy()))
     rows = (("largest σ", number(float(sigma.max()))), ("colour of the strongest", triple(rgb[strongest])))
-    return Station(title, sentence, (Stems("σ", t, sigma),), rows)
+    return Stage(title, sentence, (Stems("σ", t, sigma),), rows)
 
 
-def absorption_station(samples: Samples, title: str = "α, T and w") -> Station:
+def absorption_stage(samples: Samples, title: str = "α, T and w") -> Stage:
     """What the first ray of `samples` composites."""
     t, alpha, light, weights = (
         v[0].float().cpu().numpy() for v in (samples.t, samples.alpha, samples.transmittance, samples.weights)
@@ -95,15 +95,15 @@ def absorption_station(samples: Samples, title: str = "α, T and w") -> Station:
         "the product of all (1 − α) in front; its weight in the pixel is w = T α."
     )
     rows = (("Σ w", number(total)), ("left for what is behind", number(1 - total)))
-    return Station(title, sentence, (Stems("α", t, alpha), Stems("T", t, light), Stems("w", t, weights)), rows)
+    return Stage(title, sentence, (Stems("α", t, alpha), Stems("T", t, light), Stems("w", t, weights)), rows)
 
 
-def skipped_station(samples: Samples, cells: Cells, step: float) -> Station:
+def skipped_stage(samples: Samples, cells: Cells, step: float) -> Stage:
     """Where the first ray looks at all: in cells that may hold something. step: cells between two samples."""
     count = 0 if samples.count is None else int(samples.count[0])
     t = samples.t[0, :count].cpu().numpy()
     share = np.count_nonzero(cells.occupied.cpu().numpy()) / cells.occupied.numel()
-    return Station(
+    return Stage(
         "Skipped space",
         f"Of {cells.occupied.numel():,} cells {share:.1%} may hold something. The ray leaps over the others and takes "
         f"a sample every {step:g} cells where it is worth it: {count} in all.",

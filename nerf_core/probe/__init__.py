@@ -1,22 +1,37 @@
 """A pixel, opened up as plain arrays: its ray, a point of it and all its directions, what the photos know of it."""
 
-from nerf_core.probe.evidence import FAR_DEGREES, Sightings, Witnesses, diffuse_of, unseen
-from nerf_core.probe.history import RayHistory
-from nerf_core.probe.layers import Layer, layers_of
-from nerf_core.probe.opened import Opened, open_pixel
-from nerf_core.probe.radiance import (
-    DISC_SIZE,
-    SPHERE_COLUMNS,
-    SPHERE_ROWS,
-    RadianceProbe,
-    disc_grid,
-    open_radiance,
-    view_dependence,
-)
-from nerf_core.probe.ray import PassProbe, RayProbe, open_ray
-from nerf_core.probe.report import check_format, inspection, write_inspection
-from nerf_core.probe.verdict import Standing, Verdict, judge
-from nerf_core.probe.walk import Truth, truth_of, walk
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from nerf_core.probe.directions import DISC_SIZE, SPHERE_COLUMNS, SPHERE_ROWS, RadianceProbe, disc_grid
+    from nerf_core.probe.evidence import Witnesses
+    from nerf_core.probe.layers import layers_of
+    from nerf_core.probe.opened import open_pixel
+    from nerf_core.probe.radiance import open_radiance, view_dependence
+    from nerf_core.probe.ray import open_ray
+    from nerf_core.probe.records import Opened, PassProbe, RayHistory, RayProbe, Truth
+    from nerf_core.probe.report import check_format, inspection, write_inspection
+    from nerf_core.probe.sightings import FAR_DEGREES, Sightings, diffuse_of, unseen
+    from nerf_core.probe.standing import Layer, Standing, Verdict
+    from nerf_core.probe.verdict import judge
+    from nerf_core.probe.walkthrough import truth_of, walk
+
+# The module of each public name. A name is imported when it is asked for, so that the records load without torch.
+_HOMES = {
+    "directions": ("DISC_SIZE", "SPHERE_COLUMNS", "SPHERE_ROWS", "RadianceProbe", "disc_grid"),
+    "evidence": ("Witnesses",),
+    "layers": ("layers_of",),
+    "opened": ("open_pixel",),
+    "radiance": ("open_radiance", "view_dependence"),
+    "ray": ("open_ray",),
+    "records": ("Opened", "PassProbe", "RayHistory", "RayProbe", "Truth"),
+    "report": ("check_format", "inspection", "write_inspection"),
+    "sightings": ("FAR_DEGREES", "Sightings", "diffuse_of", "unseen"),
+    "standing": ("Layer", "Standing", "Verdict"),
+    "verdict": ("judge",),
+    "walkthrough": ("truth_of", "walk"),
+}
 
 __all__ = [
     "DISC_SIZE",
@@ -49,3 +64,10 @@ __all__ = [
     "walk",
     "write_inspection",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    for home, names in _HOMES.items():
+        if name in names:
+            return getattr(importlib.import_module(f"{__name__}.{home}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from nerf_core.probe.evidence import unseen
+from nerf_core.probe.directions import DISC_SIZE, disc_grid
 from nerf_core.probe.layers import grain_at
-from nerf_core.probe.opened import Opened
-from nerf_core.probe.radiance import DISC_SIZE, disc_grid
-from nerf_core.probe.ray import PassProbe
+from nerf_core.probe.records import Opened, PassProbe
+from nerf_core.probe.sightings import unseen
 from nerf_core.probe.verdict import NOTHING
 
 FINE, COARSE, LIGHT, ALPHA, DENSITY = "#0072b2", "#e69f00", "#cc79a7", "#d55e00", "#009e73"  # Okabe and Ito's

@@ -3,29 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
-from nerf_core.probe.ray import RayProbe
+from nerf_core.probe.records import RayHistory, RayProbe
 
 BINS = 96  # over t
 RECORDS = 240  # of a whole schedule: as many as one wants to look at, spaced evenly in log(step)
-
-
-@dataclass(frozen=True)
-class RayHistory:
-    """steps (N,) int64, ascending. edges (BINS + 1,) world distances. weights (N, BINS): Σ w per bin.
-
-    color (N, 3); depth (N,): median depth, NaN where less than half of the light met anything; opacity (N,).
-    """
-
-    edges: np.ndarray
-    steps: np.ndarray
-    weights: np.ndarray
-    color: np.ndarray
-    depth: np.ndarray
-    opacity: np.ndarray
 
 
 class HistoryRecorder:

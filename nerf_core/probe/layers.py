@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from nerf_core.geometry.scene import Scene
-from nerf_core.probe.ray import PassProbe, RayProbe
+from nerf_core.probe.records import PassProbe, RayProbe
+from nerf_core.probe.standing import Layer
 
 GRAIN = 0.02  # of the scene's radius: what is closer together counts as one layer, and beyond
 FAR_GRAIN = 0.01  # of its distance, where that is more: far away, as cameras resolve it
@@ -15,28 +14,6 @@ BINS = 2  # to a grain
 VALLEY = 0.5  # two peaks are one layer unless the weight between them falls under this share of the lesser one's
 SURFACE = 0.25  # of a layer's weight lies in front of the surface that it stands for
 LIGHTEST = 0.02  # weight of what is worth to be called a layer
-
-
-@dataclass(frozen=True)
-class Layer:
-    """A stretch of a ray where weight gathers. t: where half of its weight lies; all are world distances.
-
-    surface: where a quarter of it lies. Photos carve free what is in front of a surface, while nothing keeps density
-    from reaching behind it: the middle of a layer that is not thin lies deeper than what it stands for.
-
-    begin, end: where its weight begins and ends; thickness: between a tenth and nine tenths of it; grain: the length
-    that counts as one there. weight: Σ w; light: transmittance in front of it. color: Σ w c / Σ w, (3,).
-    """
-
-    t: float
-    surface: float
-    begin: float
-    end: float
-    thickness: float
-    grain: float
-    weight: float
-    light: float
-    color: np.ndarray
 
 
 def layers_of(ray: RayProbe, scene: Scene) -> tuple[Layer, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,33 +11,14 @@ from nerf_core.common.errors import UserError
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import METHODS, Method
-from nerf_core.methods.stages import Station
-from nerf_core.probe.evidence import Sightings, Witnesses
-from nerf_core.probe.history import RayHistory
+from nerf_core.probe.directions import Around
+from nerf_core.probe.evidence import Witnesses
 from nerf_core.probe.layers import grain_at
-from nerf_core.probe.radiance import Around, RadianceProbe, open_radiance
-from nerf_core.probe.ray import FARTHEST, RayProbe, open_ray
-from nerf_core.probe.verdict import Verdict, judging
-from nerf_core.probe.walk import walk
-
-
-@dataclass(frozen=True)
-class Opened:
-    """Everything known of a pixel of `camera`; None, or empty: not yet. evidence is on the point of `radiance`.
-
-    method: its name. name, history: of a pinned ray.
-    """
-
-    camera: Camera
-    scene: Scene
-    method: str
-    ray: RayProbe
-    verdict: Verdict | None = None
-    radiance: RadianceProbe | None = None
-    evidence: Sightings | None = None
-    walk: tuple[Station, ...] = ()
-    name: str = ""
-    history: RayHistory | None = None
+from nerf_core.probe.radiance import open_radiance
+from nerf_core.probe.ray import FARTHEST, open_ray
+from nerf_core.probe.records import Opened
+from nerf_core.probe.verdict import judging
+from nerf_core.probe.walkthrough import walk
 
 
 def open_pixel(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 from torch import Tensor
@@ -13,63 +11,11 @@ from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.rays import Rays, Samples, Trace
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method
+from nerf_core.probe.records import PassProbe, RayProbe
 from nerf_core.rendering.images import tile_rays
 
 FARTHEST = 3.0  # times the scene's far bound: where space has no end, fog reaches to a horizon that no plot can show
 MOST_RAYS = 512  # traced together: every ray takes the room of the longest one
-
-
-@dataclass(frozen=True)
-class PassProbe:
-    """The samples of one pass along one ray, (S,) each, rgb (S, 3); see `nerf_core.geometry.rays.Samples`.
-
-    until: the distance at which the stretch ends that a sample stands for: t + δ, where δ is of the world.
-    """
-
-    name: str
-    t: np.ndarray
-    until: np.ndarray
-    delta: np.ndarray
-    sigma: np.ndarray
-    alpha: np.ndarray
-    transmittance: np.ndarray
-    weights: np.ndarray
-    rgb: np.ndarray
-
-
-@dataclass(frozen=True)
-class RayProbe:
-    """What made one pixel, at training step `step`.
-
-    pixel: integer (column, row) into the camera's image. passes: coarse before fine; the last one made the pixel.
-    color: composited from the last pass, background included; rendered_color: the same pixel from the renderer.
-    depth_expected: Σwt/Σw (under NDC that of t′, in the world), None where nothing was hit. depth_median: where
-    accumulated weight passes 0.5, None where the opacity stays under 0.5. depth_strongest: the sample of largest
-    weight, None where none has any. All are distances along the ray.
-    near, far: the scene's bounds on this ray; beyond them as far as a pass has weight, but FARTHEST of its bound.
-    """
-
-    step: int
-    pixel: tuple[int, int]
-    origin: np.ndarray
-    direction: np.ndarray
-    near: float
-    far: float
-    passes: tuple[PassProbe, ...]
-    color: np.ndarray
-    opacity: float
-    depth_expected: float | None
-    depth_median: float | None
-    depth_strongest: float | None
-    rendered_color: np.ndarray
-    background: np.ndarray
-
-    def point_t(self) -> float:
-        """Where the ray's point lies unless one is asked for."""
-        for t in (self.depth_median, self.depth_strongest):
-            if t is not None:
-                return t
-        return (self.near + self.far) / 2
 
 
 def sample_ends(scene: Scene, rays: Rays, samples: Samples) -> Tensor:

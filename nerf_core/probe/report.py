@@ -16,8 +16,7 @@ from nerf_core.common.errors import UserError
 from nerf_core.common.files import write_atomically
 from nerf_core.common.json_files import finite
 from nerf_core.geometry.camera_files import camera_values
-from nerf_core.probe.opened import Opened
-from nerf_core.probe.ray import PassProbe
+from nerf_core.probe.records import Opened, PassProbe
 
 SAMPLE = ("t", "until", "delta", "sigma", "alpha", "transmittance", "weights")
 

@@ -9,114 +9,29 @@ no background showed from there on? Then it leaks through.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
 
 from nerf_core.geometry.rays import Rays
 from nerf_core.methods import Method
-from nerf_core.probe.evidence import Sightings, Witnesses
-from nerf_core.probe.layers import Layer, layers_of, pass_layers
-from nerf_core.probe.ray import RayProbe, passes_of
-
-Kind = Literal["surface", "several surfaces", "floater", "fog", "background leak", "unobserved", "background"]
+from nerf_core.probe.evidence import Witnesses
+from nerf_core.probe.layers import layers_of, pass_layers
+from nerf_core.probe.ray import passes_of
+from nerf_core.probe.records import RayProbe
+from nerf_core.probe.standing import FEW, THICK, WRONG, Kind, Layer, Standing, Verdict
 
 NOTHING = 0.05  # opacity under which a ray has met nothing that one could see
 LEAK = 0.1  # transmittance behind the last layer from which on what is behind shows
-THICK, DEEP = 6.0, 20.0  # grains: a thicker layer is a surface only where photos agree with it, and none at all
-CLOUD = 10.0  # grains: a thicker layer floats only where hardly anybody would miss it
-HAZY = 0.03  # mean error of a channel in the photos that see a thick layer, from which on they do not agree with it
 SOLID = 0.5  # of the layers' weight must lie in layers that are not hazy, or the ray is in fog
-FEW = 2  # photos: what fewer see, nobody can have learnt
-ASIDE = np.radians(75)  # between looks at a point: a photo that sees it from farther round does not see this side of it
-INSIDE = 0.3  # of the photos that see a layer: what fewer see behind it is its own inside
-FRONT = 1 / 3  # of the weight of a front and of what shows through it: a lighter one is no front
-WRONG = 0.05  # mean error of a channel in the photos that see a layer, from which on something is wrong
-LEAKING = 0.8  # times the error: what no background from a layer on must bring it down to
 ALIKE, NOISE = 0.01, 0.25  # mean error of a channel, and share of a photo's own: the larger is no difference
-AGAINST = 1 / 4  # of the photos that see a layer: what so many contradict, and no more would miss, is not there
 COUNTS = 0.1  # weight of a layer that is worth a verdict, in this pixel and in a photo's
-HARDLY = 1 / 8  # of the photos that see a layer: so few may themselves be wrong, as by their poses
+ASIDE = np.radians(75)  # between looks at a point: a photo that sees it from farther round does not see this side of it
 ASKED = 16  # photos that see a layer, the nearest in angle: they are asked how they would look otherwise
 REACHES = np.array([1.0, 3.0, 8.0, 20.0])  # grains behind a layer's end at which it may be over, where it hides that
 MOST_LAYERS, MOST_HIDDEN = 4, 8
-
-
-@dataclass(frozen=True)
-class Standing:
-    """A layer before the photos. witnesses: how many see it from the ray's side, under ASIDE from its look; looked: how
-    many do from anywhere; voters: those of them that are asked, ASKED at most. against: how many voters contradict it,
-    as they would be matched better if it were not there, or as well by the bare background, where one is known;
-    missing: how many of the others would be matched worse; blank: how many of the rest do not show it, since it does
-    not count in their pixel. shown: in how many of the voters' pixels it counts.
-
-    error: median over those of the mean difference between their pixel and the model's; without, opaque: the same if
-    the layer were away, or if from it on no background showed; None where it is shown in none. reach: the world
-    distance behind its middle from which on it is away: that of REACHES at which it floats and most are against it, of
-    those alike the shortest.
-    """
-
-    layer: Layer
-    sightings: Sightings
-    witnesses: int
-    looked: int
-    voters: int
-    against: int
-    missing: int
-    blank: int
-    shown: int
-    error: float | None
-    without: float | None
-    opaque: float | None
-    reach: float
-
-    @property
-    def floats(self) -> bool:
-        """Not few of the photos that see it contradict it, and no more would miss it than contradict it or do not show
-        it. Of a cloud, or what is contradicted only by not being shown, hardly one would: a thing finer than a pixel is
-        beside the middle of many."""
-        enough, idle = AGAINST * self.voters, self.against + self.blank
-        if self.voters < FEW or idle < enough:
-            return False
-        sure = self.against >= enough and self.layer.thickness <= CLOUD * self.layer.grain
-        return self.missing <= (idle if sure else HARDLY * self.voters)
-
-    @property
-    def leaks(self) -> bool:
-        """The photos would be matched better, if no background showed from it on."""
-        if self.error is None or self.opaque is None or self.shown < FEW:
-            return False
-        return self.error >= WRONG and self.opaque <= LEAKING * self.error
-
-    def inside(self, front: Standing) -> bool:
-        """Whether this is what shows through a layer in front that is not quite opaque: the inside of it, as hardly a
-        photo of those that see the front sees it from this side. Behind a true veil, a good part of them does."""
-        if front.witnesses < FEW or self.witnesses >= INSIDE * front.witnesses:
-            return False
-        return front.layer.weight >= FRONT * (front.layer.weight + self.layer.weight)
-
-    @property
-    def hazy(self) -> bool:
-        """Too thick for a surface."""
-        return self.layer.thickness > self.most_grains * self.layer.grain
-
-    @property
-    def most_grains(self) -> float:
-        """Of a surface that the photos agree with this much."""
-        return DEEP if self.error is not None and self.error < HAZY else THICK
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """kind: one word for the pixel; reasons: a line each, with numbers. surface_t: the distance at which an eye should
-    rest, behind what floats; None where there is nothing to rest on. standings: the layers, front to back."""
-
-    kind: Kind
-    reasons: tuple[str, ...]
-    surface_t: float | None
-    standings: tuple[Standing, ...]
 
 
 def judge(method: Method, witnesses: Witnesses, ray: RayProbe) -> Verdict:

@@ -11,7 +11,7 @@ import numpy as np
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene, View
 from nerf_core.live.messages import Export, History, Inspect, Notice, Pinned, Preview, Snapshot, Status
-from nerf_core.methods.stages import BarCode, Colors, Marks, Station, Stems, Transfer
+from nerf_core.methods.stages import BarCode, Colors, Marks, Stage, Stems, Transfer
 from nerf_core.probe import (
     SPHERE_COLUMNS,
     SPHERE_ROWS,
@@ -131,11 +131,11 @@ def make_opened(ray: RayProbe) -> Opened:
     verdict = Verdict("floater", reasons, 3.8, (standing,))
     t = np.linspace(2, 6, 9)
     walk = (
-        Station("Camera and pixel", "A sentence.", rows=(("pixel", "412, 233"),)),
-        Station("Samples", "Another sentence.", (Marks(t, t[:4]), Stems("w", t, t / 10))),
-        Station("Encoding", "A third.", (BarCode(("γ(x)", "γ(d)"), (np.sin(t), np.cos(t)), 1.0),)),
-        Station("Resampling", "A fourth.", (Transfer(t, np.linspace(0, 1, 9), np.linspace(0, 1, 5), t[::2]),)),
-        Station("Pixel", "The last.", (Colors(("model", "photo"), np.array([[1, 0, 0], [0.9, 0.1, 0]])),)),
+        Stage("Camera and pixel", "A sentence.", rows=(("pixel", "412, 233"),)),
+        Stage("Samples", "Another sentence.", (Marks(t, t[:4]), Stems("w", t, t / 10))),
+        Stage("Encoding", "A third.", (BarCode(("γ(x)", "γ(d)"), (np.sin(t), np.cos(t)), 1.0),)),
+        Stage("Resampling", "A fourth.", (Transfer(t, np.linspace(0, 1, 9), np.linspace(0, 1, 5), t[::2]),)),
+        Stage("Pixel", "The last.", (Colors(("model", "photo"), np.array([[1, 0, 0], [0.9, 0.1, 0]])),)),
     )
     return Opened(make_camera(np.array([3.2, 0, 2.4])), scene, "nerf", ray, verdict, radiance, evidence, walk)
 
@@ -197,7 +197,7 @@ def odd_opened() -> Opened:
     evidence = make_evidence(make_scene(), radiance).at(np.zeros(0, np.int64))
     nan = np.full(3, np.nan)
     charts = (Stems("w", nan, nan), Marks(nan, nan[:0]), BarCode(("γ",), (nan,), np.nan), Transfer(nan, nan, nan, nan))
-    walk = (Station("Odd", "Nothing but holes.", (*charts, Stems("w", nan[:0], nan[:0]))),)
+    walk = (Stage("Odd", "Nothing but holes.", (*charts, Stems("w", nan[:0], nan[:0]))),)
     return Opened(make_camera(np.array([3.2, 0, 2.4])), make_scene(), "nerf", ray, None, radiance, evidence, walk)
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nerf_core.live.messages import Command, Inspect, Notice, Snapshot
-from nerf_core.probe.radiance import Around
+from nerf_core.probe.directions import Around
 from nerf_core.rendering.modes import COLOR
 from nerf_core.training.settings import RunSettings
 

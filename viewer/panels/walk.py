@@ -1,4 +1,4 @@
-"""Follow this pixel: the whole method as a strip of stations, with this ray's own values."""
+"""Follow this pixel: the whole method as a strip of stages, with this ray's own values."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 
 from nerf_core.common.colormaps import colored
-from nerf_core.methods.stages import BarCode, Chart, Colors, Marks, Station, Stems, Transfer
+from nerf_core.methods.stages import BarCode, Chart, Colors, Marks, Stage, Stems, Transfer
 
 from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import axis_name, color_of, faded, figures, hint, packed, swatch
 
 WIDTH_EM = 19.0
-CHART_EM = 2.0, 9.0  # a plot's height, at least and at most: between those, plots share what a station leaves
+CHART_EM = 2.0, 9.0  # a plot's height, at least and at most: between those, plots share what a stage leaves
 PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
 QUIET = implot.AxisFlags_.no_highlight
 
@@ -36,8 +36,8 @@ class WalkPanel:
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
         yield from ()
-        stations = state.snapshot.opened.walk if state.snapshot.opened is not None else ()
-        if not stations:
+        stages = state.snapshot.opened.walk if state.snapshot.opened is not None else ()
+        if not stages:
             hint(ui, "Click a pixel: here you will see it go through the whole method, station by station.")
             return
         scroll = imgui.WindowFlags_.horizontal_scrollbar
@@ -46,44 +46,44 @@ class WalkPanel:
         if wheel and imgui.is_window_hovered(imgui.HoveredFlags_.child_windows) and not imgui.get_io().key_shift:
             imgui.set_scroll_x(imgui.get_scroll_x() - 4 * ui.em * wheel)  # it is a strip: there is no other way to go
         high = max(imgui.get_content_region_avail().y, 8 * ui.em)
-        for k, station in enumerate(stations):
+        for k, stage in enumerate(stages):
             if k:
                 imgui.same_line(0, 1.2 * ui.em)
             still = imgui.WindowFlags_.no_scroll_with_mouse
-            imgui.begin_child(f"station {k}", ImVec2(WIDTH_EM * ui.em, high), 0, still)
-            _draw_station(ui, k + 1, station)
+            imgui.begin_child(f"stage {k}", ImVec2(WIDTH_EM * ui.em, high), 0, still)
+            _draw_stage(ui, k + 1, stage)
             imgui.end_child()
-            if k + 1 < len(stations):
+            if k + 1 < len(stages):
                 _arrow(ui)
         imgui.end_child()
 
 
-def _draw_station(ui: Ui, number: int, station: Station) -> None:
+def _draw_stage(ui: Ui, number: int, stage: Stage) -> None:
     imgui.text_colored(ui.theme.accent, f"{number}")
     imgui.same_line(0, 0.5 * ui.em)
-    imgui.text_unformatted(station.title)
-    ui.mark(f"walk.{station.title}")
-    hint(ui, station.sentence)
-    high, lowest = _plot_height(ui, station), len(station.charts) - 1
-    for k, chart in enumerate(station.charts):
+    imgui.text_unformatted(stage.title)
+    ui.mark(f"walk.{stage.title}")
+    hint(ui, stage.sentence)
+    high, lowest = _plot_height(ui, stage), len(stage.charts) - 1
+    for k, chart in enumerate(stage.charts):
         CHARTS[type(chart)](ui, f"##{number} {k}", chart, Room(high, k == lowest))
-    if station.rows:
-        figures(ui, "rows", station.rows)
+    if stage.rows:
+        figures(ui, "rows", stage.rows)
 
 
-def _plot_height(ui: Ui, station: Station) -> float:
+def _plot_height(ui: Ui, stage: Stage) -> float:
     """Of each plot: what t's numbers, the figures below and the gaps between leave, shared."""
-    plots = sum(isinstance(chart, (Stems, Marks, Transfer)) for chart in station.charts)
+    plots = sum(isinstance(chart, (Stems, Marks, Transfer)) for chart in stage.charts)
     if not plots:
         return 0.0
     line, gap = imgui.get_text_line_height_with_spacing(), imgui.get_style().item_spacing.y
-    room = imgui.get_content_region_avail().y - len(station.rows) * (line + gap) - gap - line
+    room = imgui.get_content_region_avail().y - len(stage.rows) * (line + gap) - gap - line
     least, most = CHART_EM
     return min(max(room / plots - gap, least * ui.em), most * ui.em)
 
 
 def _arrow(ui: Ui) -> None:
-    """Between two stations, level with their titles."""
+    """Between two stages, level with their titles."""
     low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
     x, y, r = high.x + 0.6 * ui.em, low.y + 0.55 * ui.em, 0.3 * ui.em
     tip = ImVec2(x + r, y)

@@ -24,7 +24,7 @@ from nerf_core.kernels.choice import packed_kernels
 from nerf_core.methods import METHODS, Draw
 from nerf_core.methods.guided.config import GuidedConfig
 from nerf_core.methods.mlp.model import MlpModel, Parametrised
-from nerf_core.methods.stages import Marks, Station, Stems, absorption_station, field_station, nothing_station
+from nerf_core.methods.stages import Marks, Stage, Stems, absorption_stage, field_stage, nothing_stage
 from nerf_core.methods.voxels.model import VoxelModel
 from nerf_core.volume.packed import Packed, opened
 
@@ -194,19 +194,19 @@ class GuidedNerf(MlpModel):
     def density(self, points: Tensor) -> Tensor:
         return super().density(points) if self._ready else self.guide.density(points)
 
-    def explain(self, rays: Rays) -> tuple[Station, ...]:
+    def explain(self, rays: Rays) -> tuple[Stage, ...]:
         if not self._ready:
             return self.guide.explain(rays)
         guide, fine = self.trace(rays).passes
         t, weights = (v[0].cpu().numpy() for v in (guide.t, guide.weights))
         count = 0 if fine.count is None else int(fine.count[0])
         found = (
-            Station(
+            Stage(
                 "The guide",
                 "A voxel grid that was trained first knows where the ray meets something: its samples' weights.",
                 (Stems("guide's w", t, weights),),
             ),
-            Station(
+            Stage(
                 "Placed samples",
                 f"Those that weigh more than {self.config.least:g} are kept, {count} of {len(t)}: only they are put to "
                 "the network, where the paper's method would ask at 256.",
@@ -214,12 +214,12 @@ class GuidedNerf(MlpModel):
             ),
         )
         if not count:
-            return (*found, nothing_station())
+            return (*found, nothing_stage())
         return (
             *found,
-            self.code_station(rays, fine),
-            field_station(fine, f"The paper's network is asked at each: how dense, and which colour {self.towards}?"),
-            absorption_station(fine),
+            self.code_stage(rays, fine),
+            field_stage(fine, f"The paper's network is asked at each: how dense, and which colour {self.towards}?"),
+            absorption_stage(fine),
         )
 
     # ---- state ------------------------------------------------------------------------------------------------------

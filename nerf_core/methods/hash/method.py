@@ -30,11 +30,11 @@ from nerf_core.methods.hash.field import HashField
 from nerf_core.methods.hash.fixed_step import FixedStep
 from nerf_core.methods.stages import (
     BarCode,
-    Station,
-    absorption_station,
-    field_station,
-    nothing_station,
-    skipped_station,
+    Stage,
+    absorption_stage,
+    field_stage,
+    nothing_stage,
+    skipped_stage,
 )
 from nerf_core.volume.cells import Cells
 from nerf_core.volume.encodings import spherical_harmonics
@@ -259,11 +259,11 @@ class Hash:
         return ((box - low) / sides).clamp(0, 1)
 
     @torch.no_grad()
-    def explain(self, rays: Rays) -> tuple[Station, ...]:
+    def explain(self, rays: Rays) -> tuple[Stage, ...]:
         samples = self.trace(rays).passes[0]
-        skipped = skipped_station(samples, self.occupancy.cells, self.step_cells)
+        skipped = skipped_stage(samples, self.occupancy.cells, self.step_cells)
         if samples.count is not None and not int(samples.count[0]):
-            return skipped, nothing_station()
+            return skipped, nothing_stage()
         strongest = int(samples.weights[0].argmax())
         rays = rays.to(self.device)
         point = rays.origins + samples.t[:, strongest, None] * rays.directions
@@ -275,20 +275,20 @@ class Hash:
         peak = max(float(np.abs(vector).max()), float(np.abs(harmonics).max()))
         return (
             skipped,
-            Station(
+            Stage(
                 "Hash grid",
                 f"{len(levels)} grids, each finer than the last, hold {levels.shape[1]} numbers a corner; the finer "
                 "ones share their rows by a hash. The heaviest sample's are blended within its cell on each level.",
                 (BarCode(tuple(f"{r}³" for r in resolutions), tuple(levels), float(np.abs(levels).max())),),
             ),
-            Station(
+            Stage(
                 "Networks",
                 "A small network turns them into 16 numbers, of which the first is the density's logarithm; a second "
                 "one turns those and the direction's spherical harmonics into colour.",
                 (BarCode(("geometry", "Y(d)"), (vector, harmonics), peak),),
             ),
-            field_station(samples, "The same at every sample that the occupancy grid let through."),
-            absorption_station(samples),
+            field_stage(samples, "The same at every sample that the occupancy grid let through."),
+            absorption_stage(samples),
         )
 
     # ---- state ------------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from nerf_core.geometry.rays import Rays, Samples
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods.adam_state import adam_state, load_adam
 from nerf_core.methods.mlp.field import MlpField
-from nerf_core.methods.stages import BarCode, Station, triple
+from nerf_core.methods.stages import BarCode, Stage, triple
 
 
 class Parametrised(NamedTuple):
@@ -105,7 +105,7 @@ class MlpModel:
         return x if self.ndc is None else self.ndc.point(x)
 
     @torch.no_grad()
-    def code_station(self, rays: Rays, samples: Samples) -> Station:
+    def code_stage(self, rays: Rays, samples: Samples) -> Stage:
         """γ at the heaviest of the first ray's samples: what the network is given of it."""
         strongest = int(samples.weights[0].argmax())
         point = (rays.origins + samples.t[:1, strongest, None].to(rays.origins) * rays.directions).to(self.device)
@@ -117,7 +117,7 @@ class MlpModel:
         if self.config.position_frequencies:
             what = ("The network is not given bare coordinates: γ adds sines and cosines of doubling frequency, so "
                     "that near points look different to it. ")  # fmt: skip
-        return Station(
+        return Stage(
             "Encoding",
             what
             + "Here the heaviest sample's place x"

@@ -18,7 +18,7 @@ from nerf_core.geometry.scene import Scene
 from nerf_core.methods import METHODS, Draw
 from nerf_core.methods.mlp.model import MlpModel, Parametrised
 from nerf_core.methods.nerf.config import NerfConfig
-from nerf_core.methods.stages import Marks, Station, Stems, Transfer, absorption_station, field_station
+from nerf_core.methods.stages import Marks, Stage, Stems, Transfer, absorption_stage, field_stage
 from nerf_core.volume.compositing import absorb, composite, expected_depth
 from nerf_core.volume.sampling import cumulative, inverse_transform, spaced, stratified
 
@@ -218,31 +218,31 @@ class Nerf(MlpModel):
             raise ValueError(f"trace opens at most {self.tile} rays at a time, got {len(rays)}")
         return self._tile(rays, "fine")
 
-    def explain(self, rays: Rays) -> tuple[Station, ...]:
+    def explain(self, rays: Rays) -> tuple[Stage, ...]:
         passes = self.trace(rays).passes
         p, world = self.parametrise(rays.to(self.device)), partial(self._world_t, rays.to(self.device))
         u = self._coarse_u(p, random=False)
         edges = torch.cat([u[:, :1], (u[:, 1:] + u[:, :-1]) / 2, u[:, -1:]], 1)
         spacing = "1/t" if self.disparity and self.ndc is None else "t" if self.ndc is None else "disparity (NDC)"
-        stations = [
-            Station(
+        stages = [
+            Stage(
                 "Stratified samples",
                 f"{u.shape[1]} depths, evenly spaced in {spacing}. In training each is drawn anew from its bin, so "
                 "that in the long run every depth is looked at; for a picture they stay where they are here.",
                 (Marks(world(u), world(edges)),),
             ),
-            self.code_station(rays, passes[0]),
-            field_station(passes[0], "A network is asked at every sample: how dense is it there, and which colour "
+            self.code_stage(rays, passes[0]),
+            field_stage(passes[0], "A network is asked at every sample: how dense is it there, and which colour "
                           f"does it emit {self.towards}?"),
-            absorption_station(passes[0]),
+            absorption_stage(passes[0]),
         ]  # fmt: skip
         if len(passes) > 1:
             middle, weights = (u[:, 1:] + u[:, :-1]) / 2, passes[0].weights[:, 1:-1]
             count, cdf = self.config.fine_samples, cumulative(weights)[0].cpu().numpy()
             draws = inverse_transform(middle, weights, count, None)
             levels = np.linspace(0, 1, count, dtype=np.float32)
-            stations += [
-                Station(
+            stages += [
+                Stage(
                     "Resampling",
                     f"The coarse weights, made a PDF, say where {count} more samples are worth it: evenly spaced "
                     "levels (random ones in training), sent through the inverse of its sum, fall where that climbs.",
@@ -251,12 +251,12 @@ class Nerf(MlpModel):
                         Transfer(world(middle), cdf, levels, world(draws)),
                     ),
                 ),
-                field_station(
+                field_stage(
                     passes[1], "The fine network is asked at all samples, old and new.", "Fine density, colour"
                 ),
-                absorption_station(passes[1], "Fine α, T and w"),
+                absorption_stage(passes[1], "Fine α, T and w"),
             ]
-        return tuple(stations)
+        return tuple(stages)
 
     def _world_t(self, rays: Rays, u: Tensor) -> np.ndarray:
         t = u if self.ndc is None else self.ndc.world_t(rays.origins, rays.directions, u)

@@ -34,12 +34,12 @@ from nerf_core.methods import Draw
 from nerf_core.methods.stages import (
     BarCode,
     Colors,
-    Station,
-    absorption_station,
-    field_station,
-    nothing_station,
+    Stage,
+    absorption_stage,
+    field_stage,
+    nothing_stage,
     number,
-    skipped_station,
+    skipped_stage,
 )
 from nerf_core.methods.voxels.config import VoxelConfig
 from nerf_core.volume.cells import grow
@@ -262,12 +262,12 @@ class VoxelModel:
         return self.shown.interpolate(cell, within), cell
 
     @torch.no_grad()
-    def explain(self, rays: Rays) -> tuple[Station, ...]:
+    def explain(self, rays: Rays) -> tuple[Stage, ...]:
         samples = self.trace(rays).passes[0]
         count = 0 if samples.count is None else int(samples.count[0])
-        skipped = skipped_station(samples, self.grid, self.config.step)
+        skipped = skipped_stage(samples, self.grid, self.config.step)
         if not count:
-            return skipped, nothing_station()
+            return skipped, nothing_stage()
         strongest = int(samples.weights[0].argmax())
         point = rays.origins + samples.t[:, strongest, None] * rays.directions
         cell, within = self.grid.cells_of(self.space.points(point))
@@ -280,7 +280,7 @@ class VoxelModel:
         coefficients = row[:DENSITY].view(3, 4).numpy()
         return (
             skipped,
-            Station(
+            Stage(
                 "Grid",
                 "The heaviest sample lies in a cell whose 8 corners each hold a raw density s and coefficients of "
                 "colour. They are blended by how near the sample is to each.",
@@ -288,17 +288,17 @@ class VoxelModel:
                 (("cell", ", ".join(str(v) for v in cell[0].tolist())),
                  ("density", f"softplus({number(float(row[DENSITY]))} + {number(self.config.bias)})")),
             ),
-            Station(
+            Stage(
                 "Colour",
                 "Spherical harmonics of the direction, Y₀ and three Y₁, times the blended coefficients of a channel; "
                 "a sigmoid makes that a colour. Y₀ alone would be matt; the others let it change with the view.",
                 (BarCode(("Y(d)", "red", "green", "blue"), (basis, *coefficients), float(np.abs(coefficients).max())),
                  Colors(("towards this camera",), torch.sigmoid(torch.from_numpy(coefficients @ basis))[None].numpy())),
             ),
-            field_station(
+            field_stage(
                 samples, f"At each of its {count} samples the grid is looked up like this: there is no network to ask."
             ),
-            absorption_station(samples),
+            absorption_stage(samples),
         )  # fmt: skip
 
     # ---- state ------------------------------------------------------------------------------------------------------

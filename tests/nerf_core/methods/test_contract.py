@@ -173,21 +173,21 @@ def test_density_is_that_of_the_samples(make: MakeMethod, scene: Scene) -> None:
 def test_a_walk_has_stations_with_finite_values(make: MakeMethod, scene: Scene) -> None:
     method, (rays, _) = trained(make(), scene), some_rays(scene, 3)
     for ray in range(3):
-        stations = method.explain(rays[ray : ray + 1])
-        assert len({s.title for s in stations}) == len(stations) >= 4
-        for station in stations:
-            assert station.sentence.endswith((".", "?"))
-            for chart in station.charts:
+        stages = method.explain(rays[ray : ray + 1])
+        assert len({s.title for s in stages}) == len(stages) >= 4
+        for stage in stages:
+            assert stage.sentence.endswith((".", "?"))
+            for chart in stage.charts:
                 for value in chart:
                     if isinstance(value, np.ndarray):
-                        assert np.isfinite(value).all(), station.title
+                        assert np.isfinite(value).all(), stage.title
 
 
 def test_the_walk_of_a_ray_that_meets_nothing_says_so(make: MakeMethod, scene: Scene) -> None:
     method, (rays, _) = trained(make(), scene), some_rays(scene, 1)
     away = replace(rays, origins=rays.origins + 100, near=rays.near * 0 + 1, far=rays.far * 0 + 2)
     last = method.trace(away).passes[-1]
-    titles = [station.title for station in method.explain(away)]
+    titles = [stage.title for stage in method.explain(away)]
     if last.count is None:  # the paper's method takes its samples wherever it looks
         assert "α, T and w" in titles
     else:
@@ -203,14 +203,14 @@ def test_the_walk_of_a_ray_that_meets_nothing_says_so(make: MakeMethod, scene: S
 def test_the_walk_says_what_the_network_is_given(scene: Scene, preset: str, bare: bool, told: bool) -> None:
     kind = METHODS.get("nerf")
     method = kind(scene, kind.configure(scene, preset, SMALL["nerf"], CPU), CPU, 0)
-    stations = {station.title: station for station in method.explain(some_rays(scene, 1)[0])}
-    code = stations["Encoding"]
+    stages = {stage.title: stage for stage in method.explain(some_rays(scene, 1)[0])}
+    code = stages["Encoding"]
     assert ("is given bare coordinates" in code.sentence) == bare
     assert isinstance(code.charts[0], BarCode)
     assert ("γ(d)" in code.charts[0].names) == told
     assert len(code.charts[0].values[0]) == (3 if bare else 63)
-    assert ("towards the camera" in stations["Density and colour"].sentence) == told
-    pdf, transfer = stations["Resampling"].charts
+    assert ("towards the camera" in stages["Density and colour"].sentence) == told
+    pdf, transfer = stages["Resampling"].charts
     assert isinstance(pdf, Stems)
     assert isinstance(transfer, Transfer)
     assert pdf.y.sum() == pytest.approx(1, abs=1e-5)

@@ -14,7 +14,7 @@ from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.lens import Lens
 from nerf_core.geometry.scene import Scene
 from nerf_core.probe import Witnesses, diffuse_of
-from nerf_core.probe.evidence import unseen
+from nerf_core.probe.sightings import unseen
 
 BALL = Ball((0.0, 0.0, 0.0), 0.7, (0.5, 0.3, 0.2), gloss=0.2)
 SIDE = 0.7 * np.array([0.8, 0.0, 0.6])

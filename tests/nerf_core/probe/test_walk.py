@@ -1,4 +1,4 @@
-"""The stations that every method shares: where the ray comes from, and which photo says what it should have been."""
+"""The stages that every method shares: where the ray comes from, and which photo says what it should have been."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.lens import Lens
 from nerf_core.geometry.scene import Scene
 from nerf_core.probe import open_ray
-from nerf_core.probe.walk import truth_of, walk
+from nerf_core.probe.walkthrough import truth_of, walk
 
 BALL = Ball((0.0, 0.0, 0.0), 0.7, (0.8, 0.3, 0.2))
 BARREL = -0.28  # k1

@@ -703,7 +703,7 @@ def test_every_station_is_drawn(screen: Screen) -> None:
     screen.frame(panel, state)
     opened = state.snapshot.opened
     assert opened is not None
-    assert {f"walk.{station.title}" for station in opened.walk} <= set(screen.widgets)
+    assert {f"walk.{stage.title}" for stage in opened.walk} <= set(screen.widgets)
 
 
 def test_the_history_is_of_the_opened_pin(screen: Screen) -> None:

@@ -1,8 +1,6 @@
-"""One pixel followed through the whole method: camera, ray, the method's own stations, colour, photo, loss."""
+"""One pixel followed through the whole method: camera, ray, the method's own stages, colour, photo, loss."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -11,19 +9,10 @@ from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method
-from nerf_core.methods.stages import Colors, Station, number, triple
-from nerf_core.probe.ray import PassProbe, RayProbe
+from nerf_core.methods.stages import Colors, Stage, number, triple
+from nerf_core.probe.records import PassProbe, RayProbe, Truth
 
 SAME_POSE = 1e-9  # of a camera that was flown to a photo's: easing ends exactly there, but for rounding
-
-
-@dataclass(frozen=True)
-class Truth:
-    """What a photo shows where a ray looks: view, an index into `Scene.views`; pixel (column, row); color (3,)."""
-
-    view: int
-    pixel: tuple[int, int]
-    color: np.ndarray
 
 
 def truth_of(scene: Scene, camera: Camera, ray: RayProbe) -> Truth | None:
@@ -40,26 +29,26 @@ def truth_of(scene: Scene, camera: Camera, ray: RayProbe) -> Truth | None:
     return None
 
 
-def walk(method: Method, scene: Scene, camera: Camera, ray: RayProbe) -> tuple[Station, ...]:
-    """The stations of `ray`, which `camera` looks along, from the camera to the loss."""
+def walk(method: Method, scene: Scene, camera: Camera, ray: RayProbe) -> tuple[Stage, ...]:
+    """The stages of `ray`, which `camera` looks along, from the camera to the loss."""
     o, d, near, far = (
         torch.as_tensor(v, dtype=torch.float32)[None] for v in (ray.origin, ray.direction, ray.near, ray.far)
     )
     return (
-        _camera_station(camera, ray),
-        _ray_station(ray),
+        _camera_stage(camera, ray),
+        _ray_stage(ray),
         *method.explain(Rays(o, d, near, far)),
-        _pixel_station(ray),
-        *_photo_stations(scene, camera, ray),
+        _pixel_stage(ray),
+        *_photo_stages(scene, camera, ray),
     )
 
 
-def _camera_station(camera: Camera, ray: RayProbe) -> Station:
+def _camera_stage(camera: Camera, ray: RayProbe) -> Stage:
     column, row = ray.pixel
     x, y = (column + 0.5 - camera.cx) / camera.fx, (row + 0.5 - camera.cy) / camera.fy
     straight = ray.direction @ camera.c2w[:, :3]
     undone = (("with the lens undone", triple(straight / -straight[2])),) if camera.lens.bends else ()
-    return Station(
+    return Stage(
         "Camera and pixel",
         "The pixel's centre (i + ½, j + ½), less the principal point and over the focal length, is a direction before "
         "the camera" + (", once it is undone how the lens bends." if undone else "."),
@@ -73,8 +62,8 @@ def _camera_station(camera: Camera, ray: RayProbe) -> Station:
     )
 
 
-def _ray_station(ray: RayProbe) -> Station:
-    return Station(
+def _ray_stage(ray: RayProbe) -> Stage:
+    return Stage(
         "Ray",
         "Turned into the world and made unit, the direction d and the camera's place o make the ray x(t) = o + t d.",
         rows=(
@@ -84,10 +73,10 @@ def _ray_station(ray: RayProbe) -> Station:
     )  # fmt: skip
 
 
-def _pixel_station(ray: RayProbe) -> Station:
+def _pixel_stage(ray: RayProbe) -> Stage:
     last = ray.passes[-1]
     seen = last.weights @ last.rgb if len(last.t) else np.zeros(3)
-    return Station(
+    return Stage(
         "Pixel",
         "The samples' colours, each times its weight, and the background times what is left, add up to the pixel.",
         (Colors(("Σ w c", "background × (1 − Σ w)", "pixel"),
@@ -96,11 +85,11 @@ def _pixel_station(ray: RayProbe) -> Station:
     )  # fmt: skip
 
 
-def _photo_stations(scene: Scene, camera: Camera, ray: RayProbe) -> tuple[Station, ...]:
+def _photo_stages(scene: Scene, camera: Camera, ray: RayProbe) -> tuple[Stage, ...]:
     truth = truth_of(scene, camera, ray)
     if truth is None:
         return (
-            Station(
+            Stage(
                 "Photo",
                 "No photo was taken from here, so nothing says what this pixel should be. Fly to a photo (→) and open "
                 "a ray there to see the photo's colour and the loss.",
@@ -113,14 +102,14 @@ def _photo_stations(scene: Scene, camera: Camera, ray: RayProbe) -> tuple[Statio
     losses = [(p.name, _composited(ray, p)) for p in ray.passes if p.name == "coarse" or p is ray.passes[-1]]
     off = [(name, float(np.square(color - truth.color).mean())) for name, color in losses]
     return (
-        Station(
+        Stage(
             "Photo",
             f"{view.name} ({split} photo) shows this at its pixel {truth.pixel[0]:,}, {truth.pixel[1]:,}. {learnt}",
             (Colors(("model", "photo", "difference"),
                     np.stack([ray.color, truth.color, np.abs(ray.color - truth.color)])),),
             (("photo", triple(truth.color)),),
         ),
-        Station(
+        Stage(
             "Loss",
             "The squared difference, averaged over the channels, is this pixel's part of the loss; its gradient flows "
             "back to every sample's density and colour, but not to where the samples lie."
