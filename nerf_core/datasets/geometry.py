@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 
 from nerf_core.common.errors import UserError
 from nerf_core.datasets.capture import Capture, LoadOptions
 from nerf_core.datasets.depths import Depths, known_depths
 from nerf_core.datasets.rig import common_focus, mean_camera, spread, up_direction, upright
 from nerf_core.geometry.camera import Camera
-from nerf_core.geometry.cameras import Cameras
 from nerf_core.geometry.ndc import Ndc
 
 SYNTHETIC_DEPTHS = (2.0, 6.0)  # of the official Blender configurations
@@ -113,6 +111,10 @@ def _turned(cameras: Sequence[Camera], back: np.ndarray) -> int:
 
     A picture's ideal image plane is mapped to directions convexly: the border has the extreme ones.
     """
+    import torch
+
+    from nerf_core.geometry.cameras import Cameras  # here, so that a Scene and what describes one load without torch
+
     u = np.linspace(0, 1, BORDER)
     sides = [np.stack(np.broadcast_arrays(x, y), -1) for x, y in ((u, 0), (u, 1), (0, u), (1, u))]
     border = np.concatenate(sides)

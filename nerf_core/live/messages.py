@@ -20,6 +20,7 @@ from nerf_core.probe.directions import Around
 from nerf_core.rendering.export.requests import Export, ExportPath, ExportStill
 from nerf_core.rendering.modes import COLOR
 from nerf_core.training.loss_history import History
+from nerf_core.training.settings import RunSettings
 
 # ---- to the worker -------------------------------------------------------------------------------------------
 
@@ -40,7 +41,7 @@ class OpenScene:
     """Load a capture (None: the demo scene) and build a fresh model for it; then train it, if `train`."""
 
     path: Path | None
-    options: object  # nerf_core.training.settings.RunSettings; `object` keeps this module free of the trainer
+    options: RunSettings
     train: bool = False
 
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, NamedTuple, Protocol, Self
-
-import torch
-from torch import Tensor
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self
 
 from nerf_core.common.registry import Registry
-from nerf_core.geometry.rays import Rays, Rendering, Trace
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods.stages import Stage
+
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
+
+    from nerf_core.geometry.rays import Rays, Rendering, Trace
 
 
 class Draw(NamedTuple):

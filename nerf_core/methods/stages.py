@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from nerf_core.geometry.rays import Samples
-from nerf_core.volume.cells import Cells
+if TYPE_CHECKING:
+    from nerf_core.geometry.rays import Samples
+    from nerf_core.volume.cells import Cells
 
 
 class Stems(NamedTuple):

@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-import torch
-from torch import Tensor
 
 LIMIT = 2000
 EVERY = {2**k for k in range(40)}  # steps a point, as they double
@@ -47,29 +45,28 @@ class HistoryLog:
             self._losses = [(a + b) / 2 for a, b in zip(self._losses[::2], self._losses[1::2], strict=True)]
             self.every *= 2
 
-    def state(self) -> dict[str, Tensor]:
+    def state(self) -> dict[str, np.ndarray]:
         """What a log that goes on from here needs, by name."""
-        every, steps = torch.tensor(self.every), torch.tensor(self._steps, dtype=torch.int64)
-        losses, pending = (torch.tensor(v, dtype=torch.float64) for v in (self._losses, self._pending))
+        every, steps = (np.array(v, np.int64) for v in (self.every, self._steps))
+        losses, pending = (np.array(v, np.float64) for v in (self._losses, self._pending))
         return {"every": every, "steps": steps, "losses": losses, "pending": pending}
 
-    def load_state(self, state: Mapping[str, Tensor], step: int) -> None:
+    def load_state(self, state: Mapping[str, np.ndarray], step: int) -> None:
         """Be where `state()` was taken, after so many steps; empty, where a checkpoint of before has none.
 
         Raises KeyError, ValueError for what `state()` never gave.
         """
         if not state:
             state = HistoryLog().state()
-        every, steps, losses, pending = (state[name].cpu() for name in ("every", "steps", "losses", "pending"))
+        every, steps, losses, pending = (state[name] for name in ("every", "steps", "losses", "pending"))
         kinds = [v.dtype for v in (every, steps, losses, pending)]
         shapes = every.ndim, steps.ndim, pending.ndim
-        if kinds != 2 * [torch.int64] + 2 * [torch.float64] or shapes != (0, 1, 1) or steps.shape != losses.shape:
+        if kinds != 2 * [np.int64] + 2 * [np.float64] or shapes != (0, 1, 1) or steps.shape != losses.shape:
             raise ValueError("its losses are no curve")
-        made = torch.cat([torch.zeros(1, dtype=torch.int64), steps, torch.tensor([step + 1])])
-        numbers = torch.cat([losses, pending])
+        made, numbers = np.concatenate([[0], steps, [step + 1]]), np.concatenate([losses, pending])
         if not (
-            int(every) in EVERY and len(steps) < LIMIT and len(pending) < int(every) and bool((made.diff() > 0).all())
-            and bool(((numbers >= 0) & (numbers < MOST)).all())
+            int(every) in EVERY and len(steps) < LIMIT and len(pending) < int(every) and (np.diff(made) > 0).all()
+            and ((numbers >= 0) & (numbers < MOST)).all()
         ):  # fmt: skip
             raise ValueError(f"its losses are not those of {step} steps")
         self.every, self._steps = int(every), steps.tolist()

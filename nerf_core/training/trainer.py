@@ -174,7 +174,8 @@ class Trainer:
 
     def state(self) -> dict[str, Tensor]:
         """All tensors that a resumed run needs, by name."""
-        parts = {"method": self.method.state(), "batches": self.batches.state(), "history": self.history.state()}
+        history = {name: torch.from_numpy(value) for name, value in self.history.state().items()}
+        parts = {"method": self.method.state(), "batches": self.batches.state(), "history": history}
         return {f"{part}.{key}": value for part, tensors in parts.items() for key, value in tensors.items()}
 
     def notes(self, description: Mapping[str, Any]) -> tuple[str, ...]:
@@ -194,7 +195,7 @@ class Trainer:
         }
         self.method.load_state(parts["method."])
         self.batches.load_state(parts["batches."])
-        self.history.load_state(parts["history."], description["step"])
+        self.history.load_state({k: v.cpu().numpy() for k, v in parts["history."].items()}, description["step"])
         self.step_count, self.seconds = description["step"], description["seconds"]
 
 

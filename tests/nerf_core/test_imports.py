@@ -11,6 +11,7 @@ import pytest
 import torch
 
 import nerf_core
+import nerf_core.probe
 import viewer
 from nerf_core.volume.compositing import absorb
 
@@ -113,6 +114,22 @@ def test_the_core_loads_nothing_that_only_an_edge_needs() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=CORE.parent)
     assert "torch" in done.stdout
     assert set(done.stdout.split()) & EDGES == set()
+
+
+def test_messages_and_what_they_carry_are_numpy_only() -> None:
+    """A process without torch could hold the window."""
+    names = "live.messages", "geometry.scene", "probe.records", "methods", "datasets", "training.settings"
+    for name in names:
+        code = f"import sys, nerf_core.{name}; print(*{{'torch', 'numba', 'llvmlite'}} & set(sys.modules))"
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=CORE.parent)
+        assert done.stdout.split() == [], name
+
+
+def test_every_name_of_the_probe_is_found() -> None:
+    for name in nerf_core.probe.__all__:
+        assert getattr(nerf_core.probe, name).__class__.__name__ != "module", name
+    with pytest.raises(AttributeError, match="no attribute 'nobody'"):
+        nerf_core.probe.nobody  # noqa: B018
 
 
 def test_the_core_knows_no_window() -> None:

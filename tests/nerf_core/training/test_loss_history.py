@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
 
 from nerf_core.training.loss_history import LIMIT, HistoryLog
 
@@ -54,34 +53,34 @@ def test_a_log_goes_on_from_its_state(steps: int) -> None:
         np.testing.assert_array_equal(getattr(second.view(), name), getattr(whole.view(), name))
 
 
-def numbers(*values: float) -> torch.Tensor:
-    return torch.tensor(values, dtype=torch.float64)
+def numbers(*values: float) -> np.ndarray:
+    return np.array(values, np.float64)
 
 
 BROKEN = {
     "no losses": {"losses": None},
     "another length": {"losses": numbers(1, 1)},
-    "a table": {"steps": torch.ones(3, 1, dtype=torch.int64), "losses": numbers(1, 1, 1)[:, None]},
-    "steps that go back": {"steps": torch.tensor([2, 1, 3])},
-    "steps before the first": {"steps": torch.tensor([0, 1, 2])},
-    "steps that were not made": {"steps": torch.tensor([1, 2, 4])},
+    "a table": {"steps": np.ones((3, 1), np.int64), "losses": numbers(1, 1, 1)[:, None]},
+    "steps that go back": {"steps": np.array([2, 1, 3])},
+    "steps before the first": {"steps": np.array([0, 1, 2])},
+    "steps that were not made": {"steps": np.array([1, 2, 4])},
     "steps that are fractions": {"steps": numbers(1, 2, 3)},
-    "a loss that is no number": {"losses": numbers(1, torch.nan, 1)},
+    "a loss that is no number": {"losses": numbers(1, np.nan, 1)},
     "a loss under nothing": {"losses": numbers(1, -1, 1)},
     "a loss past what can be shown": {"losses": numbers(1, 1e300, 1)},
-    "losses of another kind": {"losses": torch.ones(3, dtype=torch.complex64)},
-    "never a mean": {"every": torch.tensor(0)},
-    "means over an odd number of steps": {"every": torch.tensor(3)},
-    "means over more than anybody trains": {"every": torch.tensor(2**62)},
-    "means over a fraction": {"every": torch.tensor(torch.inf)},
-    "means of several kinds": {"every": torch.ones(2, dtype=torch.int64)},
+    "losses of another kind": {"losses": np.ones(3, np.complex64)},
+    "never a mean": {"every": np.array(0)},
+    "means over an odd number of steps": {"every": np.array(3)},
+    "means over more than anybody trains": {"every": np.array(2**62)},
+    "means over a fraction": {"every": np.array(np.inf)},
+    "means of several kinds": {"every": np.ones(2, np.int64)},
     "a mean that is due": {"pending": numbers(1)},
-    "an infinite one that waits": {"every": torch.tensor(4), "pending": numbers(torch.inf)},
+    "an infinite one that waits": {"every": np.array(4), "pending": numbers(np.inf)},
 }
 
 
 @pytest.mark.parametrize("changes", BROKEN.values(), ids=BROKEN.keys())
-def test_a_state_that_none_was_in_is_refused(changes: dict[str, torch.Tensor | None]) -> None:
+def test_a_state_that_none_was_in_is_refused(changes: dict[str, np.ndarray | None]) -> None:
     log = HistoryLog()
     for step in (1, 2, 3):
         log.add(step, 0.5)
@@ -92,7 +91,7 @@ def test_a_state_that_none_was_in_is_refused(changes: dict[str, torch.Tensor | N
 
 
 def test_losses_of_more_steps_than_several_points_can_hold_are_refused_too() -> None:
-    steps = torch.arange(1, LIMIT + 1)
-    state = HistoryLog().state() | {"steps": steps, "losses": torch.ones(LIMIT, dtype=torch.float64)}
+    steps = np.arange(1, LIMIT + 1)
+    state = HistoryLog().state() | {"steps": steps, "losses": np.ones(LIMIT)}
     with pytest.raises(ValueError, match="not those of"):
         HistoryLog().load_state(state, LIMIT)
