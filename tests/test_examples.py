@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from nerf_core.datasets import LoadOptions, load_scene
+from nerf_core.methods import METHODS
 from nerf_core.training import checkpoint
 from nerf_core.training.trainer import Trainer
 
@@ -61,3 +63,15 @@ def test_export(tmp_path: Path) -> None:
     description, state = checkpoint.load(model)
     scene = load_scene(None, LoadOptions(downscale=SMALL))
     assert Trainer.resume(scene, description, state, "cpu").step_count == FEW
+
+
+def test_own_field_as_a_method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "grid" not in METHODS.names()
+    monkeypatch.setattr(METHODS, "_items", {**METHODS._items})  # for this test alone
+    trainer = script("own_field_as_a_method")(tmp_path, 12, SMALL, cells=12)
+    assert trainer.method_name == "grid"
+    loss = trainer.history.view().loss
+    assert loss[-1] < loss[0]
+    assert "<svg" in (tmp_path / "own-field.svg").read_text(encoding="utf-8")
+    again = Trainer.resume(trainer.scene, trainer.describe(), trainer.state(), "cpu")
+    assert trainer.step().loss == again.step().loss  # a checkpoint holds all that the next step needs
