@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import runpy
 from pathlib import Path
 
 import pytest
@@ -69,3 +70,13 @@ def test_what_pages_import_is_there(page: Path) -> None:
             if isinstance(node, ast.ImportFrom) and not node.level and (node.module or "").startswith("nerf_core")
         ]  # fmt: skip
         exec(compile(ast.Module(list(imports), []), _name(page), "exec"), {})
+
+
+def test_the_diagram_shows_the_packages_in_their_order() -> None:
+    diagrams = runpy.run_path(str(ROOT / "docs" / "diagrams.py"))
+    order = runpy.run_path(str(ROOT / "tests" / "nerf_core" / "test_imports.py"))["ORDER"]
+    for name, rows in (("nerf_core", diagrams["CORE"]), ("viewer", diagrams["VIEWER"])):
+        shown = [f"{name}.{package}" for package, _ in reversed(rows)]
+        assert shown == [package for package in order if package.startswith(f"{name}.")]
+    assert (ROOT / "docs" / "packages.svg").read_text(encoding="utf-8") == diagrams["packages"]()
+    assert (ROOT / "docs" / "threads.svg").read_text(encoding="utf-8") == diagrams["threads"]()
