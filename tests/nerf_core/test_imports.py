@@ -25,7 +25,9 @@ ORDER = (
     "viewer.session", "viewer.cli",
 )  # fmt: skip
 # Folders of plug-ins: no file that registers something is imported by a sibling.
-PLUGINS = ("nerf_core/datasets/formats", "nerf_core/methods", "nerf_core/commands", "viewer/panels")
+PLUGINS = (
+    "nerf_core/datasets/formats", "nerf_core/methods", "nerf_core/commands", "viewer/panels", "viewer/commands/actions",
+)  # fmt: skip
 # What only a window, a format, a video or a command line needs.
 EDGES = {
     "moderngl", "glfw", "imgui_bundle", "viewer", "pycolmap", "tyro", "rich", "imageio_ffmpeg", "numba", "platformdirs",
@@ -139,10 +141,10 @@ def test_the_core_knows_no_window() -> None:
 
 
 def registers(file: Path) -> bool:
-    """Whether a class of the file is decorated with a registry's `register`."""
-    classes = [node for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if isinstance(node, ast.ClassDef)]
-    calls = [d.func for c in classes for d in c.decorator_list if isinstance(d, ast.Call)]
-    return any(isinstance(call, ast.Attribute) and call.attr == "register" for call in calls)
+    """Whether the file calls a registry's `register`, or `command`, which does."""
+    calls = [node.func for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
+    names = {call.attr if isinstance(call, ast.Attribute) else getattr(call, "id", "") for call in calls}
+    return bool(names & {"register", "command"})
 
 
 def plugins(folder: Path) -> list[Path]:

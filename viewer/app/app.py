@@ -16,6 +16,7 @@ from nerf_core.geometry.camera import Camera
 from nerf_core.live.messages import Inspect, Notice, Snapshot, ViewRequest
 from nerf_core.rendering.video import write_png
 
+from ..commands.keyboard import Keyboard
 from ..commands.perform import Actions
 from ..draw.imgui_renderer import ImguiRenderer
 from ..draw.textures import TextureCache
@@ -27,7 +28,7 @@ from ..ui.contract import Panel
 from ..ui.layout import Layout
 from ..ui.theme import DarkTheme
 from ..window import Window
-from .bars import Bars
+from . import bars
 from .inject import Hand
 from .pacing import Pacer
 from .panel_host import PanelHost, PanelUi, Rect
@@ -72,7 +73,7 @@ class App:
         self._viewport = ViewportPanel(window.context, self._renderer)
         self._ui = PanelUi(self.theme, self._textures)
         self._host = PanelHost(panels)
-        self._bars = Bars()
+        self._keyboard = Keyboard()
         self._layout = Layout(layout_file)
         self._pacer = Pacer(watched=window.has_display)
         self._actions = Actions(self.state, link)
@@ -213,9 +214,9 @@ class App:
         self._warn(self._layout.save_if_changed())
 
     def _draw_interface(self) -> list[Action]:
-        state, ui, bars, viewport = self.state, self._ui, self._bars, self._viewport
+        state, ui, viewport = self.state, self._ui, self._viewport
         state.sample, state.pointed_at = state.pointed_at, None
-        flying = viewport.input.keys(state, imgui.get_io().delta_time)
+        keyed, flying = self._keyboard.act(state, imgui.get_io().delta_time)
         held = any(imgui.is_mouse_down(button) for button in range(3))
         self._pacer.note(self.state.time, hand=flying or held)
         actions = list(bars.draw_menu(ui, state))
@@ -234,7 +235,7 @@ class App:
         for notice in self._host.notices:
             self._actions.tell(notice)
         self._host.notices.clear()
-        return actions + viewport.input.take()
+        return actions + keyed + viewport.input.take()
 
     def _save_screenshots(self) -> None:
         """Those that were asked for in this frame, before it leaves the back buffer."""
@@ -248,16 +249,16 @@ class App:
                 self._actions.tell(Notice("info", f"saved {path}", path))
 
     def _wishes(self) -> None:
-        """What menus and keys ask of the window itself."""
-        bars = self._bars
-        if self.state.raise_panel and not (self._hidden or self._layout.raising):  # those come first, or would cover it
-            imgui.set_window_focus(self.state.raise_panel)
-            self.state.raise_panel = ""
-        if bars.reset_layout_wanted:
+        """What commands and panels ask of the window itself."""
+        state = self.state
+        if state.raise_panel and not (self._hidden or self._layout.raising):  # those come first, or would cover it
+            imgui.set_window_focus(state.raise_panel)
+            state.raise_panel = ""
+        if state.reset_layout:
             self._layout.reset()
-        if bars.quit_wanted:
+        if state.quit:
             self.window.request_close()
-        bars.reset_layout_wanted = bars.quit_wanted = False
+        state.reset_layout = state.quit = False
 
     def _count_frame(self, now: float) -> None:
         """Frames of the last second."""

@@ -3,138 +3,114 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 from imgui_bundle import ImVec2, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from nerf_core.live.messages import Pause, Reset, Train
+from nerf_core.live.messages import Reset
 
-from ..commands.pointer import export_action, save_action, show_open
-from ..model.state import Action, AppState, FrameScene, ResetView, SaveScreenshot
+from ..commands.registry import COMMANDS, MENUS, Menu, UserCommand, commands, run, with_keys
+from ..model.state import Action, AppState
 from ..ui.theme import CLEAR
 from ..ui.widgets import duration, rate
 from .panel_host import PanelUi
 
-SCREENSHOT = "screenshot.png"
+# ---- above --------------------------------------------------------------------------------------------------------
 
 
-class Bars:
-    def __init__(self) -> None:
-        self.quit_wanted = self.reset_layout_wanted = False
+def draw_menu(ui: PanelUi, state: AppState) -> Iterator[Action]:
+    imgui.push_style_var(imgui.StyleVar_.window_border_size, 0.0)  # it would reach into the viewport's first row
+    begun = imgui.begin_main_menu_bar()
+    imgui.pop_style_var()
+    if not begun:
+        return
+    for menu in MENUS:
+        if imgui.begin_menu(menu):
+            yield from _menu(ui, state, menu)
+            imgui.end_menu()
+    yield from _item(ui, state, COMMANDS.get("show.help"), keys=False)
+    yield from _training(ui, state)
+    imgui.end_main_menu_bar()
 
-    # ---- above ------------------------------------------------------------------------------------------------
 
-    def draw_menu(self, ui: PanelUi, state: AppState) -> Iterator[Action]:
-        imgui.push_style_var(imgui.StyleVar_.window_border_size, 0.0)  # it would reach into the viewport's first row
-        begun = imgui.begin_main_menu_bar()
-        imgui.pop_style_var()
-        if not begun:
-            return
-        opened = state.snapshot.scene is not None
-        if imgui.begin_menu("File"):
-            if _item(ui, "Open…", "Ctrl+O"):
-                show_open(state)
-            if _item(ui, "Save checkpoint", "Ctrl+S", enabled=opened):
-                yield save_action(state)
-            if _item(ui, "Export orbit", "Ctrl+E", enabled=opened):
-                yield export_action(state)
-            if _item(ui, "Save screenshot"):
-                yield SaveScreenshot(Path(SCREENSHOT))
+def _menu(ui: PanelUi, state: AppState, menu: Menu) -> Iterator[Action]:
+    listed = [command for command in commands() if command.menu == menu]
+    for before, command in zip([None, *listed], listed, strict=False):
+        if before is not None and before.section != command.section:
             imgui.separator()
-            self.quit_wanted |= _item(ui, "Quit")
-            imgui.end_menu()
-        if imgui.begin_menu("View"):
-            yield from self._view_menu(ui, state, opened)
-            imgui.end_menu()
-        if _item(ui, "Help", shown=state.show_help):
-            state.show_help = not state.show_help
-        yield from self._training(ui, state, opened)
-        imgui.end_main_menu_bar()
-
-    def _view_menu(self, ui: PanelUi, state: AppState, opened: bool) -> Iterator[Action]:
-        if _item(ui, "Frame the scene", "F", enabled=opened):
-            yield FrameScene()
-        if _item(ui, "Reset the view", "R", enabled=opened):
-            yield ResetView()
-        imgui.separator()
-        if _item(ui, "Training cameras", shown=state.show_cameras):
-            state.show_cameras = not state.show_cameras
-        if _item(ui, "Inspected ray", shown=state.show_samples):
-            state.show_samples = not state.show_samples
-        if _item(ui, "Panels", "Tab", shown=state.show_panels):
-            state.show_panels = not state.show_panels
-        self.reset_layout_wanted |= _item(ui, "Reset the layout")
-
-    @staticmethod
-    def _training(ui: PanelUi, state: AppState, opened: bool) -> Iterator[Action]:
-        snapshot = state.snapshot
-        training = snapshot.status == "training"
-        imgui.dummy(ImVec2(0.5 * ui.em, 0))
-        if snapshot.method:
-            imgui.text_colored(ui.theme.muted, snapshot.method)
-            imgui.dummy(ImVec2(0.2 * ui.em, 0))
-        imgui.begin_disabled(not opened)
-        label = f"{icons.ICON_FA_PAUSE}  Pause" if training else f"{icons.ICON_FA_PLAY}  Train"
-        imgui.push_style_color(imgui.Col_.button, CLEAR)
-        imgui.push_style_color(imgui.Col_.text, ui.theme.text if training else ui.theme.accent)
-        pressed = imgui.button(f"{label}###bar.train")
-        imgui.pop_style_color()
-        ui.mark("bar.train")
-        imgui.set_item_tooltip("Space")
-        if pressed:
-            yield Pause() if training else Train()
-        stepped = imgui.button(f"{icons.ICON_FA_FORWARD_STEP}###bar.step")
-        ui.mark("bar.step")
-        imgui.set_item_tooltip("one training step (.)")
-        if stepped:
-            yield Train(1)
-        if imgui.button(f"{icons.ICON_FA_ROTATE_LEFT}###bar.reset"):
-            imgui.open_popup("forget")
-        ui.mark("bar.reset")
-        imgui.set_item_tooltip("start training again")
-        imgui.pop_style_color()
-        imgui.end_disabled()
-        if imgui.begin_popup("forget"):
-            imgui.text(f"Forget {snapshot.step:,} steps and start again?")
-            if imgui.button("Forget them"):
-                imgui.close_current_popup()
-                yield Reset()
-            ui.mark("bar.reset_confirm")
-            imgui.same_line()
-            if imgui.button("Keep"):
-                imgui.close_current_popup()
-            imgui.end_popup()
-
-    # ---- below ------------------------------------------------------------------------------------------------
-
-    @staticmethod
-    def draw_status(ui: PanelUi, state: AppState) -> None:
-        flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_saved_settings
-        flags |= imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.no_docking
-        imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(0.75 * ui.em, 0.25 * ui.em))
-        imgui.push_style_var(imgui.StyleVar_.window_border_size, 0.0)
-        height = float(round(1.6 * ui.em))
-        begun = imgui.internal.begin_viewport_side_bar(
-            "status", imgui.get_main_viewport(), imgui.Dir.down, height, flags
-        )
-        imgui.pop_style_var(2)
-        if begun:
-            imgui.push_font(ui.mono, ui.em)
-            for k, (words, color) in enumerate(_figures(ui, state)):
-                if k:
-                    imgui.same_line(0, 0.5 * ui.em)
-                    imgui.text_colored(ui.theme.muted, "·")
-                    imgui.same_line(0, 0.5 * ui.em)
-                imgui.text_colored(color, words)
-            imgui.pop_font()
-        imgui.end()
+        yield from _item(ui, state, command)
 
 
-def _item(ui: PanelUi, label: str, keys: str = "", *, shown: bool = False, enabled: bool = True) -> bool:
-    pressed, _ = imgui.menu_item(label, keys, shown, enabled)
-    ui.mark(f"menu.{label}")
-    return pressed
+def _item(ui: PanelUi, state: AppState, command: UserCommand, keys: bool = True) -> Iterator[Action]:
+    checked = command.checked is not None and command.checked(state)
+    shown = ", ".join(command.keys) if keys else ""
+    pressed, _ = imgui.menu_item(command.title, shown, checked, command.enabled(state))
+    ui.mark(f"menu.{command.title}")
+    if pressed:
+        yield from command.run(state)
+
+
+def _training(ui: PanelUi, state: AppState) -> Iterator[Action]:
+    snapshot = state.snapshot
+    training = snapshot.status == "training"
+    imgui.dummy(ImVec2(0.5 * ui.em, 0))
+    if snapshot.method:
+        imgui.text_colored(ui.theme.muted, snapshot.method)
+        imgui.dummy(ImVec2(0.2 * ui.em, 0))
+    imgui.begin_disabled(snapshot.scene is None)
+    label = f"{icons.ICON_FA_PAUSE}  Pause" if training else f"{icons.ICON_FA_PLAY}  Train"
+    imgui.push_style_color(imgui.Col_.button, CLEAR)
+    imgui.push_style_color(imgui.Col_.text, ui.theme.text if training else ui.theme.accent)
+    pressed = imgui.button(f"{label}###bar.train")
+    imgui.pop_style_color()
+    ui.mark("bar.train")
+    imgui.set_item_tooltip(", ".join(COMMANDS.get("training.toggle").keys))
+    if pressed:
+        yield from run("training.toggle", state)
+    stepped = imgui.button(f"{icons.ICON_FA_FORWARD_STEP}###bar.step")
+    ui.mark("bar.step")
+    imgui.set_item_tooltip(with_keys("one training step", "training.step"))
+    if stepped:
+        yield from run("training.step", state)
+    if imgui.button(f"{icons.ICON_FA_ROTATE_LEFT}###bar.reset"):
+        imgui.open_popup("forget")
+    ui.mark("bar.reset")
+    imgui.set_item_tooltip("start training again")
+    imgui.pop_style_color()
+    imgui.end_disabled()
+    if imgui.begin_popup("forget"):
+        imgui.text(f"Forget {snapshot.step:,} steps and start again?")
+        if imgui.button("Forget them"):
+            imgui.close_current_popup()
+            yield Reset()
+        ui.mark("bar.reset_confirm")
+        imgui.same_line()
+        if imgui.button("Keep"):
+            imgui.close_current_popup()
+        imgui.end_popup()
+
+
+# ---- below --------------------------------------------------------------------------------------------------------
+
+
+def draw_status(ui: PanelUi, state: AppState) -> None:
+    flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_saved_settings
+    flags |= imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.no_docking
+    imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(0.75 * ui.em, 0.25 * ui.em))
+    imgui.push_style_var(imgui.StyleVar_.window_border_size, 0.0)
+    height = float(round(1.6 * ui.em))
+    begun = imgui.internal.begin_viewport_side_bar("status", imgui.get_main_viewport(), imgui.Dir.down, height, flags)
+    imgui.pop_style_var(2)
+    if begun:
+        imgui.push_font(ui.mono, ui.em)
+        for k, (words, color) in enumerate(_figures(ui, state)):
+            if k:
+                imgui.same_line(0, 0.5 * ui.em)
+                imgui.text_colored(ui.theme.muted, "·")
+                imgui.same_line(0, 0.5 * ui.em)
+            imgui.text_colored(color, words)
+        imgui.pop_font()
+    imgui.end()
 
 
 def _figures(ui: PanelUi, state: AppState) -> list[tuple[str, ImVec4]]:

@@ -1,26 +1,46 @@
-"""What the hands mean: pointer over the viewport, and keys. Moves the camera, gathers actions."""
+"""The pointer over the viewport: drags move the camera, clicks open rays."""
 
 from __future__ import annotations
 
-import itertools
-import os
-import re
 from dataclasses import dataclass
-from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from imgui_bundle import imgui
 
-from nerf_core.live.messages import Inspect, Pause, SaveCheckpoint, StopInspecting, Train
-from nerf_core.rendering.modes import mode_names
-from nerf_core.training.checkpoint import SUFFIX
+from nerf_core.live.messages import Inspect
 
 from ..draw.viewport import same_view
-from ..model.state import Action, AppState, FocusOn, FrameScene, GoToView, PinRay, ResetView, StartOrbitExport
+from ..model.state import Action, AppState, FocusOn, PinRay
 from ..ui.theme import TEXT_PIXELS
+from .registry import Section
 
 CLICK_PIXELS = 4.0  # a press and release further apart, on a screen of scale 1, is a drag
 LEFT, RIGHT, MIDDLE = 0, 1, 2
+
+
+class Gesture(NamedTuple):
+    """A line of the help for what is no command. section: where commands are listed too."""
+
+    section: Section
+    title: str
+    how: str
+
+
+GESTURES = (
+    Gesture("Camera", "Orbit", "drag"),
+    Gesture("Camera", "Pan", "right drag, Shift+drag"),
+    Gesture("Camera", "Zoom", "wheel, towards the pointer"),
+    Gesture("Camera", "Focus on a point", "double click"),
+    Gesture("Camera", "Fly", "W A S D"),
+    Gesture("Camera", "Fly down, up", "Q, E"),
+    Gesture("Camera", "Fly faster", "Shift"),
+    Gesture("Ray", "Inspect a ray", "click"),
+    Gesture("Ray", "Pin a ray", "Ctrl+click"),
+    Gesture("Ray", "Move the radiance point", "drag its line in the ray panel"),
+    Gesture("Plots", "Fit", "double click"),
+    Gesture("Plots", "Move, zoom", "drag, wheel"),
+)
 
 
 @dataclass
@@ -39,7 +59,6 @@ class ViewportInput:
     def __init__(self) -> None:
         self.actions: list[Action] = []
         self._press: _Press | None = None
-        self._chord = False  # whether Ctrl was down in the last frame
 
     def take(self) -> list[Action]:
         actions, self.actions = self.actions, []
@@ -107,96 +126,6 @@ class ViewportInput:
             self.actions.append(PinRay(ray))
         return ray
 
-    # ---- keys -------------------------------------------------------------------------------------------------
-
-    def keys(self, state: AppState, seconds: float) -> bool:
-        """Act on what is pressed; whether a key is held that moves the camera. A text field has its keys alone."""
-        io = imgui.get_io()
-        if io.want_text_input:
-            return False
-        # imgui would step through the fields of the last window with Tab; here it hides the panels.
-        imgui.internal.set_key_owner(imgui.Key.tab, imgui.get_id("tab hides the panels"))
-        # in a slow frame Ctrl may be up again when its letter has only just come down
-        before, self._chord = self._chord, io.key_ctrl or io.key_super
-        if self._chord or before:
-            self._chords(state)
-            return False
-        self._single(state)
-        return self._fly(state, seconds)
-
-    def _chords(self, state: AppState) -> None:
-        if _pressed(imgui.Key.o):
-            show_open(state)
-        if _pressed(imgui.Key.s) and state.snapshot.scene is not None:
-            self.actions.append(save_action(state))
-        if _pressed(imgui.Key.e) and state.snapshot.scene is not None:
-            self.actions.append(export_action(state))
-
-    def _single(self, state: AppState) -> None:
-        if imgui.is_key_pressed(imgui.Key.tab, False):
-            state.show_panels = not state.show_panels
-        if _pressed(imgui.Key.h):
-            state.show_help = not state.show_help
-        if _pressed(imgui.Key.escape) and not _close_menus():
-            if not state.show_help and state.inspect is not None:
-                self.actions.append(StopInspecting())
-            state.show_help = False
-        _choose_mode(state)
-        scene = state.snapshot.scene
-        if scene is None:
-            return
-        if _pressed(imgui.Key.space):
-            self.actions.append(Pause() if state.snapshot.status == "training" else Train())
-        if _pressed(imgui.Key.period):
-            self.actions.append(Train(1))
-        if _pressed(imgui.Key.f):
-            self.actions.append(FrameScene())
-        if _pressed(imgui.Key.r):
-            self.actions.append(ResetView())
-        for key, step in ((imgui.Key.right_arrow, 1), (imgui.Key.left_arrow, -1)):
-            if imgui.is_key_pressed(key, True) and scene.split("train"):
-                self.actions.append(GoToView(next_view(scene.split("train"), state.current_view, step)))
-
-    @staticmethod
-    def _fly(state: AppState, seconds: float) -> bool:
-        if state.snapshot.scene is None:
-            return False
-
-        def held(plus: imgui.Key, minus: imgui.Key) -> float:
-            return float(imgui.is_key_down(plus)) - float(imgui.is_key_down(minus))
-
-        keys = imgui.Key
-        right, up, forward = held(keys.d, keys.a), held(keys.e, keys.q), held(keys.w, keys.s)
-        if not (right or up or forward):
-            return False
-        state.camera.fly(right, up, forward, seconds, imgui.get_io().key_shift)
-        state.current_view = None
-        return True
-
-
-def _choose_mode(state: AppState) -> None:
-    """1 … 8: what the picture shows of each pixel."""
-    keys = (
-        imgui.Key._1,
-        imgui.Key._2,
-        imgui.Key._3,
-        imgui.Key._4,
-        imgui.Key._5,
-        imgui.Key._6,
-        imgui.Key._7,
-        imgui.Key._8,
-    )
-    for key, name in zip(keys, mode_names(), strict=False):
-        if _pressed(key):
-            state.mode = name
-
-
-def next_view(train: tuple[int, ...], current: int | None, step: int) -> int:
-    """The training photo after (or before) the current one, around the end; without one, the first (or last)."""
-    if current not in train:
-        return train[0 if step > 0 else -1]
-    return train[(train.index(current) + step) % len(train)]
-
 
 def point_under(state: AppState, x: int, y: int) -> np.ndarray | None:
     """The world point (3,) in pixel (x, y) of the viewport: from the picture's depth, else from the inspected ray."""
@@ -215,43 +144,9 @@ def point_under(state: AppState, x: int, y: int) -> np.ndarray | None:
     return ray.origin + ray.depth_median * ray.direction if same_view(asked.camera, camera) else None
 
 
-def show_open(state: AppState) -> None:
-    """Bring up the field for the path of a capture."""
-    state.show_panels = state.focus_open = True
-    state.raise_panel = "Scene"
-
-
-def export_action(state: AppState) -> StartOrbitExport:
-    """Export as the form says, and show its panel: there one sees how long it takes, and can cancel it."""
-    state.show_panels, state.raise_panel = True, "Export"
-    return StartOrbitExport()
-
-
-def save_action(state: AppState) -> SaveCheckpoint:
-    """Save where the user said; else in a file of the scene's name that is not there yet, which is then shown."""
-    if not state.checkpoint_file.strip() and state.snapshot.scene is not None:
-        name = re.sub(r"[^\w.-]+", "-", state.snapshot.scene.name).strip(".-")[:80] or "checkpoint"
-        numbered = (f"{name}{f'-{n}' if n > 1 else ''}{SUFFIX}" for n in itertools.count(1))
-        state.checkpoint_file = next(file for file in numbered if not os.path.lexists(file))
-    return SaveCheckpoint(Path(state.checkpoint_file.strip()))
-
-
-def _close_menus() -> bool:
-    """Close what is open of menus and lists; whether anything was."""
-    anything = imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level
-    if not imgui.is_popup_open("", anything):
-        return False
-    imgui.internal.close_popup_to_level(0, True)
-    return True
-
-
 def _apart(pixel: tuple[int, int], place: tuple[float, float]) -> float:
     return max(abs(pixel[0] + 0.5 - place[0]), abs(pixel[1] + 0.5 - place[1]))
 
 
 def _reach(em: float) -> float:
     return CLICK_PIXELS * em / TEXT_PIXELS
-
-
-def _pressed(key: imgui.Key) -> bool:
-    return imgui.is_key_pressed(key, False)

@@ -157,7 +157,10 @@ class AppState:
     mode: str = COLOR  # * what the viewport shows of each pixel: see nerf_core.rendering.modes
     frozen_ray: bool = False  # * the radiance panel shows the whole ray instead of its point alone
     show_help: bool = False  # *
+    show_palette: bool = False  # *
     show_panels: bool = True  # *
+    reset_layout: bool = False  # * show the default layout from the next frame on
+    quit: bool = False  # * close the window after this frame
     current_view: int | None = None  # the photo whose camera was flown to, until the camera moves
     time: float = 0.0  # seconds on the app's clock
     has_display: bool = True

@@ -13,6 +13,7 @@ from nerf_core.geometry.paths import capture_distance, training_size
 from nerf_core.geometry.scene import Scene
 from nerf_core.live.messages import CancelExport, Export
 
+from ..commands.registry import with_keys
 from ..model.state import Action, AppState, OrbitForm, StartOrbitExport
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import button, duration, field_beside, field_width, hint, number, path_line, same_line_if_fits
@@ -64,7 +65,8 @@ class ExportPanel:
         if running:
             return
         hint(ui, estimate(form, self._own, snapshot.preview_rays_per_second, snapshot.wanted_share))
-        if button(ui, START, "export.start", enabled=bool(form.file.strip()), tip="training goes on (Ctrl+E)"):
+        tip = with_keys("training goes on", "file.export")
+        if button(ui, START, "export.start", enabled=bool(form.file.strip()), tip=tip):
             yield StartOrbitExport()
 
 

@@ -7,39 +7,16 @@ from typing import Literal
 
 from imgui_bundle import ImVec2, imgui
 
+from ..commands.overview import overview
+from ..commands.registry import Section
 from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import button, keep_in_front, mono
 
-HANDS = (
-    ("orbit", "drag"),
-    ("pan", "right drag, Shift+drag"),
-    ("zoom", "wheel, towards the pointer"),
-    ("fly", "W A S D"),
-    ("fly down, up", "Q, E"),
-    ("fly faster", "Shift"),
-    ("inspect a ray", "click"),
-    ("pin a ray", "Ctrl+click"),
-    ("close the ray", "Esc"),
-    ("focus on a point", "double click"),
-    ("", ""),
-    ("colour, view-dependence", "1, 2"),
-    ("frame the scene", "F"),
-    ("reset the view", "R"),
-    ("next, previous training photo", "→, ←"),
-    ("train or pause", "Space"),
-    ("one training step", "."),
-    ("", ""),
-    ("open a scene", "Ctrl+O"),
-    ("save a checkpoint", "Ctrl+S"),
-    ("export an orbit", "Ctrl+E"),
-    ("hide or show the panels", "Tab"),
-    ("this help", "H"),
-    ("", ""),
-    ("plots: fit", "double click"),
-    ("plots: move, zoom", "drag, wheel"),
-    ("move the radiance point", "drag its line in the ray panel"),
-)
+Rows = tuple[Section, list[tuple[str, str]]]
+HEADING = 1.5  # lines that a section's name and the gap after it take
+WHAT_EM = 12.0
+WIDE_EM = 52.0  # of a window that has room for two columns
 FLAGS = (
     imgui.WindowFlags_.no_title_bar | imgui.WindowFlags_.no_resize | imgui.WindowFlags_.always_auto_resize
     | imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_saved_settings | imgui.WindowFlags_.no_collapse
@@ -60,16 +37,36 @@ class HelpOverlay:
         imgui.set_next_window_size_constraints(ImVec2(0, 0), ImVec2(0.95 * screen.size.x, 0.95 * screen.size.y))
         imgui.begin("Keys##help", None, FLAGS)
         keep_in_front()
-        if imgui.begin_table("keys", 2, imgui.TableFlags_.sizing_fixed_fit):
-            for what, how in HANDS:
-                imgui.table_next_row()
-                imgui.table_next_column()
-                imgui.text_colored(ui.theme.muted, what)
-                imgui.table_next_column()
-                with mono(ui):
-                    imgui.text_unformatted(how)
-            imgui.end_table()
+        sections = overview()
+        columns = _columns(sections) if screen.size.x > WIDE_EM * ui.em else (sections,)
+        for k, column in enumerate(columns):
+            if k:
+                imgui.same_line(0, 2 * ui.em)
+            imgui.begin_group()
+            for section, rows in column:
+                _section(ui, section, rows)
+            imgui.end_group()
         if button(ui, "Close", "help.close"):
             state.show_help = False
         imgui.end()
         yield from ()
+
+
+def _columns(sections: list[Rows]) -> tuple[list[Rows], list[Rows]]:
+    """The sections in their order, split where the longer column is shortest."""
+
+    def height(part: list[Rows]) -> float:
+        return sum(len(rows) + HEADING for _, rows in part)
+
+    at = min(range(1, len(sections) + 1), key=lambda k: max(height(sections[:k]), height(sections[k:])))
+    return sections[:at], sections[at:]
+
+
+def _section(ui: Ui, section: str, rows: list[tuple[str, str]]) -> None:
+    imgui.text_colored(ui.theme.accent, section)
+    for what, how in rows:
+        imgui.text_colored(ui.theme.muted, what)
+        imgui.same_line(WHAT_EM * ui.em)
+        with mono(ui):
+            imgui.text_unformatted(how)
+    imgui.dummy(ImVec2(0, 0.3 * ui.em))

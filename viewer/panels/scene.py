@@ -15,8 +15,8 @@ from nerf_core.geometry.scene import SPLITS, Scene
 from nerf_core.live.messages import OpenScene, UseMethod
 from nerf_core.methods import METHODS
 
-from ..commands.pointer import next_view
-from ..model.state import Action, AppState, GoToView
+from ..commands.registry import COMMANDS, run, with_keys
+from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import (
     Confirmation,
@@ -159,12 +159,11 @@ def _downscale(ui: Ui, state: AppState) -> None:
 def _photos(ui: Ui, state: AppState, scene: Scene) -> Iterator[Action]:
     """Steps through the training photos, as the arrow keys do."""
     train, current = scene.split("train"), state.current_view
-    for step, icon, mark, tip in (
-        (-1, icons.ICON_FA_CHEVRON_LEFT, "scene.previous", "previous training photo (←)"),
-        (1, icons.ICON_FA_CHEVRON_RIGHT, "scene.next", "next training photo (→)"),
-    ):
-        if button(ui, icon, mark, enabled=bool(train), tip=tip):
-            yield GoToView(next_view(train, current, step))
+    for icon, direction in ((icons.ICON_FA_CHEVRON_LEFT, "previous"), (icons.ICON_FA_CHEVRON_RIGHT, "next")):
+        go = f"camera.{direction}"
+        tip = with_keys(f"{direction} training photo", go)
+        if button(ui, icon, f"scene.{direction}", enabled=COMMANDS.get(go).enabled(state), tip=tip):
+            yield from run(go, state)
         imgui.same_line()
     imgui.align_text_to_frame_padding()
     if current in train and current is not None:

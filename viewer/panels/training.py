@@ -11,7 +11,7 @@ from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.live.messages import LoadCheckpoint, Pause, Reset, SetShare, Snapshot, Train
 
-from ..commands.pointer import save_action
+from ..commands.registry import run, with_keys
 from ..draw.history_plots import HistoryPlots
 from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
@@ -60,13 +60,15 @@ class TrainingPanel:
 
     def _buttons(self, ui: Ui, snapshot: Snapshot) -> Iterator[Action]:
         can_train = snapshot.status in ("ready", "paused", "failed")
-        if snapshot.status == "training":
-            if button(ui, PAUSE, "training.pause", tip="pause (Space)"):
+        training = snapshot.status == "training"
+        tip = with_keys("pause" if training else "train until the schedule ends", "training.toggle")
+        if training:
+            if button(ui, PAUSE, "training.pause", tip=tip):
                 yield Pause()
-        elif button(ui, START, "training.start", enabled=can_train, tip="train until the schedule ends (Space)"):
+        elif button(ui, START, "training.start", enabled=can_train, tip=tip):
             yield Train()
         same_line_if_fits(STEP)
-        if button(ui, STEP, "training.step", enabled=can_train, tip="one step (.)"):
+        if button(ui, STEP, "training.step", enabled=can_train, tip=with_keys("one step", "training.step")):
             yield Train(steps=1)
         same_line_if_fits(RESET)
         tip = "" if self._reset.asking else "forget the weights and start again"  # it would cover the question
@@ -102,8 +104,8 @@ class TrainingPanel:
         ui.mark("training.checkpoint")
         path, unsaved = state.checkpoint_file.strip(), unsaved_steps(state.snapshot)
         same_line_if_fits(SAVE)
-        if button(ui, SAVE, "training.save", tip="all that training needs to go on (Ctrl+S)"):
-            yield save_action(state)
+        if button(ui, SAVE, "training.save", tip=with_keys("all that training needs to go on", "file.save")):
+            yield from run("file.save", state)
         same_line_if_fits(LOAD)
         tip = "" if self._load.asking else "go on from this checkpoint"
         pressed = button(ui, LOAD, "training.load", enabled=bool(path), tip=tip)

@@ -10,8 +10,9 @@ from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.rendering.modes import COLOR, MODES, mode_names
 
+from ..commands.registry import run, with_keys
 from ..draw.viewport import same_view
-from ..model.state import Action, AppState, FocusOn, FrameScene, ResetView
+from ..model.state import Action, AppState, FocusOn
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import Row, button, field_width, figures, hint, number, same_line_if_fits, vector
 
@@ -38,11 +39,12 @@ class ViewPanel:
         ]
         figures(ui, "view", rows)
         opened = state.snapshot.scene is not None
-        if button(ui, FRAME, "view.frame", enabled=opened, tip="see the whole scene (F)"):
-            yield FrameScene()
+        if button(ui, FRAME, "view.frame", enabled=opened, tip=with_keys("see the whole scene", "camera.frame")):
+            yield from run("camera.frame", state)
         same_line_if_fits(HOME)
-        if button(ui, HOME, "view.reset", enabled=opened, tip="back to where the scene was first seen from (R)"):
-            yield ResetView()
+        tip = with_keys("back to where the scene was first seen from", "camera.reset")
+        if button(ui, HOME, "view.reset", enabled=opened, tip=tip):
+            yield from run("camera.reset", state)
         same_line_if_fits(FOCUS)
         tip = "orbit the inspected point; in the viewport: double click"
         if button(ui, FOCUS, "view.focus", enabled=radiance is not None, tip=tip) and radiance is not None:
@@ -54,8 +56,8 @@ class ViewPanel:
         _, state.show_cameras = imgui.checkbox("Cameras", state.show_cameras)
         ui.mark("view.cameras")
         same_line_if_fits(HELP)
-        if button(ui, HELP, "view.help", tip="what mouse and keys do (H)"):
-            state.show_help = not state.show_help
+        if button(ui, HELP, "view.help", tip=with_keys("what mouse and keys do", "show.help")):
+            yield from run("show.help", state)
 
 
 def _modes(ui: Ui, state: AppState) -> None:

@@ -1,0 +1,185 @@
+"""Commands in the whole window: menus, help and palette, driven by injected input."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import scripted
+from imgui_bundle import imgui
+
+from nerf_core.live.messages import Inspect, Train
+from viewer.app.app import App
+from viewer.commands import actions
+from viewer.commands.registry import COMMANDS, MENUS, commands
+from viewer.window import Window
+
+Offscreen = Callable[..., Window]
+
+
+def open_app(offscreen: Offscreen, size: tuple[int, int] = (1000, 700)) -> tuple[App, scripted.ScriptedWorker]:
+    worker = scripted.ScriptedWorker(scripted.make_scene())
+    app = App(offscreen(size), worker)
+    app.settle(4)
+    return app, worker
+
+
+@pytest.fixture
+def opened(offscreen: Offscreen) -> Iterator[tuple[App, scripted.ScriptedWorker]]:
+    app, worker = open_app(offscreen)
+    yield app, worker
+    app.close()
+
+
+def click(app: App, widget: str) -> None:
+    left, top, right, bottom = app.widgets[widget]
+    app.hand.click((left + right) / 2, (top + bottom) / 2)
+    app.settle()
+
+
+def open_palette(app: App) -> None:
+    app.hand.key(imgui.Key.p, ctrl=True)
+    app.settle()
+    assert app.state.show_palette
+    assert imgui.get_io().want_text_input
+
+
+def test_menus_list_their_commands(opened: tuple[App, scripted.ScriptedWorker]) -> None:
+    app, _ = opened
+    for menu, x in zip(MENUS, (20, 60), strict=True):
+        app.hand.click(x, 10)
+        app.settle()
+        expected = {f"menu.{command.title}" for command in commands() if command.menu == menu}
+        assert expected
+        assert {name for name in app.widgets if name.startswith("menu.")} == {"menu.Help", *expected}
+        app.hand.key(imgui.Key.escape)
+
+
+def test_quit_and_reset_the_layout_from_the_menus(opened: tuple[App, scripted.ScriptedWorker]) -> None:
+    app, _ = opened
+    app.hand.click(20, 10)
+    app.settle()
+    assert not app.window.should_close()
+    click(app, "menu.Quit")
+    assert app.window.should_close()
+    assert not app.state.quit
+
+
+def test_the_palette_runs_what_is_typed_and_chosen(opened: tuple[App, scripted.ScriptedWorker]) -> None:
+    app, worker = opened
+    open_palette(app)
+    app.hand.type_text("train")
+    app.hand.key(imgui.Key.enter)
+    app.settle()
+    assert worker.sent == [Train()]
+    assert not app.state.show_palette
+    open_palette(app)
+    app.hand.type_text("train")
+    app.hand.key(imgui.Key.down_arrow)
+    app.hand.key(imgui.Key.enter)
+    app.settle()
+    assert app.state.show_cameras
+    open_palette(app)  # without what was typed before
+    assert "palette.file.open" in app.widgets
+    click(app, "palette.picture.view-dependence")
+    assert (app.state.mode, app.state.show_palette) == ("view-dependence", False)
+
+
+def test_what_is_typed_into_the_palette_is_no_command(opened: tuple[App, scripted.ScriptedWorker]) -> None:
+    app, worker = opened
+    app.hand.key(imgui.Key.p, ctrl=True)
+    for key in (imgui.Key.space, imgui.Key.h, imgui.Key.period, imgui.Key._2):
+        app.hand.key(key)
+    app.hand.type_text("no such")
+    app.hand.key(imgui.Key.enter)  # nothing matches
+    app.settle()
+    assert (worker.sent, app.state.show_help, app.state.mode, app.state.show_palette) == ([], False, "colour", True)
+
+
+def test_escape_and_a_click_beside_it_close_the_palette_alone(opened: tuple[App, scripted.ScriptedWorker]) -> None:
+    app, worker = opened
+    left, top, right, bottom = app.widgets["viewport"]
+    app.hand.click((left + right) / 2, (top + bottom) / 2)
+    ray = app.state.inspect
+    assert ray is not None
+    open_palette(app)
+    app.hand.key(imgui.Key.escape)
+    app.settle()
+    assert (app.state.show_palette, app.state.inspect) == (False, ray)
+    open_palette(app)
+    app.hand.click(left + 5, bottom - 5)
+    app.settle()
+    assert (app.state.show_palette, app.state.inspect) == (False, ray)
+    assert [type(command) for command in worker.sent] == [Inspect]
+
+
+def test_a_command_that_is_not_enabled_stays_in_the_palette(offscreen: Offscreen) -> None:
+    worker = scripted.ScriptedWorker(None)
+    app = App(offscreen((1000, 700)), worker)
+    app.settle(4)
+    open_palette(app)
+    app.hand.type_text("save checkpoint")
+    app.hand.key(imgui.Key.enter)
+    app.settle()
+    assert (worker.sent, app.state.show_palette) == ([], True)
+    assert imgui.get_io().want_text_input  # one can go on typing
+    app.close()
+
+
+@pytest.mark.parametrize("size", [(60, 40), (320, 200), (640, 480), (2600, 300)])
+def test_help_and_palette_lie_within_every_window(offscreen: Offscreen, size: tuple[int, int]) -> None:
+    app, _ = open_app(offscreen, size)
+    app.hand.key(imgui.Key.h)
+    app.settle()
+    open_palette(app)
+    app.hand.type_text("f")
+    app.settle()
+    assert not app.state.notices
+    drawn = {name: place for name, place in app.widgets.items() if name.startswith(("palette.", "help."))}
+    for name, (left, _, right, _) in drawn.items():
+        assert (left >= 0, right <= size[0]) == (True, True), name
+    assert drawn or size == (60, 40)
+    app.close()
+
+
+NEW = """
+from viewer.commands.registry import command
+
+@command("extra.level", "Level the horizon", "Camera", 9, keys=("Ctrl+L",), menu="View")
+def level(state):
+    state.rays_file = "level"
+    return []
+"""
+
+
+@pytest.fixture
+def new_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A file beside those of the folder."""
+    COMMANDS.names()
+    (tmp_path / "extra.py").write_text(NEW, encoding="utf-8")
+    monkeypatch.setattr(actions, "__path__", [*actions.__path__, str(tmp_path)])
+    monkeypatch.setattr(COMMANDS, "_items", dict(COMMANDS._items))
+    monkeypatch.setattr(COMMANDS, "_complete", False)
+    yield
+    del sys.modules["viewer.commands.actions.extra"]
+
+
+@pytest.mark.usefixtures("new_file")
+@pytest.mark.parametrize("how", ["key", "menu", "palette"])
+def test_a_command_is_one_new_file(offscreen: Offscreen, how: str) -> None:
+    app, _ = open_app(offscreen)
+    if how == "key":
+        app.hand.key(imgui.Key.l, ctrl=True)
+    elif how == "menu":
+        app.hand.click(60, 10)
+        app.settle()
+        click(app, "menu.Level the horizon")
+    else:
+        open_palette(app)
+        app.hand.type_text("horizon")
+        app.hand.key(imgui.Key.enter)
+        app.settle()
+    assert app.state.rays_file == "level"
+    app.close()

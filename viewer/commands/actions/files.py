@@ -1,0 +1,46 @@
+"""What is opened and written."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import re
+from pathlib import Path
+
+from nerf_core.live.messages import SaveCheckpoint
+from nerf_core.training.checkpoint import SUFFIX
+
+from ...model.state import Action, AppState, SaveScreenshot, StartOrbitExport
+from ..registry import command, scene_is_open
+
+SCREENSHOT = Path("screenshot.png")
+
+
+@command("file.open", "Open…", "File", 1, keys=("Ctrl+O",), menu="File")
+def show_path_field(state: AppState) -> list[Action]:
+    """Bring up the field for the path of a capture."""
+    state.show_panels = state.focus_open = True
+    state.raise_panel = "Scene"
+    return []
+
+
+@command("file.save", "Save checkpoint", "File", 2, keys=("Ctrl+S",), menu="File", enabled=scene_is_open)
+def save(state: AppState) -> list[Action]:
+    """Save where the user said; else in a file of the scene's name that is not there yet, which is then shown."""
+    if not state.checkpoint_file.strip() and state.snapshot.scene is not None:
+        name = re.sub(r"[^\w.-]+", "-", state.snapshot.scene.name).strip(".-")[:80] or "checkpoint"
+        numbered = (f"{name}{f'-{n}' if n > 1 else ''}{SUFFIX}" for n in itertools.count(1))
+        state.checkpoint_file = next(file for file in numbered if not os.path.lexists(file))
+    return [SaveCheckpoint(Path(state.checkpoint_file.strip()))]
+
+
+@command("file.export", "Export orbit", "File", 3, keys=("Ctrl+E",), menu="File", enabled=scene_is_open)
+def export(state: AppState) -> list[Action]:
+    """Export as the form says, and show its panel: it says how long the export takes, and can cancel it."""
+    state.show_panels, state.raise_panel = True, "Export"
+    return [StartOrbitExport()]
+
+
+@command("file.screenshot", "Save screenshot", "File", 4, menu="File")
+def screenshot(_: AppState) -> list[Action]:
+    return [SaveScreenshot(SCREENSHOT)]

@@ -1,0 +1,25 @@
+"""What the picture shows of each pixel: the render modes, one number key each."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from nerf_core.rendering.modes import COLOR, MODES, mode_names
+
+from ...model.state import Action, AppState
+from ..registry import command
+
+KEYS = 9  # number keys; later modes are in the palette alone
+
+
+def show(mode: str, state: AppState) -> list[Action]:
+    state.mode = mode
+    return []
+
+
+for number, mode in enumerate(mode_names(), 1):
+    label = COLOR if mode == COLOR else MODES.get(mode).label
+    keys = (str(number),) if number <= KEYS else ()
+    command(f"picture.{mode}", f"Show {label[:1].lower()}{label[1:]}", "Picture", number, keys=keys)(
+        partial(show, mode)
+    )

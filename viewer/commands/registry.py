@@ -1,0 +1,95 @@
+"""The commands of the window, each defined once: keys, menus, help and palette read them from here.
+
+A command is a function in a file of viewer/commands/actions/. A new file there is found by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from nerf_core.common.registry import Registry
+
+from ..model.state import Action, AppState
+
+Section = Literal["Camera", "Ray", "Plots", "Picture", "Training", "File", "Show or hide", "Window"]
+Menu = Literal["File", "View"]
+SECTIONS: tuple[Section, ...] = get_args(Section)  # in the order of help and palette
+MENUS: tuple[Menu, ...] = get_args(Menu)  # from left to right
+Run = Callable[[AppState], list[Action]]
+
+
+@dataclass(frozen=True)
+class UserCommand:
+    """Something that the user can ask for; not to be confused with the worker's `Command` messages.
+
+    id: its name in the registry. title: what menus, help and palette call it.
+    section: the heading under which help and palette list it. order: its position there.
+    run: changes the state, and returns what the app or the worker should do.
+    keys: chords such as "F", "Space", "→" or "Ctrl+S"; each of them runs the command.
+    repeat: a held key runs it again and again.
+    menu: the menu that lists it; there, a line separates the sections.
+    enabled: whether it can run now. checked: whether what it shows or hides is shown; None: it is no such switch.
+    """
+
+    id: str
+    title: str
+    section: Section
+    order: int
+    run: Run
+    keys: tuple[str, ...]
+    repeat: bool
+    menu: Menu | None
+    enabled: Callable[[AppState], bool]
+    checked: Callable[[AppState], bool] | None
+
+
+COMMANDS: Registry[UserCommand] = Registry("command", f"{__name__.rpartition('.')[0]}.actions")
+
+
+def scene_is_open(state: AppState) -> bool:
+    return state.snapshot.scene is not None
+
+
+def always(_: AppState) -> bool:
+    return True
+
+
+def command(
+    id: str,
+    title: str,
+    section: Section,
+    order: int,
+    *,
+    keys: tuple[str, ...] = (),
+    repeat: bool = False,
+    menu: Menu | None = None,
+    enabled: Callable[[AppState], bool] = always,
+    checked: Callable[[AppState], bool] | None = None,
+) -> Callable[[Run], Run]:
+    """Decorator that registers a function as a command; for the arguments see `UserCommand`."""
+
+    def keep(run: Run) -> Run:
+        COMMANDS.register(id)(UserCommand(id, title, section, order, run, keys, repeat, menu, enabled, checked))
+        return run
+
+    return keep
+
+
+def commands() -> list[UserCommand]:
+    """All commands, by section and order."""
+    found = [COMMANDS.get(name) for name in COMMANDS.names()]
+    return sorted(found, key=lambda c: (SECTIONS.index(c.section), c.order, c.id))
+
+
+def run(id: str, state: AppState) -> list[Action]:
+    """Run a command by its id; nothing while it is not enabled."""
+    found = COMMANDS.get(id)
+    return found.run(state) if found.enabled(state) else []
+
+
+def with_keys(text: str, id: str) -> str:
+    """A tooltip that ends in the keys of a command: "see the whole scene (F)"."""
+    keys = ", ".join(COMMANDS.get(id).keys)
+    return f"{text} ({keys})" if keys else text

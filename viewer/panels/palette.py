@@ -1,0 +1,127 @@
+"""The command palette: type a part of a command's name, choose it with the arrow keys, run it with Enter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+from imgui_bundle import ImVec2, imgui
+
+from ..commands.registry import UserCommand, commands
+from ..model.state import Action, AppState
+from ..ui.contract import PANELS, Ui
+from ..ui.widgets import faded, hint, mono
+
+ITSELF = "show.palette"
+POPUP = "palette"
+WIDTH_EM, TITLE_EM = 30.0, 7.0  # of the whole; of the column with the sections
+TOP = 0.12  # of the window's height
+MOST_ROWS = 14
+
+
+@PANELS.register("palette")
+class Palette:
+    title = "Commands"
+    dock: Literal["overlay"] = "overlay"
+    order = 2
+
+    def __init__(self) -> None:
+        self._open = False
+        self._focus = False  # give the field the keyboard
+        self._query = ""
+        self._chosen = 0  # of the commands that match
+
+    def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
+        if not state.show_palette:
+            self._open = False
+            return
+        if not self._open:
+            self._open, self._focus, self._query, self._chosen = True, True, "", 0
+            imgui.open_popup(POPUP)
+        screen = imgui.get_main_viewport()
+        width = min(WIDTH_EM * ui.em, 0.9 * screen.size.x)
+        place = ImVec2(screen.get_center().x, screen.pos.y + TOP * screen.size.y)
+        imgui.set_next_window_pos(place, imgui.Cond_.always, ImVec2(0.5, 0.0))
+        imgui.set_next_window_size(ImVec2(width, 0))
+        if not imgui.begin_popup(POPUP):  # a click beside it closed it
+            state.show_palette = False
+            return
+        command = self._content(ui, state)
+        if command is not None or imgui.is_key_pressed(imgui.Key.escape, False):
+            imgui.close_current_popup()
+            state.show_palette = False
+        imgui.end_popup()
+        if command is not None:
+            yield from command.run(state)
+
+    def _content(self, ui: Ui, state: AppState) -> UserCommand | None:
+        """The field and the list; the command that is to run."""
+        if self._focus:
+            imgui.set_keyboard_focus_here()
+            self._focus = False
+        imgui.set_next_item_width(-1)
+        changed, self._query = imgui.input_text_with_hint("##query", "type a command", self._query)
+        ui.mark("palette.query")
+        found = matching(self._query)
+        if not found:
+            hint(ui, "No command has this in its name.")
+            return None
+        step = int(imgui.is_key_pressed(imgui.Key.down_arrow)) - int(imgui.is_key_pressed(imgui.Key.up_arrow))
+        self._chosen = 0 if changed else (self._chosen + step) % len(found)
+        clicked = self._list(ui, state, found, follow=bool(step or changed))
+        if clicked is not None:
+            return clicked
+        entered = any(imgui.is_key_pressed(key, False) for key in (imgui.Key.enter, imgui.Key.keypad_enter))
+        if not entered:
+            return None
+        if found[self._chosen].enabled(state):
+            return found[self._chosen]
+        self._focus = True  # Enter took it from the field
+        return None
+
+    def _list(self, ui: Ui, state: AppState, found: list[UserCommand], follow: bool) -> UserCommand | None:
+        """One line a command; the one that was clicked. follow: scroll to the chosen one."""
+        row = imgui.get_text_line_height_with_spacing()
+        room = int((1 - TOP) * imgui.get_main_viewport().size.y / row) - 4  # the field and the status bar
+        imgui.begin_child("list", ImVec2(0, max(min(len(found), MOST_ROWS, room), 1) * row))
+        imgui.push_style_color(imgui.Col_.header, faded(ui.theme.accent, 0.3))
+        clicked = None
+        for k, command in enumerate(found):
+            imgui.begin_disabled(not command.enabled(state))
+            if imgui.selectable(f"##{command.id}", k == self._chosen)[0]:
+                clicked = command
+            ui.mark(f"palette.{command.id}")
+            if follow and k == self._chosen:
+                imgui.set_scroll_here_y(0.5)
+            _line(ui, state, command)
+            imgui.end_disabled()
+        imgui.pop_style_color()
+        imgui.end_child()
+        return clicked
+
+
+def _line(ui: Ui, state: AppState, command: UserCommand) -> None:
+    """Over the last item: section, title, and keys on the right."""
+    imgui.same_line(0.3 * ui.em)
+    imgui.text_colored(ui.theme.muted, command.section)
+    imgui.same_line(TITLE_EM * ui.em)
+    imgui.text_unformatted(command.title)
+    if command.checked is not None:
+        imgui.same_line(0, 0.5 * ui.em)
+        imgui.text_colored(ui.theme.muted, "shown" if command.checked(state) else "hidden")
+    if command.keys:
+        with mono(ui):
+            keys = ", ".join(command.keys)
+            imgui.same_line(imgui.get_window_width() - imgui.calc_text_size(keys).x - 0.9 * ui.em)
+            imgui.text_colored(ui.theme.muted, keys)
+
+
+def matching(query: str) -> list[UserCommand]:
+    """The commands whose section and title contain every word; first those whose title begins with the first word."""
+    words = query.casefold().split()
+    found = [
+        command
+        for command in commands()
+        if command.id != ITSELF and all(word in f"{command.section} {command.title}".casefold() for word in words)
+    ]
+    return sorted(found, key=lambda c: bool(words) and not c.title.casefold().startswith(words[0]))
