@@ -9,14 +9,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
-import numpy as np
-
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.datasets.calibration import fitted, oddities
 from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions
 from nerf_core.datasets.geometry import normalise
 from nerf_core.datasets.images import Header, UnreadableError, damage_notes, measure, read_photo
 from nerf_core.datasets.recognise import recognise
+from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene, View
 
 Progress = Callable[[int, int], None]
@@ -41,12 +40,11 @@ def load_scene(path: Path | None, options: LoadOptions, progress: Progress | Non
         capture, upright, size_notes = _sized(capture, headers, options)
         normalised = normalise(capture, options)
         background = _background(capture, headers, options)
-        images, more_damaged = _images(capture, upright, background, progress)
+        photos, kept, more_damaged = _photos(capture, upright, background, progress)
     except OSError as error:
         raise UserError(
             f"{error.filename or path}: {error.strerror or error}: check the path and its rights"
         ) from error
-    kept = [i for i, image in enumerate(images) if image is not None]
     cameras = [normalised.cameras[i] for i in kept]
     capture = _with_splits(capture.keeping(kept))
     notes += (*capture.notes, *size_notes, *damage_notes(damaged + more_damaged), *normalised.notes)
@@ -55,7 +53,7 @@ def load_scene(path: Path | None, options: LoadOptions, progress: Progress | Non
         name="demo" if path is None else folder.resolve().name,
         format=capture.format,
         views=tuple(View(photo.name, camera) for photo, camera in zip(capture.photos, cameras, strict=True)),
-        images=tuple(image for image in images if image is not None),
+        photos=photos.at(kept),
         splits=capture.splits or {},
         near=normalised.near,
         far=normalised.far,
@@ -136,26 +134,21 @@ def _background(capture: Capture, headers: Sequence[Header], options: LoadOption
     return WHITE if options.background == "white" else BLACK
 
 
-def _images(
+def _photos(
     capture: Capture, upright: Sequence[bool], background: tuple[float, float, float], progress: Progress | None
-) -> tuple[list[np.ndarray | None], list[str]]:
-    """The photos, None where one turned out to be damaged, and what was wrong with those."""
-
+) -> tuple[Photos, list[int], list[str]]:
+    """All photos, the indices of those that could be read, and what is wrong with each of the others."""
     sizes = [(photo.camera.width, photo.camera.height) for photo in capture.photos]
-    ends = np.cumsum([width * height for width, height in sizes])
-    flat = np.empty((int(ends[-1]), 3), np.uint16)  # one array for all: training draws pixels from any photo at once
+    photos = Photos.empty(sizes)
 
-    def read(i: int) -> np.ndarray:
-        pixels = read_photo(capture.photos[i].path, sizes[i], background, upright[i])
-        image = flat[ends[i] - pixels.shape[0] * pixels.shape[1] : ends[i]].reshape(pixels.shape)
-        image[:] = pixels
-        return image
+    def read(i: int) -> None:
+        photos.images[i][:] = read_photo(capture.photos[i].path, sizes[i], background, upright[i])
 
     found = _map(read, range(len(capture.photos)), progress)
     damaged = [str(v) for v in found if isinstance(v, UnreadableError)]
     if len(damaged) == len(found):
         raise UserError(f"none of the {len(found)} photos can be read ({damaged[0]}): save them as PNG or JPEG")
-    return [None if isinstance(v, UnreadableError) else v for v in found], damaged
+    return photos, [i for i, v in enumerate(found) if v is None], damaged
 
 
 def _map(work: Callable[[int], T], items: Sequence[int], progress: Progress | None) -> list[T | UnreadableError]:

@@ -12,6 +12,7 @@ import numpy as np
 from nerf_core.common.errors import shorten
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.ndc import Ndc
+from nerf_core.geometry.photos import Photos
 
 SPLITS = ("train", "val", "test")
 
@@ -28,7 +29,7 @@ class View:
 class Scene:
     """Posed photos in the trainer's frame; frozen, safe to hand between threads.
 
-    images: per view uint16 (H, W, 3), sRGB-encoded, 65535 = 1, already composited over `background`: 16 bits
+    photos: one per view, sRGB-encoded, 65535 = 1, already composited over `background`: 16 bits
     hold 8-bit and 16-bit photos exactly, and averaged ones without visible error.
     near, far: z-depths (along the optical axis, not the ray) between which the content lies, in scene units.
     synthetic: an object rendered on a plain background (Blender's format), not photos of a place.
@@ -42,7 +43,7 @@ class Scene:
     name: str
     format: str
     views: tuple[View, ...]
-    images: tuple[np.ndarray, ...] = field(repr=False)
+    photos: Photos = field(repr=False)
     splits: dict[str, tuple[int, ...]]
     near: float
     far: float
@@ -55,6 +56,11 @@ class Scene:
     synthetic: bool = False
     ndc: Ndc | None = None
     notes: tuple[str, ...] = ()
+
+    @property
+    def images(self) -> tuple[np.ndarray, ...]:
+        """Each view's photo, uint16 (H, W, 3)."""
+        return self.photos.images
 
     def split(self, name: str) -> tuple[int, ...]:
         """Indices of the views of a split; empty when the capture has none."""

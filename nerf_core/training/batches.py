@@ -13,20 +13,21 @@ from nerf_core.common.errors import UserError
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.cameras import Cameras
 from nerf_core.geometry.fast_rays import photo_colors
+from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Draw
 
 
-class _Photos:
+class _Level:
     """The training photos at one size."""
 
-    def __init__(self, images: list[np.ndarray], cameras: list[Camera], scene: Scene) -> None:
+    def __init__(self, photos: Photos, cameras: list[Camera], scene: Scene) -> None:
         self.cameras = Cameras(cameras, scene.near, scene.far)
-        self.sizes = torch.tensor([(image.shape[1], image.shape[0]) for image in images])
+        self.sizes = torch.from_numpy(photos.sizes)
         counts = self.sizes.prod(-1)
         self.offsets = torch.cat([torch.zeros(1, dtype=torch.long), counts.cumsum(0)])
-        self.pixels, self.starts = flattened(images)
+        self.pixels, self.starts = photos.flat, torch.from_numpy(photos.starts)
 
 
 class PixelSampler:
@@ -46,7 +47,7 @@ class PixelSampler:
             views = [views[i] for i in kept]
         self.scene, self.views, self.device = scene, views, device
         self.generator = torch.Generator().manual_seed(seed)
-        self._photos: dict[int, _Photos] = {}
+        self._photos: dict[int, _Level] = {}
 
     def draw(self, wanted: Draw) -> tuple[Rays, Tensor]:
         """Rays and their true colours (R, 3) float32."""
@@ -65,16 +66,16 @@ class PixelSampler:
         colors = photo_colors(index, pixel, photos.sizes[:, 0], photos.starts, photos.pixels)
         return photos.cameras.rays(index, pixel + 0.5).to(self.device), colors.to(self.device)
 
-    def _at(self, shrink: int) -> _Photos:
+    def _at(self, shrink: int) -> _Level:
         """The photos at 1/shrink of their size. Those of one size are kept; a later level has no use for an earlier."""
         if shrink not in self._photos:
             self._photos = {}  # its memory first
-            images = [self.scene.images[i] for i in self.views]
+            photos = self.scene.photos.at(self.views)
             cameras = [self.scene.views[i].camera for i in self.views]
             if shrink > 1:
                 cameras = [shrunk_camera(camera, shrink) for camera in cameras]
-                images = shrunk(images, [(camera.height, camera.width) for camera in cameras], shrink)
-            self._photos = {shrink: _Photos(images, cameras, self.scene)}
+                photos = shrunk(photos, [(camera.width, camera.height) for camera in cameras], shrink)
+            self._photos = {shrink: _Level(photos, cameras, self.scene)}
         return self._photos[shrink]
 
     def _integers(self, below: int, count: int) -> Tensor:
@@ -97,29 +98,12 @@ def shrunk_camera(camera: Camera, factor: int) -> Camera:
     return replace(camera, width=width * factor, height=height * factor).resized(width, height)
 
 
-def shrunk(images: Sequence[np.ndarray], sizes: Sequence[tuple[int, int]], factor: int) -> list[np.ndarray]:
-    """uint16 (H, W, 3) photos averaged over blocks to `sizes` (height, width), as `shrunk_camera` has them; all lie in
-    one array."""
-    ends = np.cumsum([height * width for height, width in sizes])
-    flat, results = np.empty((int(ends[-1]), 3), np.uint16), []
-    for image, (height, width), end in zip(images, sizes, ends, strict=True):
+def shrunk(photos: Photos, sizes: Sequence[tuple[int, int]], factor: int) -> Photos:
+    """Photos averaged over blocks of factor × factor pixels to `sizes` (width, height), as `shrunk_camera` has them."""
+    small = Photos.empty(sizes)
+    for image, room in zip(photos.images, small.images, strict=True):
+        height, width = room.shape[:2]
         side = min(factor, *image.shape[:2])
         blocks = image[: height * side, : width * side].reshape(height, side, width, side, 3)
-        small = flat[end - height * width : end].reshape(height, width, 3)
-        small[:] = blocks.mean((1, 3), dtype=np.float32) + np.float32(0.5)
-        results.append(small)
-    return results
-
-
-def flattened(images: list[np.ndarray]) -> tuple[np.ndarray, Tensor]:
-    """Pixels (P, 3) uint16 and where in them each photo begins (N,): without a copy where one array holds all photos.
-
-    That array may hold more than these, as `nerf_core.datasets` makes it for all splits.
-    """
-    whole = images[0].base
-    if whole is not None and all(image.base is whole and image.flags.c_contiguous for image in images):
-        flat = np.asarray(whole).reshape(-1, 3)
-        bytes_before = [i.__array_interface__["data"][0] - flat.__array_interface__["data"][0] for i in images]
-        return flat, torch.tensor(bytes_before) // flat.strides[0]
-    counts = torch.tensor([0, *(image.shape[0] * image.shape[1] for image in images)])
-    return np.concatenate([np.ascontiguousarray(image).reshape(-1, 3) for image in images]), counts.cumsum(0)[:-1]
+        room[:] = blocks.mean((1, 3), dtype=np.float32) + np.float32(0.5)
+    return small

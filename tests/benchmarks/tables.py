@@ -165,9 +165,7 @@ def growth(scene: Scene, rounds: int) -> dict[str, list[float]]:
     for count in (10, 100, 1000):
         some = [scene.split("train")[i % len(scene.split("train"))] for i in range(count)]
         views = tuple(scene.views[i] for i in some)
-        many = replace(
-            scene, views=views, images=tuple(scene.images[i] for i in some), splits={"train": tuple(range(count))}
-        )
+        many = replace(scene, views=views, photos=scene.photos.at(some), splits={"train": tuple(range(count))})
         trainer = Trainer(many, RunSettings(method="voxels"))
         while trainer.step_count < 400:
             trainer.step()

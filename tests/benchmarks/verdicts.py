@@ -97,7 +97,7 @@ def trained(scene: Scene, steps: int = STEPS) -> Method:
 
 def with_photos(scene: Scene, other: Scene) -> Scene:
     """`scene` with the photos of `other`."""
-    return replace(scene, images=other.images)
+    return replace(scene, photos=other.photos)
 
 
 def thinned(method: Method) -> Method:

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene, View
 from nerf_core.methods.nerf.config import NerfConfig
 from nerf_core.methods.nerf.method import Nerf
@@ -86,15 +87,15 @@ def ring_scene(*balls: Ball, count: int = 24, size: int = 40) -> Scene:
     for k in range(count):
         azimuth, height = 2 * np.pi * k / count, 0.4 if k % 2 else 1.4
         views.append(View(f"train/r_{k}.png", looking((3.7 * np.cos(azimuth), 3.7 * np.sin(azimuth), height), size)))
-    empty = tuple(np.zeros((size, size, 3), np.uint16) for _ in views)
+    empty = Photos.empty([(size, size)] * count)
     scene = Scene(
-        name="balls", format="blender", views=tuple(views), images=empty, splits={"train": tuple(range(count))},
+        name="balls", format="blender", views=tuple(views), photos=empty, splits={"train": tuple(range(count))},
         near=2.0, far=6.0, background=(1.0, 1.0, 1.0), center=np.zeros(3), radius=1.5, up=np.array([0.0, 0.0, 1.0]),
         to_input=np.eye(4), synthetic=True,
     )  # fmt: skip
     method = model_of(scene, *balls)
     photos = [np.round(render_camera(method, view.camera, scene)[0] * 65535).astype(np.uint16) for view in views]
-    return replace(scene, images=tuple(photos))
+    return replace(scene, photos=Photos.of(photos))
 
 
 def looking(eye: tuple[float, float, float], size: int = 40) -> Camera:

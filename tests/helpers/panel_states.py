@@ -9,6 +9,7 @@ from typing import get_args
 import numpy as np
 
 from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene, View
 from nerf_core.live.messages import Export, History, Inspect, Notice, Pinned, Preview, Snapshot, Status
 from nerf_core.methods.stages import BarCode, Colors, Marks, Stage, Stems, Transfer
@@ -41,10 +42,10 @@ def make_scene(count: int = 24) -> Scene:
     angles = np.linspace(0, 2 * np.pi, count, endpoint=False)
     eyes = [4 * np.array([np.cos(a) * 0.8, np.sin(a) * 0.8, 0.6]) for a in angles]
     views = tuple(View(f"train/r_{i}.png", make_camera(eye)) for i, eye in enumerate(eyes))
-    image = np.zeros((150, 200, 3), np.uint16)
+    photos = Photos.of([np.zeros((150, 200, 3), np.uint16)] * count)
     splits = {"train": tuple(range(count - 4)), "test": tuple(range(count - 4, count))}
     return Scene(
-        name="spheres", format="blender", views=views, images=(image,) * count, splits=splits, near=2.0, far=6.0,
+        name="spheres", format="blender", views=views, photos=photos, splits=splits, near=2.0, far=6.0,
         background=(1, 1, 1), center=np.zeros(3), radius=1.5, up=np.array([0.0, 0, 1]), to_input=np.eye(4),
         notes=("17 of 67 images are missing: skipped",),
     )  # fmt: skip

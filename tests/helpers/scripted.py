@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene, View
 from nerf_core.live.messages import (
     Command,
@@ -45,7 +46,7 @@ def make_scene() -> Scene:
     cameras = [pinhole(40, 30, (5 * np.cos(a), 5 * np.sin(a), 3.0), (0.0, 0.0, 0.3)) for a in angles]
     return Scene(
         name="ball", format="scripted", views=tuple(View(f"view {k}", c) for k, c in enumerate(cameras)),
-        images=tuple(np.full((30, 40, 3), 65535, np.uint16) for _ in cameras),
+        photos=Photos.of([np.full((30, 40, 3), 65535, np.uint16) for _ in cameras]),
         splits={"train": (0, 1, 2, 3, 4, 5), "test": (6, 7)}, near=1.0, far=12.0, background=BACKGROUND,
         center=np.array([0.0, 0.0, 0.3]), radius=2.0, up=np.array([0.0, 0.0, 1.0]), to_input=np.eye(4),
     )  # fmt: skip

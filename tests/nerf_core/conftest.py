@@ -17,6 +17,7 @@ from PIL import Image
 from nerf_core.datasets.capture import LoadOptions
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.cameras import camera_rays
+from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene, View
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
@@ -69,7 +70,7 @@ def scene() -> Scene:
         name="ball",
         format="blender",
         views=tuple(View(f"{i}.png", c) for i, c in enumerate(cameras)),
-        images=tuple(images),
+        photos=Photos.of(images),
         splits={"train": (0, 1, 2, 3, 4), "test": (5,)},
         near=NEAR,
         far=FAR,

@@ -12,6 +12,7 @@ from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.lens import Lens
 from nerf_core.geometry.ndc import Ndc
 from nerf_core.geometry.paths import PATHS, capture_distance, held_out_views, orbit, spiral
+from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene, View
 from nerf_core.geometry.turntable import angles_from, looking_along, rotation_from
 
@@ -24,7 +25,7 @@ def make_scene(poses: list[np.ndarray], sizes: list[tuple[int, int]] | None = No
         name="made",
         format="blender",
         views=tuple(View(f"{i}.png", camera) for i, camera in enumerate(cameras)),
-        images=tuple(np.zeros((h, w, 3), np.uint16) for w, h in sizes),
+        photos=Photos.empty(sizes),
         splits={"train": tuple(i for i in range(len(poses)) if i not in held), "test": held},
         near=1.0,
         far=8.0,

@@ -46,9 +46,9 @@ def forward(scene: Scene) -> Scene:
     """One photo, taken by a camera that looks along −z, in normalised device coordinates."""
     c2w = torch.eye(4, dtype=torch.float64)[:3].numpy()
     views = tuple(replace(view, camera=view.camera.moved(c2w)) for view in scene.views)
-    images = (scene.images[0],) * len(views)
+    photos = scene.photos.at([0] * len(views))
     return replace(
-        scene, views=views, images=images, ndc=Ndc(16, 16, scene.views[0].camera.fx, 1.0, 20.0), near=1.0, far=20.0
+        scene, views=views, photos=photos, ndc=Ndc(16, 16, scene.views[0].camera.fx, 1.0, 20.0), near=1.0, far=20.0
     )
 
 

@@ -61,7 +61,7 @@ def test_what_a_lens_folds_into_the_frame_is_not_in_it() -> None:
     camera = Camera(800, 600, 600.0, 600.0, 400.0, 300.0, np.eye(4)[:3], Lens(k1=-0.28))
     scene = make_scene()
     views = (replace(scene.views[0], camera=camera),)
-    witnesses = Witnesses(replace(scene, views=views, images=scene.images[:1], splits={"train": (0,)}))
+    witnesses = Witnesses(replace(scene, views=views, photos=scene.photos.at([0]), splits={"train": (0,)}))
     for degrees, seen in ((10, True), (25, True), (62, False), (65, False), (80, False)):
         angle = np.radians(degrees)
         look = np.array([np.sin(angle), 0.0, -np.cos(angle)])

@@ -10,6 +10,7 @@ from balls import Ball, model_of, ring_scene
 
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.lens import Lens
+from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene
 from nerf_core.probe import open_ray
 from nerf_core.probe.walkthrough import truth_of, walk
@@ -45,7 +46,7 @@ def test_a_photo_tells_only_of_what_its_lens_shows(scene: Scene) -> None:
     lens = Camera(40, 30, 30.0, 30.0, 20.0, 15.0, scene.views[0].camera.c2w, Lens(k1=BARREL))
     photo = np.zeros((30, 40, 3), np.uint16)
     views = (replace(scene.views[0], camera=lens), *scene.views[1:])
-    scene = replace(scene, views=views, images=(photo, *scene.images[1:]))
+    scene = replace(scene, views=views, photos=Photos.of([photo, *scene.images[1:]]))
     method = model_of(scene, BALL)
     found = []
     for degrees in (0, 20, 62, 65, 80):

@@ -9,8 +9,9 @@ import pytest
 import torch
 
 from nerf_core.common.errors import UserError
+from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene
-from nerf_core.training.batches import Draw, PixelSampler, flattened
+from nerf_core.training.batches import Draw, PixelSampler
 
 CPU = torch.device("cpu")
 
@@ -23,7 +24,7 @@ def coded(scene: Scene) -> Scene:
         rows, columns = np.mgrid[:height, :width]
         images.append((np.stack([np.full_like(rows, i), columns, rows], -1) * 100).astype(np.uint16))
         views.append(replace(view, camera=view.camera.resized(width, height)))
-    return replace(scene, views=tuple(views), images=tuple(images))
+    return replace(scene, views=tuple(views), photos=Photos.of(images))
 
 
 def decoded(truth: torch.Tensor) -> np.ndarray:
@@ -70,17 +71,6 @@ def test_shrunken_photos_are_block_means_and_their_rays_go_through_the_blocks_mi
         where, _ = scene.views[round(color[0])].camera.project(point[None])
         # a mean of four columns c … c + 3 is c + 1.5, and the block's middle lies at c + 2
         np.testing.assert_allclose(where[0] - color[1:], [0.5, 0.5], atol=1e-2)
-
-
-def test_photos_that_lie_in_one_array_are_not_copied(scene: Scene) -> None:
-    whole = np.arange(3 * 100, dtype=np.uint16).reshape(100, 3)
-    images = [whole[40:52].reshape(3, 4, 3), whole[10:30].reshape(4, 5, 3)]
-    flat, starts = flattened(images)
-    assert np.shares_memory(flat, whole)
-    assert starts.tolist() == [40, 10]
-    apart, places = flattened([image.copy() for image in images])
-    assert places.tolist() == [0, 12]
-    np.testing.assert_array_equal(apart, np.concatenate([whole[40:52], whole[10:30]]))
 
 
 def test_fewer_images_are_spread_evenly(scene: Scene) -> None:

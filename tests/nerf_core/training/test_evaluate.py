@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 from nerf_core.common.errors import UserError
+from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene
 from nerf_core.rendering.images import render_camera, to_bytes
 from nerf_core.training.evaluate import evaluate, picture_path, select
@@ -76,8 +77,8 @@ def test_a_perfect_picture_is_finite_json(make_trainer: Make) -> None:
     trainer = make_trainer()
     color, _ = render_camera(trainer.method, trainer.scene.views[5].camera, trainer.scene)
     exact = np.round(color * 65535).astype(np.uint16)
-    images = (*trainer.scene.images[:5], exact)
-    trainer.scene = replace(trainer.scene, images=images)
+    photos = Photos.of([*trainer.scene.images[:5], exact])
+    trainer.scene = replace(trainer.scene, photos=photos)
     result = evaluate(trainer, select(trainer.scene))
     assert result["mean"]["psnr"] > 96  # 16 bits
     json.dumps(result, allow_nan=False)

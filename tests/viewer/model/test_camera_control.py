@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.ndc import Ndc
+from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene, View
 from nerf_core.geometry.turntable import angles_from, rotation_from
 from viewer.model.camera_control import MAX_ELEVATION, MOVING_SECONDS, CameraControl
@@ -33,7 +34,7 @@ def make_scene(radius: float = 1.0, ndc: Ndc | None = None) -> Scene:
         name="made",
         format="blender",
         views=tuple(View(f"{i}.png", camera) for i, camera in enumerate(cameras)),
-        images=tuple(np.zeros((60, 80, 3), np.uint16) for _ in cameras),
+        photos=Photos.of([np.zeros((60, 80, 3), np.uint16) for _ in cameras]),
         splits={"train": (1, 2, 3, 4), "test": (0,)},
         near=0.5 * radius,
         far=6 * radius,

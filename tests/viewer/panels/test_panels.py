@@ -24,6 +24,7 @@ from panel_states import (
 
 from nerf_core.datasets import LoadOptions
 from nerf_core.geometry.lens import Lens
+from nerf_core.geometry.photos import Photos
 from nerf_core.live.messages import (
     CancelExport,
     ExportRays,
@@ -537,8 +538,8 @@ def test_a_thumbnail_is_of_the_photo_around_the_point(
     """Through a lens, and at the rim, where the outermost pixels go on."""
     rng, scene = np.random.default_rng(5), make_scene()
     views = tuple(replace(view, camera=replace(view.camera, lens=Lens(k1=-0.2))) for view in scene.views)
-    images = tuple(rng.integers(0, 65536, (150, 200, 3), np.uint16) for _ in views)
-    scene = replace(scene, views=views, images=images)
+    photos = Photos.of([rng.integers(0, 65536, (150, 200, 3), np.uint16) for _ in views])
+    scene = replace(scene, views=views, photos=photos)
     witnesses = Witnesses(scene)
     pixels, framed = witnesses.project(np.array(point))
     index = rng.permutation(np.flatnonzero(framed))[:12]
@@ -566,9 +567,9 @@ def test_a_thumbnail_is_of_the_photo_around_the_point(
         first, end = np.rint(np.array(part) * len(sheet)).astype(int)
         (at,), _ = views[view].camera.project(np.array([point]))
         x, y = np.floor(at).astype(int)
-        photo = np.pad(images[view] >> 8, ((half, half), (half, half), (0, 0)), "edge")
+        photo = np.pad(scene.images[view] >> 8, ((half, half), (half, half), (0, 0)), "edge")
         np.testing.assert_array_equal(sheet[first:end, :, :3], photo[y : y + 2 * half + 1, x : x + 2 * half + 1])
-        assert (sheet[first + half, half, :3] == images[view][y, x] >> 8).all()
+        assert (sheet[first + half, half, :3] == scene.images[view][y, x] >> 8).all()
         rims.append(min(x, y, 199 - x, 149 - y))
     assert (min(rims) < half) == (point != (0.1, 0.2, 0.3))
 
