@@ -11,8 +11,8 @@ from nerf_core.live.messages import Reset
 
 from ..commands.registry import COMMANDS, MENUS, Menu, UserCommand, commands, run, with_keys
 from ..model.state import Action, AppState
+from ..ui.text import duration, rate
 from ..ui.theme import CLEAR
-from ..ui.widgets import duration, rate
 from .panel_host import PanelUi
 
 # ---- above --------------------------------------------------------------------------------------------------------

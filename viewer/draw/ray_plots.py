@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from imgui_bundle import ImVec2, ImVec4, imgui, implot
+from imgui_bundle import ImVec2, imgui, implot
 
 from nerf_core.probe import RayProbe
 
-from ..ui.widgets import axis_name, faded, packed, tints
-from .ray_steps import Steps, wants_log
+from ..ui.widgets import axis_name, faded, packed
+from .plot_marks import be_item, color_strip, depth_marks, row_of, ticks, x_of
+from .ray_steps import Steps, sample_at, wants_log
 
 if TYPE_CHECKING:
     from ..ui.contract import Ui
@@ -27,26 +27,6 @@ REACH_EM = 0.3  # from a sample's stretch at which the mouse still means it
 ROW_EM = 1.0  # height of the strip's rows, which all passes' ticks share one of: their names must not overlap
 
 LogChoice = Literal["auto", "on", "off"]
-Glyph = Callable[[imgui.ImDrawList, ImVec2, float, int], None]
-
-
-def triangle(draw: imgui.ImDrawList, at: ImVec2, r: float, color: int) -> None:
-    draw.add_triangle_filled(ImVec2(at.x - r, at.y - r), ImVec2(at.x + r, at.y - r), ImVec2(at.x, at.y + r), color)
-
-
-def diamond(draw: imgui.ImDrawList, at: ImVec2, r: float, color: int) -> None:
-    draw.add_ngon_filled(at, 1.2 * r, color, 4)
-
-
-def circle(draw: imgui.ImDrawList, at: ImVec2, r: float, color: int) -> None:
-    draw.add_circle(at, r, color, thickness=0.4 * r)
-
-
-DEPTHS: tuple[tuple[str, str, Glyph], ...] = (
-    ("expected", "depth_expected", triangle),
-    ("median", "depth_median", diamond),
-    ("strongest", "depth_strongest", circle),
-)
 
 
 @dataclass(frozen=True)
@@ -152,7 +132,7 @@ class RayPlots:
         if not passes:  # nothing stands in the ray's way
             implot.plot_line("transmittance", np.array([opened.ray.near, opened.ray.far]), np.ones(2), line)
         axis_name(ui, "w / largest w, T, α", right=True, height=0.5)  # T is 1 or 0 there
-        self._depth_marks(ui, opened.ray, glyphs=True)
+        depth_marks(ui, opened.ray, glyphs=True)
         result = self._drag_point(ui, opened.point_t), self._read(ui, passes, opened.marked)
         implot.end_plot()
         ui.mark("ray.weights")
@@ -179,7 +159,7 @@ class RayPlots:
             line = implot.Spec(line_color=color, line_weight=(0.12 if last else 0.08) * ui.em)
             implot.plot_stairs(f"{steps.probe.name} density", steps.edges, sigma, line)
         axis_name(ui, f"σ (1/{opened.units})", right=True)
-        self._depth_marks(ui, opened.ray, glyphs=False)
+        depth_marks(ui, opened.ray, glyphs=False)
         result = self._drag_point(ui, opened.point_t), self._read(ui, passes, opened.marked)
         implot.end_plot()
         ui.mark("ray.density")
@@ -200,11 +180,11 @@ class RayPlots:
         implot.push_plot_clip_rect()
         for row, steps in enumerate(passes):
             last = steps is passes[-1]
-            _ticks(ui, steps.t, _row(bounds, row), ui.theme.fine if last else ui.theme.coarse)
+            ticks(ui, steps.t, row_of(bounds, row), ui.theme.fine if last else ui.theme.coarse)
         for steps in passes[-1:]:
-            _colors(steps, _row(bounds, len(passes)), np.ones(len(steps.probe.t)))
+            color_strip(steps, row_of(bounds, len(passes)), np.ones(len(steps.probe.t)))
             peak = max(float(steps.weights.max()), 1e-12)  # where all are zero nothing is painted
-            _colors(steps, _row(bounds, len(passes) + 1), np.nan_to_num(steps.probe.weights) / peak)
+            color_strip(steps, row_of(bounds, len(passes) + 1), np.nan_to_num(steps.probe.weights) / peak)
         implot.pop_plot_clip_rect()
         reading = None
         if implot.is_plot_hovered():
@@ -221,53 +201,27 @@ class RayPlots:
     def _drag_point(self, ui: Ui, point: float) -> float | None:
         unseen = faded(ui.theme.point, 0.0)  # its own caps would hide the peak on which it mostly stands
         changed, t, *_ = implot.drag_line_x(DRAG_ID, point, unseen, 0.15 * ui.em, implot.DragToolFlags_.no_fit)
-        x, top, r = _x(point), implot.get_plot_pos().y, 0.4 * ui.em
+        x, top, r = x_of(point), implot.get_plot_pos().y, 0.4 * ui.em
         draw, color, foot = implot.get_plot_draw_list(), packed(ui.theme.point), top + implot.get_plot_size().y
         implot.push_plot_clip_rect()
         draw.add_line(ImVec2(x, top), ImVec2(x, foot), color, max(1.0, 0.08 * ui.em))
         draw.add_triangle_filled(ImVec2(x - r, foot), ImVec2(x + r, foot), ImVec2(x, foot - 1.4 * r), color)  # its grip
         implot.pop_plot_clip_rect()
-        _be_item(x - 0.3 * ui.em, top, x + 0.3 * ui.em, top + implot.get_plot_size().y)
+        be_item(x - 0.3 * ui.em, top, x + 0.3 * ui.em, top + implot.get_plot_size().y)
         ui.mark("ray.point")
         return max(t, 0.0) if changed else None  # behind the camera there is no ray
-
-    def _depth_marks(self, ui: Ui, ray: RayProbe, *, glyphs: bool) -> None:
-        draw, top = implot.get_plot_draw_list(), implot.get_plot_pos().y
-        implot.push_plot_clip_rect()
-        for row, (_, name, glyph) in enumerate(DEPTHS):
-            t = getattr(ray, name)
-            if t is None or not np.isfinite(t):
-                continue
-            x = _x(t)
-            draw.add_line(ImVec2(x, top), ImVec2(x, top + implot.get_plot_size().y), packed(faded(ui.theme.text, 0.35)))
-            if glyphs:
-                # one below the other: on a surface all three lie in one place
-                glyph(draw, ImVec2(x, top + (0.5 + 0.75 * row) * ui.em), 0.3 * ui.em, packed(ui.theme.text))
-        implot.pop_plot_clip_rect()
 
     def _read(self, ui: Ui, passes: tuple[Steps, ...], marked: tuple[Steps, int] | None) -> tuple[Steps, int] | None:
         """The sample under the mouse, of whichever pass; the one that is pointed at is marked in this plot."""
         if marked is not None:
             steps, index = marked
-            x = _x(float(steps.t[index]))
+            x = x_of(float(steps.t[index]))
             top, height = implot.get_plot_pos().y, implot.get_plot_size().y
             implot.get_plot_draw_list().add_line(ImVec2(x, top), ImVec2(x, top + height), packed(ui.theme.text))
         if not implot.is_plot_hovered() or not passes:
             return None
         reach = REACH_EM * ui.em * implot.get_plot_limits().x.size() / max(implot.get_plot_size().x, 1.0)
         return sample_at(passes, implot.get_plot_mouse_pos().x, reach)
-
-
-def sample_at(passes: tuple[Steps, ...], t: float, reach: float) -> tuple[Steps, int] | None:
-    """The sample whose stretch holds t, or begins or ends within `reach` of it; of several the one that begins nearest.
-    None: t lies where no sample stands for the ray."""
-    found, least = None, (reach, np.inf)
-    for steps in passes:
-        aside = np.maximum(np.maximum(steps.t - t, t - steps.until), 0.0)
-        k = int(np.lexsort((np.abs(steps.t - t), aside))[0])
-        if (apart := (float(aside[k]), abs(float(steps.t[k]) - t))) <= least:
-            found, least = (steps, k), apart
-    return found
 
 
 def _of_largest(steps: Steps) -> np.ndarray:
@@ -277,39 +231,3 @@ def _of_largest(steps: Steps) -> np.ndarray:
 
 def _when(fresh: bool) -> implot.Cond_:
     return implot.Cond_.always if fresh else implot.Cond_.once
-
-
-def _pixels(t: np.ndarray) -> np.ndarray:
-    limits, at, size = implot.get_plot_limits().x, implot.get_plot_pos(), implot.get_plot_size()
-    return at.x + (t - limits.min) / max(limits.size(), 1e-12) * size.x  # two equal limits: any place will do
-
-
-def _be_item(left: float, top: float, right: float, bottom: float) -> None:
-    """Make a rectangle imgui's last item, as a mark takes it: plots submit none for what they hold."""
-    visible = imgui.internal.ItemStatusFlags_.visible
-    imgui.internal.set_last_item_data(0, 0, visible, imgui.internal.ImRect(left, top, right, bottom))
-
-
-def _x(t: float) -> float:
-    return float(_pixels(np.array([t]))[0])
-
-
-def _row(bounds: list[float], row: int) -> tuple[float, float]:
-    """Top and bottom of a strip's row in pixels, with a little air between rows."""
-    low, high = (implot.plot_to_pixels(0.0, edge).y for edge in bounds[row : row + 2])
-    air = 0.08 * abs(high - low)
-    return min(low, high) + air, max(low, high) - air
-
-
-def _ticks(ui: Ui, t: np.ndarray, row: tuple[float, float], color: ImVec4) -> None:
-    draw, (top, bottom), tint = implot.get_plot_draw_list(), row, packed(color)
-    for x in _pixels(t).tolist():
-        draw.add_line(ImVec2(x, top), ImVec2(x, bottom), tint, 0.06 * ui.em)
-
-
-def _colors(steps: Steps, row: tuple[float, float], opacity: np.ndarray) -> None:
-    draw, (top, bottom) = implot.get_plot_draw_list(), row
-    left, right = _pixels(steps.t).tolist(), _pixels(steps.until).tolist()
-    colors = tints(steps.probe.rgb, opacity)
-    for i in np.flatnonzero(opacity >= 0.5 / 255).tolist():
-        draw.add_rect_filled(ImVec2(left[i], top), ImVec2(right[i], bottom), colors[i])

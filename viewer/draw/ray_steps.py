@@ -68,3 +68,15 @@ def wants_log(sigma: np.ndarray) -> bool:
     """Whether a linear axis would flatten most of the density: its peak stands 50 times over its median."""
     positive = sigma[sigma > 0]
     return len(positive) > 0 and bool(positive.max() > 50 * np.median(positive))
+
+
+def sample_at(passes: tuple[Steps, ...], t: float, reach: float) -> tuple[Steps, int] | None:
+    """The sample whose stretch holds t, or begins or ends within `reach` of it; of several the one that begins nearest.
+    None: t lies where no sample stands for the ray."""
+    found, least = None, (reach, np.inf)
+    for steps in passes:
+        aside = np.maximum(np.maximum(steps.t - t, t - steps.until), 0.0)
+        k = int(np.lexsort((np.abs(steps.t - t), aside))[0])
+        if (apart := (float(aside[k]), abs(float(steps.t[k]) - t))) <= least:
+            found, least = (steps, k), apart
+    return found

@@ -164,3 +164,8 @@ class AppState:
     current_view: int | None = None  # the photo whose camera was flown to, until the camera moves
     time: float = 0.0  # seconds on the app's clock
     has_display: bool = True
+
+
+def unsaved_steps(snapshot: Snapshot) -> int:
+    """How many training steps would be lost: those since the newest checkpoint."""
+    return max(snapshot.step - snapshot.saved_step, 0)

@@ -16,7 +16,8 @@ from nerf_core.live.messages import CancelExport, Export
 from ..commands.registry import with_keys
 from ..model.state import Action, AppState, OrbitForm, StartOrbitExport
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import button, duration, field_beside, field_width, hint, number, path_line, same_line_if_fits
+from ..ui.text import duration, number
+from ..ui.widgets import button, field_beside, field_width, hint, path_line, same_line_if_fits
 
 START, CANCEL = f"{icons.ICON_FA_FILM}  Export orbit", f"{icons.ICON_FA_XMARK}  Cancel"
 MAX_FRAMES, MAX_FPS, MAX_SIDE, MAX_RADIUS = 10_000, 240, 8192, 1e4

@@ -10,7 +10,8 @@ from imgui_bundle import imgui
 
 from ..model.state import Action, AppState, ShownNotice
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import button, duration, hint, mono, notice_text, path_line
+from ..ui.text import duration
+from ..ui.widgets import button, hint, mono, notice_text, path_line
 
 
 @PANELS.register("notices")

@@ -24,7 +24,8 @@ from nerf_core.probe import (
 
 from ..model.state import Action, AppState, SetDisc, SetPointDepth
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import Row, button, figures, hint, mono, number, packed, swatch, triple, vector
+from ..ui.text import number, triple, vector
+from ..ui.widgets import Row, button, figures, hint, mono, packed, swatch
 
 CAPTIONS = {"viewer": "facing its camera", "normal": "around the normal"}
 SPHERE_CAPTION = "all directions; hatched: unseen"

@@ -11,11 +11,13 @@ from imgui_bundle import ImVec2, imgui
 
 from nerf_core.probe import RayProbe
 
-from ..draw.ray_plots import DEPTHS, Glyph, LogChoice, Opened, RayPlots
+from ..draw.plot_marks import DEPTHS, Glyph
+from ..draw.ray_plots import LogChoice, Opened, RayPlots
 from ..draw.ray_steps import Steps, steps_of
 from ..model.state import Action, AppState, SampleRef, SetPointDepth
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import Row, faded, figures, hint, number, packed, same_line_if_fits, sample_tooltip, swatch, triple
+from ..ui.text import number, triple
+from ..ui.widgets import Row, faded, figures, hint, packed, same_line_if_fits, sample_tooltip, swatch
 
 AXIS = "over t (world units)"
 BEYOND = 0.01  # weight past the end of the axis that is worth a word

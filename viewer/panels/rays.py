@@ -15,7 +15,8 @@ from nerf_core.live.messages import ExportRays, Pinned
 from ..model.pins import MOST, NAME_LENGTH
 from ..model.state import Action, AppState, OpenPin, PinnedRay, PinRay, UnpinRay
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import Row, button, field_beside, figures, hint, number, packed, swatch, triple
+from ..ui.text import number, triple
+from ..ui.widgets import Row, button, field_beside, figures, hint, packed, swatch
 
 WRITE = f"{icons.ICON_FA_FILE_EXPORT}  Write"
 PIN = f"{icons.ICON_FA_THUMBTACK}  Pin the opened ray"

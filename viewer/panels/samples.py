@@ -12,8 +12,9 @@ from nerf_core.probe import PassProbe
 
 from ..model.state import Action, AppState, SampleRef
 from ..ui.contract import PANELS, Ui
+from ..ui.text import number, triple
 from ..ui.theme import CLEAR
-from ..ui.widgets import faded, hint, mono, number, packed, swatch, triple
+from ..ui.widgets import faded, hint, mono, packed, swatch
 
 COLUMNS = ("", "t", "δ", "σ", "α", "T", "w", "colour")
 WIDTHS_EM = (3.0, 5.0, 5.0, 5.0, 4.5, 4.5, 4.5, 11.0)

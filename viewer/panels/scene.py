@@ -16,21 +16,10 @@ from nerf_core.live.messages import OpenScene, UseMethod
 from nerf_core.methods import METHODS
 
 from ..commands.registry import COMMANDS, run, with_keys
-from ..model.state import Action, AppState
+from ..model.state import Action, AppState, unsaved_steps
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import (
-    Confirmation,
-    Row,
-    button,
-    exists,
-    field_beside,
-    field_width,
-    figures,
-    hint,
-    number,
-    same_line_if_fits,
-    unsaved_steps,
-)
+from ..ui.text import number
+from ..ui.widgets import Confirmation, Row, button, exists, field_beside, field_width, figures, hint, same_line_if_fits
 
 DOWNSCALE, MOST = "downscale", 64
 OPEN, DEMO = f"{icons.ICON_FA_FOLDER_OPEN}  Open", "Demo"

@@ -13,22 +13,10 @@ from nerf_core.live.messages import LoadCheckpoint, Pause, Reset, SetShare, Snap
 
 from ..commands.registry import run, with_keys
 from ..draw.history_plots import HistoryPlots
-from ..model.state import Action, AppState
+from ..model.state import Action, AppState, unsaved_steps
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import (
-    Confirmation,
-    Row,
-    button,
-    duration,
-    exists,
-    field_beside,
-    field_width,
-    figures,
-    hint,
-    rate,
-    same_line_if_fits,
-    unsaved_steps,
-)  # fmt: skip
+from ..ui.text import duration, rate
+from ..ui.widgets import Confirmation, Row, button, exists, field_beside, field_width, figures, hint, same_line_if_fits
 
 START, PAUSE = f"{icons.ICON_FA_PLAY}  Train", f"{icons.ICON_FA_PAUSE}  Pause"
 STEP, RESET = f"{icons.ICON_FA_FORWARD_STEP}  Step", f"{icons.ICON_FA_ROTATE_LEFT}  Reset"

@@ -14,7 +14,8 @@ from ..commands.registry import run, with_keys
 from ..draw.viewport import same_view
 from ..model.state import Action, AppState, FocusOn
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import Row, button, field_width, figures, hint, number, same_line_if_fits, vector
+from ..ui.text import number, vector
+from ..ui.widgets import Row, button, field_width, figures, hint, same_line_if_fits
 
 FRAME, HOME = f"{icons.ICON_FA_EXPAND}  Frame", f"{icons.ICON_FA_HOUSE}  Home"
 FOCUS, HELP = f"{icons.ICON_FA_CROSSHAIRS}  Focus", f"{icons.ICON_FA_KEYBOARD}  Keys"

@@ -22,7 +22,7 @@ from nerf_core.live.worker import Worker
 from nerf_core.training.settings import RunSettings
 
 from ..app.app import App
-from ..ui.widgets import unsaved_steps
+from ..model.state import unsaved_steps
 from ..window import Window
 from .script import Closed, Script, Wishes
 

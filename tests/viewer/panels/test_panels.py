@@ -60,8 +60,8 @@ from viewer.model.state import (
     UnpinRay,
 )
 from viewer.ui.contract import PANELS, Panel
+from viewer.ui.text import duration, number, rate, triple, vector
 from viewer.ui.theme import DarkTheme
-from viewer.ui.widgets import duration, number, rate, triple, vector
 
 SCREEN = (1280, 800)
 
@@ -463,8 +463,7 @@ def test_a_place_in_the_table_is_of_one_line_alone(screen: Screen) -> None:
 
 
 def test_a_sample_is_meant_on_its_stretch_and_close_to_it_alone() -> None:
-    from viewer.draw.ray_plots import sample_at
-    from viewer.draw.ray_steps import Steps, steps_of
+    from viewer.draw.ray_steps import Steps, sample_at, steps_of
 
     (_, fine) = steps_of(make_ray())
     gap = replace(fine, t=np.array([2.0, 3.0, 3.1]), until=np.array([2.5, 3.1, 3.2]))

@@ -1,0 +1,94 @@
+"""Marks that are drawn into a plot over t: the ray's depths, the samples' positions and colours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from imgui_bundle import ImVec2, ImVec4, imgui, implot
+
+from nerf_core.probe import RayProbe
+
+from ..ui.widgets import faded, packed, tints
+from .ray_steps import Steps
+
+if TYPE_CHECKING:
+    from ..ui.contract import Ui
+
+Glyph = Callable[[imgui.ImDrawList, ImVec2, float, int], None]
+
+
+def triangle(draw: imgui.ImDrawList, at: ImVec2, r: float, color: int) -> None:
+    draw.add_triangle_filled(ImVec2(at.x - r, at.y - r), ImVec2(at.x + r, at.y - r), ImVec2(at.x, at.y + r), color)
+
+
+def diamond(draw: imgui.ImDrawList, at: ImVec2, r: float, color: int) -> None:
+    draw.add_ngon_filled(at, 1.2 * r, color, 4)
+
+
+def circle(draw: imgui.ImDrawList, at: ImVec2, r: float, color: int) -> None:
+    draw.add_circle(at, r, color, thickness=0.4 * r)
+
+
+DEPTHS: tuple[tuple[str, str, Glyph], ...] = (
+    ("expected", "depth_expected", triangle),
+    ("median", "depth_median", diamond),
+    ("strongest", "depth_strongest", circle),
+)
+
+
+def depth_marks(ui: Ui, ray: RayProbe, *, glyphs: bool) -> None:
+    """Lines where the ray's depths lie; glyphs: also say which is which."""
+    draw, top = implot.get_plot_draw_list(), implot.get_plot_pos().y
+    implot.push_plot_clip_rect()
+    for row, (_, name, glyph) in enumerate(DEPTHS):
+        t = getattr(ray, name)
+        if t is None or not np.isfinite(t):
+            continue
+        x = x_of(t)
+        draw.add_line(ImVec2(x, top), ImVec2(x, top + implot.get_plot_size().y), packed(faded(ui.theme.text, 0.35)))
+        if glyphs:
+            # one below the other: on a surface all three lie in one place
+            glyph(draw, ImVec2(x, top + (0.5 + 0.75 * row) * ui.em), 0.3 * ui.em, packed(ui.theme.text))
+    implot.pop_plot_clip_rect()
+
+
+def pixels(t: np.ndarray) -> np.ndarray:
+    """Where distances (N,) lie in the current plot: x in pixels of the screen, (N,)."""
+    limits, at, size = implot.get_plot_limits().x, implot.get_plot_pos(), implot.get_plot_size()
+    return at.x + (t - limits.min) / max(limits.size(), 1e-12) * size.x  # two equal limits: any place will do
+
+
+def x_of(t: float) -> float:
+    """`pixels` of one distance."""
+    return float(pixels(np.array([t]))[0])
+
+
+def row_of(bounds: list[float], row: int) -> tuple[float, float]:
+    """Top and bottom of a strip's row in pixels, with a little air between rows."""
+    low, high = (implot.plot_to_pixels(0.0, edge).y for edge in bounds[row : row + 2])
+    air = 0.08 * abs(high - low)
+    return min(low, high) + air, max(low, high) - air
+
+
+def ticks(ui: Ui, t: np.ndarray, row: tuple[float, float], color: ImVec4) -> None:
+    """A line at each distance (S,). row: its top and bottom in pixels."""
+    draw, (top, bottom), tint = implot.get_plot_draw_list(), row, packed(color)
+    for x in pixels(t).tolist():
+        draw.add_line(ImVec2(x, top), ImVec2(x, bottom), tint, 0.06 * ui.em)
+
+
+def color_strip(steps: Steps, row: tuple[float, float], opacity: np.ndarray) -> None:
+    """The colour of every sample over its stretch of the ray. opacity: (S,) in [0, 1]."""
+    draw, (top, bottom) = implot.get_plot_draw_list(), row
+    left, right = pixels(steps.t).tolist(), pixels(steps.until).tolist()
+    colors = tints(steps.probe.rgb, opacity)
+    for i in np.flatnonzero(opacity >= 0.5 / 255).tolist():
+        draw.add_rect_filled(ImVec2(left[i], top), ImVec2(right[i], bottom), colors[i])
+
+
+def be_item(left: float, top: float, right: float, bottom: float) -> None:
+    """Make a rectangle imgui's last item, as a mark takes it: plots submit none for what they hold."""
+    visible = imgui.internal.ItemStatusFlags_.visible
+    imgui.internal.set_last_item_data(0, 0, visible, imgui.internal.ImRect(left, top, right, bottom))
