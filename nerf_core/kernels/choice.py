@@ -1,66 +1,67 @@
-"""Which implementation of the hot loops runs here, and why not a faster one."""
+"""Which implementation of the hot loops runs on a device, and why not a faster one."""
 
 from __future__ import annotations
 
-import importlib.util
-import os
-import shutil
-import sysconfig
-from functools import lru_cache
-from pathlib import Path
+from typing import ClassVar, Protocol, TypeVar
 
 import torch
 
-from nerf_core.common.jit.cache import numba_obstacle
+from nerf_core.common.registry import Registry
 from nerf_core.kernels.packed_kernels import PackedKernels
 from nerf_core.kernels.voxel_kernels import VoxelKernels
 
-MOST_SHARDS = 16  # of the voxel grid: each has gradients of its own, 64 bytes a row
+T_co = TypeVar("T_co", covariant=True)
+
+
+class Implementation(Protocol[T_co]):
+    """An implementation of `VoxelKernels` or `PackedKernels`, before its libraries are imported.
+
+    devices: types of devices that it runs on ("cpu", "cuda"); empty: all.
+    rank: the smallest that can be used is taken, so the fastest has the smallest.
+    summary: what training runs on with it. without: how much slower training is where it cannot be used.
+    """
+
+    devices: ClassVar[tuple[str, ...]]
+    rank: ClassVar[int]
+    summary: ClassVar[str]
+    without: ClassVar[str]
+
+    @staticmethod
+    def obstacle() -> str:
+        """Why it cannot be used on this machine; empty where it can."""
+        ...
+
+    @staticmethod
+    def make() -> T_co: ...
+
+
+IMPLEMENTATIONS = "nerf_core.kernels.implementations"
+VOXEL_KERNELS: Registry[type[Implementation[VoxelKernels]]] = Registry("voxel kernel", IMPLEMENTATIONS)
+PACKED_KERNELS: Registry[type[Implementation[PackedKernels]]] = Registry("packed kernel", IMPLEMENTATIONS)
 
 
 def voxel_kernels(device: torch.device) -> VoxelKernels:
-    """On a CPU numba's loops, as many at once as torch has threads; elsewhere, or without numba, torch operations."""
-    if device.type == "cpu" and not numba_obstacle():
-        from nerf_core.kernels.cpu_voxels import CpuVoxels
-
-        return CpuVoxels(min(torch.get_num_threads(), MOST_SHARDS))
-    from nerf_core.kernels.torch_voxels import TorchVoxels
-
-    return TorchVoxels()
+    """The fastest usable kernels for a voxel grid."""
+    return _usable(VOXEL_KERNELS, device)[-1].make()
 
 
 def packed_kernels(device: torch.device) -> PackedKernels:
-    """For packed samples and the hash grid: numba's loops on a CPU, Triton's on CUDA, else torch operations."""
-    if device.type == "cpu" and not numba_obstacle():
-        from nerf_core.kernels.cpu_packed import CpuPacked, compile_loops
-
-        compile_loops()
-        return CpuPacked(torch.get_num_threads())
-    if device.type == "cuda" and not triton_obstacle():
-        from nerf_core.kernels.triton_packed import TritonPacked
-
-        return TritonPacked()
-    from nerf_core.kernels.torch_packed import TorchPacked
-
-    return TorchPacked()
-
-
-@lru_cache
-def triton_obstacle() -> str:
-    """Why Triton cannot be used; empty where it can. It compiles its launchers with the system's C compiler."""
-    if importlib.util.find_spec("triton") is None:
-        return "Triton is not installed"
-    if not (os.environ.get("CC") or any(shutil.which(name) for name in ("cc", "gcc", "clang"))):
-        return "Triton finds no C compiler (install gcc)"
-    if not Path(sysconfig.get_paths()["include"], "Python.h").is_file():
-        return "Triton finds no Python.h (install python3-dev)"
-    return ""
+    """The fastest usable kernels for packed samples and a hash grid."""
+    return _usable(PACKED_KERNELS, device)[-1].make()
 
 
 def note(device: torch.device) -> str:
-    """What is to be told of the choice: nothing where it is the fast one."""
-    if device.type == "cpu" and numba_obstacle():
-        return f"{numba_obstacle()}: training runs on plain torch operations, some ten times slower"
-    if device.type == "cuda" and triton_obstacle():
-        return f"{triton_obstacle()}: training runs on plain torch operations, which is slower"
-    return ""
+    """Warning to show when a slow fallback is used; empty where the fast implementations are."""
+    found: list[str] = []
+    for fastest, *rest in (_usable(VOXEL_KERNELS, device), _usable(PACKED_KERNELS, device)):
+        if rest:
+            found.append(f"{fastest.obstacle()}: training runs on {rest[-1].summary}, {fastest.without}")
+    return "; ".join(dict.fromkeys(found))  # both registries may have the same to say
+
+
+def _usable(registry: Registry[type[Implementation[T_co]]], device: torch.device) -> list[type[Implementation[T_co]]]:
+    """The implementations for a device, fastest first, up to the first that can be used: that is the last item."""
+    known = [registry.get(name) for name in registry.names()]
+    ranked = sorted((one for one in known if device.type in (one.devices or (device.type,))), key=lambda i: i.rank)
+    first = next(index for index, one in enumerate(ranked) if not one.obstacle())
+    return ranked[: first + 1]

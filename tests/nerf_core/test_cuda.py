@@ -14,7 +14,7 @@ from pretended_cuda import Graph, Rules, pretended_cuda, recorded
 
 from nerf_core.geometry.cameras import camera_rays
 from nerf_core.geometry.scene import Scene
-from nerf_core.kernels import choice
+from nerf_core.kernels.implementations.on_triton import PackedOnTriton
 from nerf_core.live.messages import ExportRays, Inspect, LoadCheckpoint, Pin, SaveCheckpoint, Train
 from nerf_core.live.worker import Worker
 from nerf_core.methods import METHODS
@@ -43,7 +43,7 @@ def cuda(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
             run(worker)
 
     monkeypatch.setattr(Worker, "_run", under_its_rules)
-    monkeypatch.setattr(choice, "triton_obstacle", lambda: "pretended")  # test_fixed_step.py has the interpreted ones
+    monkeypatch.setattr(PackedOnTriton, "obstacle", lambda: "pretended")  # test_fixed_step.py has the interpreted ones
     with pretended_cuda():
         yield
 

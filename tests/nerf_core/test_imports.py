@@ -26,12 +26,13 @@ ORDER = (
 )  # fmt: skip
 # Folders of plug-ins: no file that registers something is imported by a sibling.
 PLUGINS = (
-    "nerf_core/datasets/formats", "nerf_core/methods", "nerf_core/commands", "viewer/panels", "viewer/commands/actions",
+    "nerf_core/datasets/formats", "nerf_core/methods", "nerf_core/commands", "nerf_core/kernels/implementations",
+    "viewer/panels", "viewer/commands/actions",
 )  # fmt: skip
 # What only a window, a format, a video or a command line needs.
 EDGES = {
     "moderngl", "glfw", "imgui_bundle", "viewer", "pycolmap", "tyro", "rich", "imageio_ffmpeg", "numba", "platformdirs",
-    "matplotlib",
+    "matplotlib", "triton",
 }  # fmt: skip
 
 
@@ -111,6 +112,8 @@ def test_the_core_loads_nothing_that_only_an_edge_needs() -> None:
     )
     code = "import sys; " + "; ".join(f"import nerf_core.{name}" for name in names)
     code += "; from nerf_core.methods import METHODS; METHODS.names()"
+    code += "; from nerf_core.kernels.choice import PACKED_KERNELS, VOXEL_KERNELS"
+    code += "; PACKED_KERNELS.names(), VOXEL_KERNELS.names()"
     code += "; from nerf_core.datasets.loading import load_scene"
     code += ";  print(*{n.split('.')[0] for n in sys.modules})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=CORE.parent)

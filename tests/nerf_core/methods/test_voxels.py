@@ -18,6 +18,7 @@ from nerf_core.geometry.scene import Scene
 from nerf_core.geometry.spaces import Space, contract
 from nerf_core.kernels import choice
 from nerf_core.kernels.cpu_voxels import CpuVoxels
+from nerf_core.kernels.implementations import on_numba
 from nerf_core.kernels.torch_voxels import TorchVoxels
 from nerf_core.kernels.voxel_kernels import VoxelKernels
 from nerf_core.methods.voxels.config import VoxelConfig
@@ -325,11 +326,12 @@ def test_a_state_that_does_not_fit_is_refused(scene: Scene, name: str, value: to
 
 def test_without_numba_torch_does_the_same_and_it_is_told(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     fast = run(scene, 3)
-    monkeypatch.setattr(choice, "numba_obstacle", lambda: "numba cannot be imported (gone)")
+    monkeypatch.setattr(on_numba, "numba_obstacle", lambda: "numba cannot be imported (gone)")
     plain = run(scene, 3)
     assert isinstance(plain.method, Voxels)
     assert isinstance(plain.method.kernels, TorchVoxels)
-    assert "some ten times slower" in choice.note(CPU)
+    expected = "numba cannot be imported (gone): training runs on plain torch operations, some ten times slower"
+    assert choice.note(CPU) == expected
     rays = camera_rays(scene.views[5].camera, scene.near, scene.far)
     a, b = (trainer.method.render(rays).color for trainer in (fast, plain))
     assert float((a - b).abs().mean()) < 2e-3

@@ -1,0 +1,44 @@
+"""numba's compiled loops on a CPU, as many at once as torch has threads."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import torch
+
+from nerf_core.common.jit.cache import numba_obstacle
+from nerf_core.kernels.choice import PACKED_KERNELS, VOXEL_KERNELS
+from nerf_core.kernels.packed_kernels import PackedKernels
+from nerf_core.kernels.voxel_kernels import VoxelKernels
+
+MOST_SHARDS = 16  # of the voxel grid: each has gradients of its own, 64 bytes a row
+
+
+class _OnNumba:
+    devices: ClassVar[tuple[str, ...]] = ("cpu",)
+    rank: ClassVar[int] = 0
+    summary: ClassVar[str] = "loops compiled by numba"
+    without: ClassVar[str] = "some ten times slower"
+
+    @staticmethod
+    def obstacle() -> str:
+        return numba_obstacle()
+
+
+@VOXEL_KERNELS.register("numba")
+class VoxelsOnNumba(_OnNumba):
+    @staticmethod
+    def make() -> VoxelKernels:
+        from nerf_core.kernels.cpu_voxels import CpuVoxels
+
+        return CpuVoxels(min(torch.get_num_threads(), MOST_SHARDS))
+
+
+@PACKED_KERNELS.register("numba")
+class PackedOnNumba(_OnNumba):
+    @staticmethod
+    def make() -> PackedKernels:
+        from nerf_core.kernels.cpu_packed import CpuPacked, compile_loops
+
+        compile_loops()
+        return CpuPacked(torch.get_num_threads())
