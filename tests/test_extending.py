@@ -13,6 +13,8 @@ import pages
 import pytest
 from PIL import Image
 
+from nerf_core.cli import main
+from nerf_core.commands import COMMANDS
 from nerf_core.common.errors import UserError
 from nerf_core.common.registry import Registry
 from nerf_core.datasets import LoadOptions, load_scene
@@ -71,3 +73,14 @@ def test_a_render_mode(load: Load) -> None:
     picture = shaded(method, rays, trace, "opacity")
     assert picture.shape == (len(rays), 3)
     assert MODES.get("opacity").values(method, rays, trace).shape == (len(rays),)
+
+
+def test_a_subcommand(load: Load, capsys: pytest.CaptureFixture[str]) -> None:
+    load("nerf_core/commands/photos.py", COMMANDS)
+    assert main(["photos"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 90
+    assert lines[0] == "train\ttrain/r_0.png\t200 × 200"
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    assert "List the photos of a capture by split." in capsys.readouterr().out
