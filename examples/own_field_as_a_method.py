@@ -24,7 +24,7 @@ from nerf_core.geometry.scene import Scene
 from nerf_core.geometry.spaces import Space
 from nerf_core.methods import METHODS, Draw
 from nerf_core.methods.adam_state import adam_state, load_adam
-from nerf_core.methods.stages import Station, absorption_station, field_station
+from nerf_core.methods.stages import Stage, absorption_stage, field_stage
 from nerf_core.probe import open_pixel, write_inspection
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
@@ -145,11 +145,10 @@ class GridMethod:
     def density(self, points: Tensor) -> Tensor:
         return self.field(points)[0]
 
-    def explain(self, rays: Rays) -> tuple[Station, ...]:
+    def explain(self, rays: Rays) -> tuple[Stage, ...]:
         samples = self.trace(rays).passes[-1]
-        return field_station(samples, "The grid's vertices are interpolated at each sample."), absorption_station(
-            samples
-        )
+        sentence = "The grid's vertices are interpolated at each sample."
+        return field_stage(samples, sentence), absorption_stage(samples)
 
     # ---- checkpoints --------------------------------------------------------------------------------------------
 
