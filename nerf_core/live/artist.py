@@ -8,7 +8,7 @@ from nerf_core.geometry.cameras import camera_rays
 from nerf_core.live.messages import Preview, ViewRequest
 from nerf_core.live.opened_rays import OpenedRays
 from nerf_core.live.refinement import Refinement, first_stride
-from nerf_core.methods import Method
+from nerf_core.methods import Method, traced
 from nerf_core.rendering.modes import COLOR, shaded
 from nerf_core.training.trainer import Trainer
 
@@ -93,7 +93,7 @@ class Artist:
             drawn = self._model.render(rays, picture.quality)
             color = drawn.color.cpu().numpy()
         else:
-            trace = self._model.trace(rays)
+            trace = traced(self._model, rays)
             drawn, color = trace.rendering, shaded(self._model, rays, trace, picture.mode)
         # distance along the ray → depth along the optical axis: `far`, never 0, is that axis' bound on every ray
         z = drawn.depth.cpu() * trainer.scene.far / rays.far

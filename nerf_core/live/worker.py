@@ -407,13 +407,20 @@ class Worker:
         if trainer is None:
             return False
         begin = time.perf_counter()
-        turns = [self._draw_export, lambda: self._artist.draw(trainer, view, self._training_until is not None)]
+        turns = [self._draw_export, lambda: self._draw_picture(trainer, view)]
         if self._artist.urgent(view) or self._artist.rays.urgent or self._budget.artist_is_next():
             turns.reverse()
         did = any(turn() for turn in turns)
         if did:
             self._budget.drew(time.perf_counter() - begin)
         return did
+
+    def _draw_picture(self, trainer: Trainer, view: ViewRequest | None) -> bool:
+        try:
+            return self._artist.draw(trainer, view, self._training_until is not None)
+        except UserError:  # a mode that the method cannot draw: reported once, not at every turn
+            self._skipped = view
+            raise
 
     def _draw_export(self) -> bool:
         job = self._export

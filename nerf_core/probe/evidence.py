@@ -14,7 +14,7 @@ from nerf_core.geometry.cameras import Cameras
 from nerf_core.geometry.lens import Lens
 from nerf_core.geometry.rays import Rays, Trace
 from nerf_core.geometry.scene import Scene
-from nerf_core.methods import Method
+from nerf_core.methods import Method, Radiant, traced
 from nerf_core.probe.ray import MOST_RAYS, sample_ends
 from nerf_core.probe.sightings import Sightings
 
@@ -80,7 +80,9 @@ class Witnesses:
         index = index[_spread(looks[index], MOST_VIEWS // 2, MOST_VIEWS)]
         light, share, predicted = self._traced(method, index, pixels[index], distance[index], margin)
         looking = torch.from_numpy(looks[index])
-        emitted = method.radiance(torch.from_numpy(point)[None], looking)[0].cpu().numpy()
+        emitted = np.full((len(index), 3), np.nan, np.float32)
+        if isinstance(method, Radiant):
+            emitted = method.radiance(torch.from_numpy(point)[None], looking)[0].cpu().numpy()
         found = Sightings(
             point, margin, len(self.views), int(framed.sum()), self.views[index], pixels[index], distance[index],
             angle[index], -looks[index], light, share, self.observed(index, pixels[index]), predicted, emitted,
@@ -152,7 +154,7 @@ class Witnesses:
         piece = min(method.tile, MOST_RAYS)
         for first in range(0, len(rays), piece):
             part = slice(first, first + piece)
-            yield part, OpenedRays.of(self.scene, rays[part], method.trace(rays[part]))
+            yield part, OpenedRays.of(self.scene, rays[part], traced(method, rays[part]))
 
 
 @dataclass(frozen=True)

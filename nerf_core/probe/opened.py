@@ -10,7 +10,7 @@ import numpy as np
 from nerf_core.common.errors import UserError
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
-from nerf_core.methods import METHODS, Method
+from nerf_core.methods import METHODS, Method, Radiant
 from nerf_core.probe.directions import Around
 from nerf_core.probe.evidence import Witnesses
 from nerf_core.probe.layers import grain_at
@@ -76,8 +76,12 @@ def pieces(
 
 
 def _with_point(method: Method, witnesses: Witnesses, opened: Opened, t: float | None, around: Around) -> Opened:
-    """With the radiance of the point at t, and what the photos know of it."""
+    """With the radiance of the point at t, if the method has one, and what the photos know of the point."""
     radius, look = witnesses.scene.radius, opened.ray.direction.astype(np.float64)
-    radiance = open_radiance(method, witnesses.scene, opened.ray, opened.camera.c2w[:, 1], t, around)
-    evidence = witnesses.look(method, radiance.point, look, grain_at(radiance.t, radius))
+    radiance = None
+    if isinstance(method, Radiant):
+        radiance = open_radiance(method, witnesses.scene, opened.ray, opened.camera.c2w[:, 1], t, around)
+    t = opened.ray.point_t() if t is None else t
+    point = opened.ray.origin.astype(np.float64) + t * look
+    evidence = witnesses.look(method, point, look, grain_at(float(t), radius))
     return replace(opened, radiance=radiance, evidence=evidence)

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from nerf_core.geometry.scene import Scene
-from nerf_core.methods import Method
+from nerf_core.methods import Dense, Radiant
 from nerf_core.probe.directions import SPHERE_COLUMNS, SPHERE_ROWS, Around, RadianceProbe, disc_grid
 from nerf_core.probe.records import PassProbe, RayProbe
 from nerf_core.rendering.modes.view_dependence import view_dependence
@@ -18,7 +18,7 @@ STEEP = 1e-6  # of σ: a gradient that changes it by no more over a sample's len
 
 
 def open_radiance(
-    method: Method,
+    method: Radiant,
     scene: Scene,
     ray: RayProbe,
     camera_up: np.ndarray,
@@ -49,12 +49,16 @@ def open_radiance(
     )
 
 
-def density_normal(method: Method, point: np.ndarray, length: float, towards: np.ndarray) -> np.ndarray | None:
-    """±∇σ/‖∇σ‖ at a world point (3,) by central differences over `length` on each side, (3,) float64; None: flat.
+def density_normal(method: Radiant | Dense, point: np.ndarray, length: float, towards: np.ndarray) -> np.ndarray | None:
+    """±∇σ/‖∇σ‖ at a world point (3,) by central differences over `length` on each side, (3,) float64.
+
+    None: flat, or the method has no density at a point.
 
     The sign is the one that leans towards `towards` (3,): what is looked at is seen from outside, and of a sheet whose
     two sides fall alike −∇σ has no sign of its own.
     """
+    if not isinstance(method, Dense):
+        return None
     offsets = length * np.concatenate([np.eye(3), -np.eye(3)])
     sigma = method.density(torch.from_numpy(point + offsets)).double().cpu().numpy()
     slope = sigma[:3] - sigma[3:]
@@ -74,7 +78,7 @@ def _length_at(one: PassProbe, t: float, scene: Scene) -> float:
     return float(np.clip(np.nan_to_num(one.until[k] - one.t[k], posinf=most), 0.01 * most, most))
 
 
-def _frozen(method: Method, ray: RayProbe, looking: Tensor) -> np.ndarray:
+def _frozen(method: Radiant, ray: RayProbe, looking: Tensor) -> np.ndarray:
     """Σ w_i c(x_i, d) + (1 − Σ w_i) background over directions d (K, 3): (K, 3) float32."""
     last = ray.passes[-1]
     order = np.argsort(-last.weights, kind="stable")

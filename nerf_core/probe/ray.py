@@ -10,7 +10,7 @@ from nerf_core.common.errors import UserError
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.rays import Rays, Samples, Trace
 from nerf_core.geometry.scene import Scene
-from nerf_core.methods import Method
+from nerf_core.methods import Method, traced
 from nerf_core.probe.records import PassProbe, RayProbe
 from nerf_core.rendering.images import tile_rays
 
@@ -44,7 +44,8 @@ def _matters_until(p: PassProbe) -> float:
 
 
 def open_ray(method: Method, scene: Scene, camera: Camera, pixel: tuple[int, int], step: int) -> RayProbe:
-    """Everything that made integer `pixel` (column, row) of `camera`. Raises UserError outside the picture.
+    """Everything that made integer `pixel` (column, row) of `camera`. Raises UserError outside the picture,
+    and if the method keeps no samples.
 
     The pixel runs through the same code as in the full-resolution picture, where that matters with a tile's share of
     its neighbours, so the composited colour is the rendered one. A median is the first sample at which the accumulated
@@ -57,7 +58,7 @@ def open_ray(method: Method, scene: Scene, camera: Camera, pixel: tuple[int, int
     flat = row * camera.width + column
     count = 1 if method.alone else min(method.tile, MOST_RAYS)
     rays, i = tile_rays(camera, scene, flat - flat % count, count), flat % count
-    trace, rendered = method.trace(rays), method.render(rays)
+    trace, rendered = traced(method, rays), method.render(rays)
     passes = passes_of(scene, rays, trace, i)
     last = passes[-1]
     opacity = min(float(last.weights.sum(dtype=np.float64)), 1.0)  # rounding may carry it a little over

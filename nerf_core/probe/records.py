@@ -95,7 +95,8 @@ class RayHistory:
 class Opened:
     """Everything known of a pixel of `camera`; None, or empty: not yet. evidence is on the point of `radiance`.
 
-    method: its name. name, history: of a pinned ray.
+    A method that has no radiance at a point leaves `radiance` at None. method: its name. name, history: of a pinned
+    ray.
     """
 
     camera: Camera

@@ -20,7 +20,8 @@ class Sightings:
     pixel that holds it. distance: (V,). angle: (V,) radians between that look at the point and the ray's.
     directions: (V, 3) unit, from the point to the camera. transmittance: (V,) of the model, from the camera up to
     `margin` before the point; share: (V,) what the stretch of ± `margin` around the point weighs in that pixel.
-    observed, predicted: (V, 3) the photo's colour and the model's. emitted: (V, 3) what the point emits that way.
+    observed, predicted: (V, 3) the photo's colour and the model's. emitted: (V, 3) what the point emits that way;
+    NaN if the method has no radiance at a point.
     """
 
     point: np.ndarray
@@ -55,7 +56,7 @@ def diffuse_of(sightings: Sightings) -> np.ndarray | None:
     The rest of its colour is specular: it is added, and depends on the view. None where fewer than FEWEST_LOOKS see it.
     """
     emitted = sightings.emitted[sightings.seen]
-    return emitted.min(0) if len(emitted) >= FEWEST_LOOKS else None
+    return emitted.min(0) if len(emitted) >= FEWEST_LOOKS and not np.isnan(emitted).any() else None
 
 
 def unseen(directions: np.ndarray, evidence: Sightings | None) -> np.ndarray:

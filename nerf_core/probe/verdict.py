@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from nerf_core.geometry.rays import Rays
-from nerf_core.methods import Method
+from nerf_core.methods import Method, traced
 from nerf_core.probe.evidence import Witnesses
 from nerf_core.probe.layers import layers_of, pass_layers
 from nerf_core.probe.ray import passes_of
@@ -100,7 +100,7 @@ def _hidden_surface(
             ray.origin, ray.direction, ray.near, ray.far))  # fmt: skip
         rays = witnesses.beginning(Rays(o, d, near, far), torch.tensor([begin]))
         shift = float((rays.origins[0] - o[0]).norm())
-        last = passes_of(scene, rays, method.trace(rays), 0)[-1]
+        last = passes_of(scene, rays, traced(method, rays), 0)[-1]
         found = pass_layers(replace(last, t=last.t + shift, until=last.until + shift), ray.far, scene.radius)
         heavy = [layer for layer in found if layer.weight >= COUNTS]
         if not heavy:

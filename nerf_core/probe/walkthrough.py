@@ -8,7 +8,7 @@ import torch
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene
-from nerf_core.methods import Method
+from nerf_core.methods import METHODS, Explainable, Method, lacking
 from nerf_core.methods.stages import Colors, Stage, number, triple
 from nerf_core.probe.records import PassProbe, RayProbe, Truth
 
@@ -37,10 +37,17 @@ def walk(method: Method, scene: Scene, camera: Camera, ray: RayProbe) -> tuple[S
     return (
         _camera_stage(camera, ray),
         _ray_stage(ray),
-        *method.explain(Rays(o, d, near, far)),
+        *_method_stages(method, Rays(o, d, near, far)),
         _pixel_stage(ray),
         *_photo_stages(scene, camera, ray),
     )
+
+
+def _method_stages(method: Method, rays: Rays) -> tuple[Stage, ...]:
+    if isinstance(method, Explainable):
+        return method.explain(rays)
+    name = METHODS.name_of(type(method))
+    return (Stage("Method", f"What happens between the ray and its pixel is not shown: {lacking(name, 'explain')}."),)
 
 
 def _camera_stage(camera: Camera, ray: RayProbe) -> Stage:

@@ -15,7 +15,7 @@ from torch import Tensor
 from nerf_core.common.device import pick_device, usable_cores
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.geometry.scene import Scene
-from nerf_core.methods import METHODS, Method
+from nerf_core.methods import METHODS, Config, Method
 from nerf_core.training.batches import PixelSampler
 from nerf_core.training.loss_history import HistoryLog
 from nerf_core.training.settings import RunSettings
@@ -84,7 +84,7 @@ class Trainer:
         trainer._build(self.scene, self.method_name, self.config, self.steps, self.seed, self.threads)
         return trainer
 
-    def _build(self, scene: Scene, name: str, config: Any, steps: int, seed: int, threads: int) -> None:
+    def _build(self, scene: Scene, name: str, config: Config, steps: int, seed: int, threads: int) -> None:
         torch.set_num_threads(max(threads, 1))  # some methods use the CPU on any device
         self.scene, self.method_name = scene, name
         self.steps, self.seed, self.threads = steps, seed, max(threads, 1)
@@ -97,7 +97,7 @@ class Trainer:
         self.seconds = 0.0
 
     @property
-    def config(self) -> Any:
+    def config(self) -> Config:
         """The method's configuration, as it now is."""
         return self.method.config
 

@@ -70,7 +70,7 @@ def _radiance(
         count = len(outgoing)
         where = np.tile(point, (count, 1)), np.tile(normal, (count, 1)), np.full(count, thing)
         truth = demo_scene.radiance(*where, outgoing)
-        model = trainer.method.radiance(torch.from_numpy(point)[None], torch.from_numpy(-outgoing))[0].numpy()
+        model = trainer.method.radiance(torch.from_numpy(point)[None], torch.from_numpy(-outgoing))[0].numpy()  # pyright: ignore[reportAttributeAccessIssue]: each method here has one
         errors.append(float(np.abs(model - truth).mean()))
         if thing in names:
             spreads[names[thing]].append((float(model.std(0).mean()), float(truth.std(0).mean())))

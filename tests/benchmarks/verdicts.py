@@ -30,7 +30,7 @@ from torch import Tensor
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene
-from nerf_core.methods import Method
+from nerf_core.methods import Method, traced
 from nerf_core.methods.voxels.method import Voxels
 from nerf_core.probe import Witnesses, judge, open_ray
 from nerf_core.training.settings import RunSettings
@@ -266,7 +266,9 @@ def _weights(method: Method, scene: Scene, origin: np.ndarray, direction: np.nda
     """The samples of a ray as the model has it: t and weights, both (1, S)."""
     o, d = (torch.from_numpy(v).float()[None] for v in (origin, direction))
     length = -float(np.linalg.norm(origin) / (origin @ direction))  # of a z-depth of 1: cameras look at the origin
-    last = method.trace(Rays(o, d, torch.tensor([scene.near * length]), torch.tensor([scene.far * length]))).passes[-1]
+    last = traced(method, Rays(o, d, torch.tensor([scene.near * length]), torch.tensor([scene.far * length]))).passes[
+        -1
+    ]
     return last.t, last.weights
 
 

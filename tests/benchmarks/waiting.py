@@ -31,7 +31,7 @@ def train() -> None:
     begin = time.perf_counter()
     for _ in range(STEPS):
         trainer.step()
-    print(STEPS * trainer.config.rays / (time.perf_counter() - begin))
+    print(STEPS * trainer.method.config.rays / (time.perf_counter() - begin))
 
 
 def measured(count: str) -> float:

@@ -17,7 +17,7 @@ from nerf_core.geometry.scene import Scene
 from nerf_core.kernels.implementations.on_triton import PackedOnTriton
 from nerf_core.live.messages import ExportRays, Inspect, LoadCheckpoint, Pin, SaveCheckpoint, Train
 from nerf_core.live.worker import Worker
-from nerf_core.methods import METHODS
+from nerf_core.methods import METHODS, traced
 from nerf_core.probe import open_pixel
 from nerf_core.rendering.modes import MODES, shaded
 from nerf_core.training.settings import RunSettings
@@ -59,7 +59,7 @@ def test_it_learns_draws_explains_and_goes_on_from_a_checkpoint(cuda: None, scen
     assert opened.verdict is not None
     assert opened.walk
     rays = camera_rays(camera, scene.near, scene.far)[:8]
-    assert all(shaded(model, rays, model.trace(rays), mode).shape == (8, 3) for mode in MODES.names())
+    assert all(shaded(model, rays, traced(model, rays), mode).shape == (8, 3) for mode in MODES.names())
 
     for device in ("cuda", "cpu", "cuda"):  # from what a file holds
         state = {key: value.cpu() for key, value in trainer.state().items()}

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
 
+from nerf_core.methods import lacking
 from nerf_core.probe import (
     DISC_SIZE,
     SPHERE_COLUMNS,
@@ -265,6 +266,9 @@ def _tooltip(ui: Ui, direction: np.ndarray, rgb: np.ndarray) -> None:
 
 
 def _nothing_yet(state: AppState) -> str:
+    missing = lacking(state.snapshot.method, "radiance")
+    if missing:
+        return f"There is nothing to show here: {missing}."
     if state.inspect is not None:
         return "Looking at this point from all around …"
     return "Click a pixel: here you will see the colour that its surface emits in every direction."

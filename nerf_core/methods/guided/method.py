@@ -53,6 +53,7 @@ class GuidedNerf(MlpModel):
     def __init__(self, scene: Scene, config: GuidedConfig, device: torch.device, seed: int) -> None:
         super().__init__(scene, config, device, torch.Generator().manual_seed(seed), ("fine",))
         self.guide = VoxelModel(scene, config.guide, device, seed)
+        self.generators = self.generator, *self.guide.generators
         self.space = self.guide.space
         self.kernels = packed_kernels(device)
         self.tile = config.tile or TILE
@@ -111,10 +112,6 @@ class GuidedNerf(MlpModel):
 
     # ---- training ---------------------------------------------------------------------------------------------------
 
-    @property
-    def generators(self) -> tuple[torch.Generator, ...]:
-        return self.generator, *self.guide.generators
-
     def undo(self, step: int) -> Callable[[], None]:
         return super().undo(step) if self._ready else self.guide.undo(step)
 
@@ -153,9 +150,6 @@ class GuidedNerf(MlpModel):
         if count:
             torch.autograd.backward([tau, rgb], self.kernels.composite_gradient(off * scale, *known))
         return float(off.square().sum()), count
-
-    def halve(self) -> bool:
-        return False
 
     # ---- rendering --------------------------------------------------------------------------------------------------
 

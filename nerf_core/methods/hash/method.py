@@ -23,7 +23,7 @@ from nerf_core.geometry.scene import Scene
 from nerf_core.geometry.spaces import Space, pixel_size
 from nerf_core.kernels.choice import packed_kernels
 from nerf_core.kernels.packed_kernels import BETA1, BETA2, EPSILON, HashLevels, Samples, adam_numbers
-from nerf_core.methods import METHODS, Draw
+from nerf_core.methods import METHODS, Defaults, Draw
 from nerf_core.methods.adam_state import adam_state, load_adam
 from nerf_core.methods.hash.config import HashConfig
 from nerf_core.methods.hash.field import HashField
@@ -53,14 +53,10 @@ STOP = 1e-3  # transmittance behind which no colour is looked up: it could not c
 
 
 @METHODS.register("hash")
-class Hash:
+class Hash(Defaults):
     """See the module."""
 
     summary: ClassVar[str] = "Instant-ngp (2022): a hash grid and two small MLPs; made for a GPU."
-    coarse: ClassVar[str] = ""
-    alone: ClassVar[bool] = True
-    stage: ClassVar[str] = ""
-    born: ClassVar[int] = 0
 
     configure = staticmethod(HashConfig.configure)
     restore = staticmethod(HashConfig.restore)
@@ -70,6 +66,7 @@ class Hash:
         self.space = Space.of(scene)
         self.background = torch.tensor(scene.background, device=device)
         self.generator = torch.Generator().manual_seed(seed)
+        self.generators = (self.generator,)
         self.kernels = packed_kernels(device)
         sides = self.space.high - self.space.low
         voxel = np.full(3, sides.max() / config.cells)
@@ -104,10 +101,6 @@ class Hash:
         self.fixed: FixedStep | None = None
 
     # ---- training ---------------------------------------------------------------------------------------------------
-
-    @property
-    def generators(self) -> tuple[torch.Generator, ...]:
-        return (self.generator,)
 
     def undo(self, step: int) -> Callable[[], None]:
         def clear() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from typing import Any, NamedTuple, Self
 
@@ -12,6 +12,7 @@ from torch import Tensor
 
 from nerf_core.geometry.rays import Rays, Samples
 from nerf_core.geometry.scene import Scene
+from nerf_core.methods import Defaults
 from nerf_core.methods.adam_state import adam_state, load_adam
 from nerf_core.methods.mlp.field import MlpField
 from nerf_core.methods.stages import BarCode, Stage, triple
@@ -29,13 +30,14 @@ class Parametrised(NamedTuple):
     encoded: Tensor  # γ(d)
 
 
-class MlpModel:
+class MlpModel(Defaults):
     """Networks by name, the last one making the picture. `config`: some `MlpConfig`."""
 
     def __init__(
         self, scene: Scene, config: Any, device: torch.device, generator: torch.Generator, names: Sequence[str]
     ) -> None:
         self.config, self.device, self.generator = config, device, generator
+        self.generators = (generator,)
         self.ndc = scene.ndc
         self.background = torch.tensor(scene.background, device=device)
         start = torch.Generator().manual_seed(generator.initial_seed())
@@ -57,8 +59,6 @@ class MlpModel:
         field.initialise(start)
         return field.to(self.device)
 
-    stage, born = "", 0
-
     @property
     def final(self) -> MlpField:
         """The network that makes the picture."""
@@ -72,14 +72,6 @@ class MlpModel:
         origins, directions, exists = self.ndc.rays(rays.origins, rays.directions)
         first, one = self.ndc.first(rays.origins), torch.ones_like(rays.near)
         return Parametrised(origins, directions, first, one, directions.norm(dim=-1), exists, encoded)
-
-    @property
-    def generators(self) -> tuple[torch.Generator, ...]:
-        return (self.generator,)
-
-    def undo(self, step: int) -> Callable[[], None]:
-        """Does nothing: an unfinished step leaves gradients behind, which the next one clears."""
-        return lambda: None
 
     def begin_step(self, step: int, steps: int | None) -> None:
         """Gradients cleared, the learning rate where its exponential decay has it."""

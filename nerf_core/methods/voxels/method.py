@@ -14,8 +14,6 @@ class Voxels(VoxelModel):
     """See the module."""
 
     summary: ClassVar[str] = "A voxel grid with view-dependent colour, trained directly: seconds on a CPU."
-    coarse: ClassVar[str] = ""
-    alone: ClassVar[bool] = True
 
     configure = staticmethod(VoxelConfig.configure)
     restore = staticmethod(VoxelConfig.restore)

@@ -30,7 +30,7 @@ from nerf_core.geometry.scene import Scene
 from nerf_core.geometry.spaces import Space, pixel_size
 from nerf_core.kernels.choice import voxel_kernels
 from nerf_core.kernels.voxel_kernels import Adam, March, Traced
-from nerf_core.methods import Draw
+from nerf_core.methods import Defaults, Draw
 from nerf_core.methods.stages import (
     BarCode,
     Colors,
@@ -63,10 +63,8 @@ class Level(NamedTuple):
     shrink: int
 
 
-class VoxelModel:
+class VoxelModel(Defaults):
     """See the module."""
-
-    stage, born = "", 0
 
     def __init__(self, scene: Scene, config: VoxelConfig, device: torch.device, seed: int) -> None:
         # on a CPU whatever the device: its kernels are made for one
@@ -74,6 +72,7 @@ class VoxelModel:
         self.space = Space.of(scene)
         self.background = torch.tensor(scene.background)
         self.generator = torch.Generator().manual_seed(seed)
+        self.generators = (self.generator,)
         self.kernels = voxel_kernels(self.device)
         self.tile = TILE
         self.finest = finest_cells(scene, self.space, config)
@@ -93,10 +92,6 @@ class VoxelModel:
         self.updates = 0  # of Adam since the level began
 
     # ---- training ---------------------------------------------------------------------------------------------------
-
-    @property
-    def generators(self) -> tuple[torch.Generator, ...]:
-        return (self.generator,)
 
     def undo(self, step: int) -> Callable[[], None]:
         """Drops gradients; if the step begins with a finer level, also brings the coarser one back."""
@@ -153,9 +148,6 @@ class VoxelModel:
             if cells.any():  # a picture of nothing but background must still be able to change
                 self.grid = self.grid.with_cells(cells)
             self._look_anew()
-
-    def halve(self) -> bool:
-        return False
 
     @property
     def shown(self) -> VoxelGrid:

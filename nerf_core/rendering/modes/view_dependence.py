@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from nerf_core.common.colormaps import Name
+from nerf_core.common.errors import UserError
 from nerf_core.geometry.rays import Rays, Samples, Trace
-from nerf_core.methods import Method
+from nerf_core.methods import METHODS, Method, Radiant, lacking
 from nerf_core.rendering.modes import MODES
 
 COMPARED = 64  # directions whose colours are compared
@@ -32,7 +33,9 @@ class ViewDependence:
 
     @staticmethod
     def values(method: Method, rays: Rays, trace: Trace) -> Tensor:
-        """(R,), see `view_dependence`; NaN where the ray hits nothing."""
+        """(R,), see `view_dependence`; NaN where the ray hits nothing. Raises UserError without a radiance."""
+        if not isinstance(method, Radiant):
+            raise UserError(f"{lacking(METHODS.name_of(type(method)), 'radiance')}: choose another picture")
         t = depths(trace.passes[-1]).cpu()
         hit = torch.isfinite(t).nonzero()[:, 0]
         origins, directions = rays.origins.cpu().double()[hit], rays.directions.cpu().double()[hit]
@@ -52,7 +55,7 @@ def depths(samples: Samples) -> Tensor:
     return torch.where(weights.sum(-1) >= NOTHING, t, torch.nan)
 
 
-def view_dependence(method: Method, points: Tensor, towards: Tensor) -> Tensor:
+def view_dependence(method: Radiant, points: Tensor, towards: Tensor) -> Tensor:
     """How much the colours differ that points (P, 3) emit over the hemispheres that face `towards` (P, 3): (P,).
 
     The root of the mean square by which a channel differs from its mean over the hemisphere's directions, each as

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Protocol, cast
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import torch
 from nerf_core.geometry.cameras import camera_rays
 from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene
-from nerf_core.methods import METHODS, Method
+from nerf_core.methods import METHODS, Dense, Explainable, Method, Radiant, Traceable
 from nerf_core.methods.guided import method as guided
 from nerf_core.methods.hash import method as hash_method
 from nerf_core.methods.stages import BarCode, Stems, Transfer
@@ -37,15 +38,21 @@ FEW_RAYS = {
 }
 # What samples weighed in an abandoned step is noted, and noted again when the same step is done.
 TOLD_AGAIN = {"method.seen", "method.guide.seen"}
-MakeMethod = Callable[..., Method]
+
+
+class Whole(Method, Traceable, Radiant, Dense, Explainable, Protocol):
+    """What each of the built-in methods is."""
+
+
+MakeMethod = Callable[..., Whole]
 
 
 @pytest.fixture(params=METHODS.names())
 def make(request: pytest.FixtureRequest, scene: Scene) -> MakeMethod:
-    def build(seed: int = 0, **changes: str) -> Method:
+    def build(seed: int = 0, **changes: str) -> Whole:
         kind = METHODS.get(request.param)
         config = kind.configure(scene, "auto", SMALL.get(request.param, {}) | changes, CPU)
-        return kind(scene, config, CPU, seed)
+        return cast(Whole, kind(scene, config, CPU, seed))
 
     return build
 
@@ -57,7 +64,7 @@ def some_rays(scene: Scene, count: int = 77) -> tuple[Rays, torch.Tensor]:
     return rays[index], truth[index]
 
 
-def trained(method: Method, scene: Scene, steps: int = 3) -> Method:
+def trained(method: Whole, scene: Scene, steps: int = 3) -> Whole:
     for step in range(steps):
         method.train(*some_rays(scene), step, None, lambda: None)
     return method
@@ -203,6 +210,7 @@ def test_the_walk_of_a_ray_that_meets_nothing_says_so(make: MakeMethod, scene: S
 def test_the_walk_says_what_the_network_is_given(scene: Scene, preset: str, bare: bool, told: bool) -> None:
     kind = METHODS.get("nerf")
     method = kind(scene, kind.configure(scene, preset, SMALL["nerf"], CPU), CPU, 0)
+    assert isinstance(method, Explainable)
     stages = {stage.title: stage for stage in method.explain(some_rays(scene, 1)[0])}
     code = stages["Encoding"]
     assert ("is given bare coordinates" in code.sentence) == bare
@@ -223,7 +231,7 @@ def test_the_walk_says_what_the_network_is_given(scene: Scene, preset: str, bare
 def test_a_pixel_does_not_depend_on_its_neighbours_in_either_precision(scene: Scene, name: str, precision: str) -> None:
     kind = METHODS.get(name)
     config = kind.configure(scene, "auto", SMALL[name] | {"precision": precision}, CPU)
-    method = trained(kind(scene, config, CPU, 0), scene)
+    method = trained(cast(Whole, kind(scene, config, CPU, 0)), scene)
     rays = some_rays(scene)[0]
     together = method.render(rays)
     for i in (0, 31, 76):

@@ -17,6 +17,7 @@ from nerf_core.common.errors import UserError
 from nerf_core.geometry.ndc import Ndc
 from nerf_core.geometry.scene import Scene
 from nerf_core.kernels.torch_voxels import TorchVoxels
+from nerf_core.methods import traced
 from nerf_core.methods.guided.method import GuidedNerf
 from nerf_core.methods.hash.method import Hash
 from nerf_core.methods.nerf.config import NerfConfig
@@ -151,7 +152,7 @@ def test_a_ray_is_opened_without_what_filled_it_up_beside_longer_ones(scene: Sce
     for pixel in ((0, 0), (8, 8), (3, 12)):
         ray = open_ray(trainer.method, scene, camera, pixel, 3)
         rays = tile_rays(camera, scene, pixel[1] * camera.width + pixel[0], 1)
-        alone = trainer.method.trace(rays).passes[-1]
+        alone = traced(trainer.method, rays).passes[-1]
         t = ray.passes[-1].t
         assert (np.diff(t) > 0).all()
         assert len(t) == alone.t.shape[1]
@@ -179,7 +180,7 @@ def test_a_ray_without_samples_shows_none(scene: Scene, method: str) -> None:
     assert [len(one.t) for one in ray.passes] == [0] * len(ray.passes)
     assert (ray.opacity, ray.depth_strongest, ray.depth_median, ray.depth_expected) == (0, None, None, None)
     np.testing.assert_array_equal(ray.color, scene.background)
-    radiance = open_radiance(model, scene, ray, UP)
+    radiance = open_radiance(model, scene, ray, UP)  # pyright: ignore[reportArgumentType]
     assert radiance.t == (ray.near + ray.far) / 2
     opened = open_pixel(model, scene, scene.views[0].camera, (8, 8), 3)
     assert opened.verdict is not None
@@ -198,7 +199,7 @@ def test_the_radiance_is_the_colour_that_a_ray_finds_there(scene: Scene, method:
         last = ray.passes[-1]
         k = int(np.argmax(last.weights))
         point = torch.from_numpy(ray.origin.astype(np.float64) + float(last.t[k]) * ray.direction.astype(np.float64))
-        found = trainer.method.radiance(point[None], torch.from_numpy(ray.direction.astype(np.float64))[None])[0, 0]
+        found = trainer.method.radiance(point[None], torch.from_numpy(ray.direction.astype(np.float64))[None])[0, 0]  # pyright: ignore[reportAttributeAccessIssue]
         np.testing.assert_allclose(found.numpy(), last.rgb[k], atol=2e-3)
 
 
@@ -420,7 +421,7 @@ def test_every_pixel_is_the_sum_of_its_samples(scene: Scene, method: str, space:
     count, background = min(trainer.method.tile, MOST_RAYS), np.array(scene.background)
     worst, most = 0.0, 0.0
     for start in range(0, size**2, count):
-        last = trainer.method.trace(tile_rays(camera, scene, start, count)).passes[-1]
+        last = traced(trainer.method, tile_rays(camera, scene, start, count)).passes[-1]
         weights, rgb = last.weights.double().cpu().numpy(), last.rgb.double().cpu().numpy()
         color = np.einsum("rs,rsc->rc", weights, rgb) + (1 - weights.sum(-1))[:, None] * background
         worst = max(worst, float(np.abs(color - whole[start : start + count]).max()))

@@ -16,6 +16,7 @@ from nerf_core.common.device import usable_cores
 from nerf_core.common.errors import UserError
 from nerf_core.geometry.cameras import camera_rays
 from nerf_core.geometry.scene import Scene
+from nerf_core.methods import traced
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Diverged, Trainer, psnr_of
 
@@ -63,8 +64,8 @@ def test_whoever_watches_changes_nothing(make_trainer: MakeTrainer, scene: Scene
 
     def look() -> None:
         watched.method.render(rays, "coarse")
-        watched.method.trace(rays[:8])
-        watched.method.radiance(torch.zeros(1, 3), torch.eye(3))
+        traced(watched.method, rays[:8])
+        watched.method.radiance(torch.zeros(1, 3), torch.eye(3))  # pyright: ignore[reportAttributeAccessIssue]: a Nerf
 
     assert differing(run(watched, 6, look).state(), run(alone, 6).state()) == []
 
@@ -167,7 +168,7 @@ def test_memory_that_never_suffices_stops(make_trainer: MakeTrainer, monkeypatch
     monkeypatch.setattr(trainer.method, "_field", full)
     with pytest.raises(torch.OutOfMemoryError):
         trainer.step()
-    assert trainer.config.chunk_rays == 1
+    assert trainer.method.config.chunk_rays == 1
     assert differing(trainer.state(), before) == []
 
 
