@@ -14,7 +14,7 @@ from nerf_core.probe.directions import DISC_SIZE, disc_grid
 from nerf_core.probe.layers import grain_at
 from nerf_core.probe.records import Opened, PassProbe
 from nerf_core.probe.sightings import unseen
-from nerf_core.probe.verdict import NOTHING
+from nerf_core.probe.verdicts import NOTHING
 
 FINE, COARSE, LIGHT, ALPHA, DENSITY = "#0072b2", "#e69f00", "#cc79a7", "#d55e00", "#009e73"  # Okabe and Ito's
 WIDTH, HEIGHT = 7.0, 3.9  # inches: a column of text, and a ray

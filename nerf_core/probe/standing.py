@@ -9,7 +9,7 @@ import numpy as np
 
 from nerf_core.probe.sightings import Sightings
 
-Kind = Literal["surface", "several surfaces", "floater", "fog", "background leak", "unobserved", "background"]
+Tone = Literal["good", "neutral", "warning", "error"]
 
 THICK, DEEP = 6.0, 20.0  # grains: a thicker layer is a surface only where photos agree with it, and none at all
 CLOUD = 10.0  # grains: a thicker layer floats only where hardly anybody would miss it
@@ -111,10 +111,15 @@ class Standing:
 
 @dataclass(frozen=True)
 class Verdict:
-    """kind: one word for the pixel; reasons: a line each, with numbers. surface_t: the distance at which an eye should
-    rest, behind what floats; None where there is nothing to rest on. standings: the layers, front to back."""
+    """What is wrong with a pixel, if anything.
 
-    kind: Kind
+    kind: the name of its class, one of `probe.verdicts`. tone: how good or bad that is. reasons: a line each, with
+    numbers. surface_t: the distance at which an eye should rest, behind what floats; None where there is nothing to
+    rest on. standings: the layers, front to back.
+    """
+
+    kind: str
     reasons: tuple[str, ...]
     surface_t: float | None
     standings: tuple[Standing, ...]
+    tone: Tone

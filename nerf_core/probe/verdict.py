@@ -8,9 +8,8 @@ no background showed from there on? Then it leaks through.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import torch
@@ -21,13 +20,9 @@ from nerf_core.probe.evidence import Witnesses
 from nerf_core.probe.layers import layers_of, pass_layers
 from nerf_core.probe.ray import passes_of
 from nerf_core.probe.records import RayProbe
-from nerf_core.probe.standing import FEW, THICK, WRONG, Kind, Layer, Standing, Verdict
+from nerf_core.probe.standing import FEW, THICK, Layer, Standing, Verdict
+from nerf_core.probe.verdicts import COUNTS, NOTHING, VERDICTS, Facts, outer, tolerance
 
-NOTHING = 0.05  # opacity under which a ray has met nothing that one could see
-LEAK = 0.1  # transmittance behind the last layer from which on what is behind shows
-SOLID = 0.5  # of the layers' weight must lie in layers that are not hazy, or the ray is in fog
-ALIKE, NOISE = 0.01, 0.25  # mean error of a channel, and share of a photo's own: the larger is no difference
-COUNTS = 0.1  # weight of a layer that is worth a verdict, in this pixel and in a photo's
 ASIDE = np.radians(75)  # between looks at a point: a photo that sees it from farther round does not see this side of it
 ASKED = 16  # photos that see a layer, the nearest in angle: they are asked how they would look otherwise
 REACHES = np.array([1.0, 3.0, 8.0, 20.0])  # grains behind a layer's end at which it may be over, where it hides that
@@ -49,10 +44,10 @@ def judging(method: Method, witnesses: Witnesses, ray: RayProbe) -> Iterator[Ver
         standings.append(stand(method, witnesses, ray, layer))
         yield None
     verdict = conclude(ray, tuple(standings))
-    if verdict.kind == "floater":
+    if any(s.floats and s.layer.weight >= COUNTS for s in standings):
         last = max(s.layer.t for s in standings if s.floats and s.layer.weight >= COUNTS)
         # what photos know nothing of may well be the floater's inside
-        behind = [s.layer for s in _outer(standings) if s.layer.t > last and s.witnesses >= FEW]
+        behind = [s.layer for s in outer(standings) if s.layer.t > last and s.witnesses >= FEW]
         rest = max(behind, key=lambda layer: layer.weight, default=None)
         t = rest.surface if rest is not None else _hidden_surface(method, witnesses, ray, verdict.standings)
         verdict = replace(verdict, surface_t=t)
@@ -71,7 +66,7 @@ def stand(method: Method, witnesses: Witnesses, ray: RayProbe, layer: Layer) -> 
     reaches = margin + REACHES * layer.grain
     without, opaque, bare = witnesses.otherwise(method, asked, reaches)
     error, shown = _off(asked.predicted, asked.observed), asked.share >= COUNTS
-    slack = _slack(error)
+    slack = tolerance(error)
     needless = _off(bare, asked.observed) <= error + slack if witnesses.scene.synthetic else np.zeros(len(error), bool)
 
     def median(off: np.ndarray) -> float | None:
@@ -113,112 +108,17 @@ def _hidden_surface(
 
 
 def conclude(ray: RayProbe, standings: tuple[Standing, ...]) -> Verdict:
-    """The verdict on what is known; no more is asked."""
-    heavy = [s for s in standings if s.layer.weight >= COUNTS]
-    surface = max(_outer(standings), key=lambda s: s.layer.weight, default=None)
-    kind, reasons = _concluded(ray, standings, heavy, surface)
-    rest = surface is not None and kind != "background"
-    return Verdict(kind, reasons, surface.layer.surface if rest and surface is not None else None, standings)
-
-
-def _outer(standings: Iterable[Standing]) -> list[Standing]:
-    """Those of weight that neither float nor are another's inside, front to back."""
-    found: list[Standing] = []
-    for s in standings:
-        if s.layer.weight >= COUNTS and not s.floats and not any(s.inside(front) for front in found):
-            found.append(s)
-    return found
-
-
-def _concluded(
-    ray: RayProbe, standings: tuple[Standing, ...], heavy: list[Standing], surface: Standing | None
-) -> tuple[Kind, tuple[str, ...]]:
-    """What is worst comes first."""
-    floaters = [s for s in heavy if s.floats]
-    whole = sum(s.layer.weight for s in standings)
-    thin = sum(s.layer.weight for s in standings if not s.hazy)
-    real = _outer(standings)
-    leaking, left = next((s for s in reversed(real) if s.leaks), None), 1 - ray.opacity  # a veil in front leaks as well
-    kind: Kind = "surface"
-    if ray.opacity < NOTHING:
-        kind, reasons = "background", (f"the ray met nothing: its opacity is {ray.opacity:.3f}",)
-    elif floaters:
-        kind, reasons = "floater", tuple(map(_floater_reason, floaters))
-    elif surface is not None and min(surface.witnesses, max(surface.shown, surface.missing)) < FEW:
-        kind, reasons = "unobserved", (_unobserved_reason(surface),)
-    elif left >= LEAK and leaking is not None:
-        kind, reasons = "background leak", (_leak_reason(leaking, left),)
-    elif surface is None or thin < SOLID * whole:
-        kind, reasons = "fog", _fog_reasons(heavy, thin / max(whole, 1e-12))
-    elif len(real) > 1:
-        parts = ", ".join(f"{s.layer.weight:.0%} at {s.layer.t:.3g}" for s in real)
-        kind, reasons = "several surfaces", (f"{len(real)} layers make the pixel: {parts}",)
-    else:
-        inner = [s for s in heavy if not s.floats and s is not surface]
-        reasons = (_surface_reason(surface), *map(_inner_reason, inner))
-    return kind, reasons
+    """The verdict on what is known; no more is asked. The first class that holds, by rank, is taken."""
+    facts = Facts(ray, standings)
+    classes = [(name, VERDICTS.get(name)) for name in VERDICTS.names()]
+    for name, one in sorted(classes, key=lambda item: item[1].rank):
+        reasons = one.reasons(facts)
+        if reasons:
+            rest = facts.surface if ray.opacity >= NOTHING else None
+            return Verdict(name, reasons, None if rest is None else rest.layer.surface, standings, one.tone)
+    raise AssertionError("the class of the last rank always holds")
 
 
 def _off(colors: np.ndarray, photos: np.ndarray) -> np.ndarray:
     """The mean difference of a channel in each photo, (V,)."""
     return np.abs(colors - photos).mean(-1)
-
-
-def _slack(error: Any) -> Any:
-    """What differs from an error (or each of an array) by less is as good."""
-    return np.maximum(ALIKE, NOISE * error)
-
-
-def _floater_reason(s: Standing) -> str:
-    said = ((s.against, "contradict it"), (s.blank, "do not show it"), (s.missing, "would miss it"))
-    *rest, last = [f"{count} {what}" for count, what in said if count]
-    votes = f"{', '.join(rest)} and {last}" if rest else last
-    better = s.error is not None and s.without is not None and s.without < s.error - _slack(s.error)
-    error = f": error {s.error:.3f}, without it {s.without:.3f}" if better else ""
-    layer = f"a layer at {s.layer.t:.3g} makes {s.layer.weight:.0%} of the pixel"
-    return f"{layer}, but of {s.voters} photos that see it {votes}{error}"
-
-
-def _fog_reasons(heavy: list[Standing], share: float) -> tuple[str, ...]:
-    if not heavy:
-        return (f"nothing on the ray makes a pixel: no layer weighs {COUNTS:g}",)
-    thickest = max(heavy, key=lambda s: s.layer.thickness)
-    error = "" if thickest.error is None else f", with an error of {thickest.error:.3f}"
-    return (
-        f"only {share:.0%} of what is seen lies in thin layers, or in ones that the photos agree with",
-        f"its thickest layer, at {thickest.layer.t:.3g}, is {thickest.layer.thickness:.3g} deep{error}: "
-        f"a surface would be under {thickest.most_grains * thickest.layer.grain:.3g}",
-    )
-
-
-def _unobserved_reason(s: Standing) -> str:
-    if s.witnesses >= FEW:
-        shown = "one shows it" if s.shown else "none shows it"
-        return f"of {s.voters} training photos that see the point at {s.layer.t:.3g}, {shown}"
-    seen = {0: "no training photo sees", 1: "one training photo alone sees"}[s.witnesses]
-    return (
-        f"{seen} the point at {s.layer.t:.3g} from this side ({s.sightings.framed} of {s.sightings.asked} have it in "
-        f"their frame, {s.looked} see it from anywhere)"
-    )
-
-
-def _leak_reason(s: Standing, left: float) -> str:
-    return (
-        f"{left:.0%} of what is behind shows through the layer at {s.layer.t:.3g}; if no background did, the median "
-        f"error of {s.shown} photos that show it would be {s.opaque:.3f} instead of {s.error:.3f}"
-    )
-
-
-def _inner_reason(s: Standing) -> str:
-    seen = {0: "no photo sees", 1: "one photo sees"}.get(s.witnesses, f"{s.witnesses} photos see")
-    return f"another {s.layer.weight:.0%} shines through it, from {s.layer.t:.3g}, where {seen} from this side"
-
-
-def _surface_reason(s: Standing) -> str:
-    error = "" if s.error is None else f", with an error of {s.error:.3f}"
-    if s.error is not None and s.error >= WRONG:
-        error += ": there is something, but its colour is wrong"
-    return (
-        f"one layer at {s.layer.t:.3g}, {s.layer.thickness:.2g} thick, makes {s.layer.weight:.0%} of the pixel; "
-        f"{s.witnesses} training photos see it from this side{error}"
-    )

@@ -129,7 +129,7 @@ def make_opened(ray: RayProbe) -> Opened:
     reasons = (
         "a layer at 3.2 makes 40% of the pixel, but of 11 photos that see it 8 contradict it and 2 would miss it",
     )
-    verdict = Verdict("floater", reasons, 3.8, (standing,))
+    verdict = Verdict("floater", reasons, 3.8, (standing,), "warning")
     t = np.linspace(2, 6, 9)
     walk = (
         Stage("Camera and pixel", "A sentence.", rows=(("pixel", "412, 233"),)),

@@ -161,7 +161,7 @@ class ScriptedWorker:
                 self.current = replace(self.current, status="paused")
             case Inspect():
                 ray, radiance = open_ray(command)
-                verdict = Verdict("surface", ("one layer",), ray.depth_median, ())
+                verdict = Verdict("surface", ("one layer",), ray.depth_median, (), "good")
                 assert self.current.scene is not None
                 opened = Opened(command.camera, self.current.scene, "scripted", ray, verdict, radiance)
                 self.current = replace(self.current, opened=opened, opened_step=ray.step)

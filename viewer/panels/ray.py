@@ -151,9 +151,10 @@ def _verdict(ui: Ui, state: AppState) -> None:
     if verdict is None:
         hint(ui, "Asking the photos …")
         return
-    good = verdict.kind in ("surface", "several surfaces", "background")
+    theme = ui.theme
+    tones = {"good": theme.good, "neutral": theme.text, "warning": theme.warning, "error": theme.error}
     imgui.push_font(None, 1.15 * ui.em)
-    imgui.text_colored(ui.theme.good if good else ui.theme.warning, verdict.kind.capitalize())
+    imgui.text_colored(tones[verdict.tone], verdict.kind.capitalize())
     imgui.pop_font()
     ui.mark("ray.verdict")
     for reason in verdict.reasons:

@@ -755,7 +755,9 @@ def test_a_double_click_lands_where_the_verdict_has_the_surface(
     assert opened is not None
     assert app.state.focus is None  # the verdict, a surface, has come already
     app.state.focus = app.state.inspect
-    worker.current = replace(worker.current, opened=replace(opened, verdict=Verdict(kind, ("one layer",), 7.5, ())))
+    worker.current = replace(
+        worker.current, opened=replace(opened, verdict=Verdict(kind, ("one layer",), 7.5, (), "good"))
+    )
     app.settle(40)  # the camera eases there
     np.testing.assert_allclose(app.state.camera.pivot, opened.ray.origin + 7.5 * opened.ray.direction, atol=1e-4)
     app.state.focus = app.state.inspect

@@ -1,0 +1,20 @@
+"""The ray meets nothing."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from nerf_core.probe.standing import Tone
+from nerf_core.probe.verdicts import NOTHING, VERDICTS, Facts
+
+
+@VERDICTS.register("background")
+class Background:
+    rank: ClassVar[int] = 0
+    tone: ClassVar[Tone] = "good"
+
+    @staticmethod
+    def reasons(facts: Facts) -> tuple[str, ...]:
+        if facts.ray.opacity >= NOTHING:
+            return ()
+        return (f"the ray met nothing: its opacity is {facts.ray.opacity:.3f}",)

@@ -1,0 +1,29 @@
+"""The background shows through a layer that photos know to be opaque."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from nerf_core.probe.standing import Standing, Tone
+from nerf_core.probe.verdicts import VERDICTS, Facts
+
+LEAK = 0.1  # transmittance behind the last layer from which on what is behind shows
+
+
+@VERDICTS.register("background leak")
+class BackgroundLeak:
+    rank: ClassVar[int] = 30
+    tone: ClassVar[Tone] = "warning"
+
+    @staticmethod
+    def reasons(facts: Facts) -> tuple[str, ...]:
+        left = 1 - facts.ray.opacity
+        leaking = next((s for s in reversed(facts.real) if s.leaks), None)  # a veil in front leaks as well
+        return (_leak_reason(leaking, left),) if left >= LEAK and leaking is not None else ()
+
+
+def _leak_reason(s: Standing, left: float) -> str:
+    return (
+        f"{left:.0%} of what is behind shows through the layer at {s.layer.t:.3g}; if no background did, the median "
+        f"error of {s.shown} photos that show it would be {s.opaque:.3f} instead of {s.error:.3f}"
+    )

@@ -1,0 +1,32 @@
+"""Density that is spread too wide for a surface."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from nerf_core.probe.standing import Standing, Tone
+from nerf_core.probe.verdicts import COUNTS, VERDICTS, Facts
+
+SOLID = 0.5  # of the layers' weight must lie in layers that are not hazy, or the ray is in fog
+
+
+@VERDICTS.register("fog")
+class Fog:
+    rank: ClassVar[int] = 40
+    tone: ClassVar[Tone] = "warning"
+
+    @staticmethod
+    def reasons(facts: Facts) -> tuple[str, ...]:
+        return _fog_reasons(facts.heavy, facts.thin) if facts.surface is None or facts.thin < SOLID else ()
+
+
+def _fog_reasons(heavy: list[Standing], share: float) -> tuple[str, ...]:
+    if not heavy:
+        return (f"nothing on the ray makes a pixel: no layer weighs {COUNTS:g}",)
+    thickest = max(heavy, key=lambda s: s.layer.thickness)
+    error = "" if thickest.error is None else f", with an error of {thickest.error:.3f}"
+    return (
+        f"only {share:.0%} of what is seen lies in thin layers, or in ones that the photos agree with",
+        f"its thickest layer, at {thickest.layer.t:.3g}, is {thickest.layer.thickness:.3g} deep{error}: "
+        f"a surface would be under {thickest.most_grains * thickest.layer.grain:.3g}",
+    )

@@ -1,0 +1,21 @@
+"""Layers that photos know one behind another, as a true veil before a wall."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from nerf_core.probe.standing import Tone
+from nerf_core.probe.verdicts import VERDICTS, Facts
+
+
+@VERDICTS.register("several surfaces")
+class SeveralSurfaces:
+    rank: ClassVar[int] = 50
+    tone: ClassVar[Tone] = "good"
+
+    @staticmethod
+    def reasons(facts: Facts) -> tuple[str, ...]:
+        if len(facts.real) < 2:
+            return ()
+        parts = ", ".join(f"{s.layer.weight:.0%} at {s.layer.t:.3g}" for s in facts.real)
+        return (f"{len(facts.real)} layers make the pixel: {parts}",)
