@@ -12,15 +12,13 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 
 from nerf_core.common.errors import UserError
-from nerf_core.geometry.camera import Camera
-from nerf_core.live.messages import Inspect, Notice, Snapshot, ViewRequest
+from nerf_core.live.messages import Inspect, Notice, Snapshot
 from nerf_core.rendering.video import write_png
 
 from ..commands.keyboard import Keyboard
 from ..commands.perform import Actions
 from ..draw.imgui_renderer import ImguiRenderer
 from ..draw.textures import TextureCache
-from ..draw.viewport import same_view
 from ..model import pins
 from ..model.link import Link
 from ..model.state import Action, AppState
@@ -29,9 +27,10 @@ from ..ui.layout import Layout
 from ..ui.theme import DarkTheme
 from ..window import Window
 from . import bars
-from .inject import Hand
+from .inject import InputInjector
 from .pacing import Pacer
 from .panel_host import PanelHost, PanelUi, Rect
+from .view_requests import ViewRequests
 from .viewport_panel import ViewportPanel
 
 SHORTEST = 1e-4  # seconds: imgui wants time to pass between frames, even on a clock that stands still
@@ -77,14 +76,13 @@ class App:
         self._layout = Layout(layout_file)
         self._pacer = Pacer(watched=window.has_display)
         self._actions = Actions(self.state, link)
-        self._requested: tuple[Camera, bool, int, str] | None = None  # camera, moving, scene, mode
-        self._stamp = 0
+        self._views = ViewRequests(link)
         self._answered: Inspect | None = None  # the newest ray that was asked for and came
         self._drawn_at = self.state.time
         self._frame_times: deque[float] = deque(maxlen=120)
         self._closed = self._hidden = False
         self._warn(self._layout.load())
-        self.hand = Hand(lambda: self.frame(force=True))
+        self.hand = InputInjector(lambda: self.frame(force=True))
 
     # ---- the loop ---------------------------------------------------------------------------------------------
 
@@ -113,7 +111,8 @@ class App:
             drew = True
             moved = self.state.camera.update(now)  # by what the hands did in this frame
             self._pacer.note(now, hand=moved)
-        self._request_view(now)
+        if min(self.window.size()) > 0:
+            self._views.update(self.state, now)
         return drew
 
     def _read(self) -> None:
@@ -162,20 +161,6 @@ class App:
         stood, state.focus = state.focus.camera.c2w[:, 3], None
         if opened.verdict.surface_t is not None and np.allclose(state.camera.c2w()[:, 3], stood):  # else they went on
             state.camera.focus(opened.ray.origin + opened.verdict.surface_t * opened.ray.direction)
-
-    def _request_view(self, now: float) -> None:
-        """Tell the worker what to draw, when that changed or the camera came to rest."""
-        if self.state.snapshot.scene is None or min(self.window.size()) == 0:
-            return
-        camera, moving = self.state.camera.camera(*self.state.viewport), self.state.camera.moving(now)
-        loaded, mode = self.state.snapshot.loaded, self.state.mode
-        if self._requested is not None:
-            last, *others = self._requested
-            if same_view(last, camera) and others == [moving, loaded, mode]:
-                return
-        self._stamp += 1
-        self._requested = camera, moving, loaded, mode
-        self.link.request_view(ViewRequest(self._stamp, camera, moving, mode))
 
     # ---- drawing ----------------------------------------------------------------------------------------------
 

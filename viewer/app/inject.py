@@ -1,4 +1,4 @@
-"""A hand made of code: pushes input to imgui's io, one frame an event, as tests and scripts need it."""
+"""Injects mouse and keyboard input into imgui, one frame an event, for tests and scripts."""
 
 from __future__ import annotations
 
@@ -7,8 +7,11 @@ from collections.abc import Callable
 from imgui_bundle import imgui
 
 
-class Hand:
-    """`frame` draws one frame. Positions are framebuffer pixels from the window's top left."""
+class InputInjector:
+    """Presses keys and moves the mouse as a user would.
+
+    frame: draws one frame; called after each event. Positions are framebuffer pixels from the window's top left.
+    """
 
     def __init__(self, frame: Callable[[], object]) -> None:
         self._frame = frame

@@ -20,7 +20,7 @@ Rect = tuple[float, float, float, float]  # left, top, right, bottom in framebuf
 
 
 class PanelUi:
-    """See `viewer.panels.Ui`."""
+    """The `Ui` of ui/contract.py. widgets: where each marked widget lies in this frame."""
 
     def __init__(self, theme: DarkTheme, textures: TextureCache) -> None:
         self.theme = theme

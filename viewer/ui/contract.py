@@ -1,4 +1,4 @@
-"""One file a panel. A panel reads the state, draws itself with imgui, and returns what it asks for."""
+"""What a panel gets and what it is: it reads the state, draws itself with imgui, and returns what it asks for."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..model.state import Action, AppState
 
 
 class Theme(Protocol):
-    """Colours as ImVec4; see viewer/theme.py."""
+    """Colours as ImVec4; see theme.py."""
 
     text: ImVec4
     muted: ImVec4

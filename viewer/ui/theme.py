@@ -27,7 +27,7 @@ ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
 
 
 class DarkTheme:
-    """Three neutral surfaces, text at two strengths, hairlines, one accent; see `viewer.panels.Theme`."""
+    """Three neutral surfaces, text at two strengths, hairlines, one accent; see `Theme` in contract.py."""
 
     palette = (ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE)
 

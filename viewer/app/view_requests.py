@@ -1,0 +1,33 @@
+"""Tells the worker which picture the viewport wants."""
+
+from __future__ import annotations
+
+from nerf_core.geometry.camera import Camera
+from nerf_core.live.messages import ViewRequest
+
+from ..draw.viewport import same_view
+from ..model.link import Link
+from ..model.state import AppState
+
+
+class ViewRequests:
+    """Each request has a stamp, larger than those before it, which the worker's answer carries."""
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self._requested: tuple[Camera, bool, int, str] | None = None  # camera, moving, scene, mode
+        self._stamp = 0
+
+    def update(self, state: AppState, now: float) -> None:
+        """Ask for a picture if the camera, the mode or the scene changed, or the camera came to rest."""
+        if state.snapshot.scene is None:
+            return
+        camera, moving = state.camera.camera(*state.viewport), state.camera.moving(now)
+        loaded, mode = state.snapshot.loaded, state.mode
+        if self._requested is not None:
+            last, *others = self._requested
+            if same_view(last, camera) and others == [moving, loaded, mode]:
+                return
+        self._stamp += 1
+        self._requested = camera, moving, loaded, mode
+        self._link.request_view(ViewRequest(self._stamp, camera, moving, mode))
