@@ -25,6 +25,7 @@ from nerf_core.methods import METHODS, Draw
 from nerf_core.methods.guided.config import GuidedConfig
 from nerf_core.methods.mlp.model import MlpModel, Parametrised
 from nerf_core.methods.stages import Marks, Stage, Stems, absorption_stage, field_stage, nothing_stage
+from nerf_core.methods.voxels.explain import explain as explain_voxels
 from nerf_core.methods.voxels.model import VoxelModel
 from nerf_core.volume.packed import Packed, opened
 
@@ -190,7 +191,7 @@ class GuidedNerf(MlpModel):
 
     def explain(self, rays: Rays) -> tuple[Stage, ...]:
         if not self._ready:
-            return self.guide.explain(rays)
+            return explain_voxels(self.guide, rays)
         guide, fine = self.trace(rays).passes
         t, weights = (v[0].cpu().numpy() for v in (guide.t, guide.weights))
         count = 0 if fine.count is None else int(fine.count[0])

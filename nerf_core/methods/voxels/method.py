@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from nerf_core.geometry.rays import Rays
 from nerf_core.methods import METHODS
+from nerf_core.methods.stages import Stage
 from nerf_core.methods.voxels.config import VoxelConfig
+from nerf_core.methods.voxels.explain import explain
 from nerf_core.methods.voxels.model import VoxelModel
 
 
@@ -17,3 +20,6 @@ class Voxels(VoxelModel):
 
     configure = staticmethod(VoxelConfig.configure)
     restore = staticmethod(VoxelConfig.restore)
+
+    def explain(self, rays: Rays) -> tuple[Stage, ...]:
+        return explain(self, rays)

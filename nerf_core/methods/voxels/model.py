@@ -31,16 +31,6 @@ from nerf_core.geometry.spaces import Space, pixel_size
 from nerf_core.kernels.choice import voxel_kernels
 from nerf_core.kernels.voxel_kernels import Adam, March, Traced
 from nerf_core.methods import Defaults, Draw
-from nerf_core.methods.stages import (
-    BarCode,
-    Colors,
-    Stage,
-    absorption_stage,
-    field_stage,
-    nothing_stage,
-    number,
-    skipped_stage,
-)
 from nerf_core.methods.voxels.config import VoxelConfig
 from nerf_core.volume.cells import grow
 from nerf_core.volume.packed import to_trace
@@ -233,10 +223,10 @@ class VoxelModel(Defaults):
     def radiance(self, points: Tensor, directions: Tensor) -> Tensor:
         rows = self._rows_at(points)[0]
         d = directions.to(self.device, torch.float32)
-        return torch.sigmoid(torch.einsum("kb,pcb->pkc", self._basis(d), rows[:, :DENSITY].view(-1, 3, 4)))
+        return torch.sigmoid(torch.einsum("kb,pcb->pkc", self.basis(d), rows[:, :DENSITY].view(-1, 3, 4)))
 
     @staticmethod
-    def _basis(d: Tensor) -> Tensor:
+    def basis(d: Tensor) -> Tensor:
         """Y (K, 4) at unit directions (K, 3)."""
         return torch.stack([torch.full_like(d[:, 0], SH[0]), SH[1] * d[:, 1], SH[1] * d[:, 2], SH[1] * d[:, 0]], -1)
 
@@ -252,46 +242,6 @@ class VoxelModel(Defaults):
         """Interpolated rows (P, 16) at world points (P, 3), and their cells (P, 3)."""
         cell, within = self.grid.cells_of(self.space.points(points.to(self.device, torch.float32)))
         return self.shown.interpolate(cell, within), cell
-
-    @torch.no_grad()
-    def explain(self, rays: Rays) -> tuple[Stage, ...]:
-        samples = self.trace(rays).passes[0]
-        count = 0 if samples.count is None else int(samples.count[0])
-        skipped = skipped_stage(samples, self.grid, self.config.step)
-        if not count:
-            return skipped, nothing_stage()
-        strongest = int(samples.weights[0].argmax())
-        point = rays.origins + samples.t[:, strongest, None] * rays.directions
-        cell, within = self.grid.cells_of(self.space.points(point))
-        corners = torch.cartesian_prod(*[torch.arange(2)] * 3)
-        weights = torch.where(corners == 1, within, 1 - within).prod(-1).numpy()
-        index = self.grid.row_of(cell + corners)
-        raw = torch.where(index >= 0, self.average[index.clamp(min=0), DENSITY], 0).numpy()
-        row, d = self.shown.interpolate(cell, within)[0], rays.directions
-        basis = self._basis(d)[0].numpy()
-        coefficients = row[:DENSITY].view(3, 4).numpy()
-        return (
-            skipped,
-            Stage(
-                "Grid",
-                "The heaviest sample lies in a cell whose 8 corners each hold a raw density s and coefficients of "
-                "colour. They are blended by how near the sample is to each.",
-                (BarCode(("blend", "s"), (weights, raw), max(1.0, float(np.abs(raw).max()))),),
-                (("cell", ", ".join(str(v) for v in cell[0].tolist())),
-                 ("density", f"softplus({number(float(row[DENSITY]))} + {number(self.config.bias)})")),
-            ),
-            Stage(
-                "Colour",
-                "Spherical harmonics of the direction, Y₀ and three Y₁, times the blended coefficients of a channel; "
-                "a sigmoid makes that a colour. Y₀ alone would be matt; the others let it change with the view.",
-                (BarCode(("Y(d)", "red", "green", "blue"), (basis, *coefficients), float(np.abs(coefficients).max())),
-                 Colors(("towards this camera",), torch.sigmoid(torch.from_numpy(coefficients @ basis))[None].numpy())),
-            ),
-            field_stage(
-                samples, f"At each of its {count} samples the grid is looked up like this: there is no network to ask."
-            ),
-            absorption_stage(samples),
-        )  # fmt: skip
 
     # ---- state ------------------------------------------------------------------------------------------------------
 

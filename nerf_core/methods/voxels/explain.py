@@ -1,0 +1,62 @@
+"""What happens to one ray in the voxel grid, with its own values."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from nerf_core.geometry.rays import Rays
+from nerf_core.methods.stages import (
+    BarCode,
+    Colors,
+    Stage,
+    absorption_stage,
+    field_stage,
+    nothing_stage,
+    number,
+    skipped_stage,
+)
+from nerf_core.methods.voxels.model import VoxelModel
+from nerf_core.volume.voxel_grid import DENSITY
+
+
+@torch.no_grad()
+def explain(model: VoxelModel, rays: Rays) -> tuple[Stage, ...]:
+    """The stages of one ray through the grid: skipped space, blending, colour, density, compositing."""
+    samples = model.trace(rays).passes[0]
+    count = 0 if samples.count is None else int(samples.count[0])
+    skipped = skipped_stage(samples, model.grid, model.config.step)
+    if not count:
+        return skipped, nothing_stage()
+    strongest = int(samples.weights[0].argmax())
+    point = rays.origins + samples.t[:, strongest, None] * rays.directions
+    cell, within = model.grid.cells_of(model.space.points(point))
+    corners = torch.cartesian_prod(*[torch.arange(2)] * 3)
+    weights = torch.where(corners == 1, within, 1 - within).prod(-1).numpy()
+    index = model.grid.row_of(cell + corners)
+    raw = torch.where(index >= 0, model.average[index.clamp(min=0), DENSITY], 0).numpy()
+    row, d = model.shown.interpolate(cell, within)[0], rays.directions
+    basis = model.basis(d)[0].numpy()
+    coefficients = row[:DENSITY].view(3, 4).numpy()
+    return (
+        skipped,
+        Stage(
+            "Grid",
+            "The heaviest sample lies in a cell whose 8 corners each hold a raw density s and coefficients of "
+            "colour. They are blended by how near the sample is to each.",
+            (BarCode(("blend", "s"), (weights, raw), max(1.0, float(np.abs(raw).max()))),),
+            (("cell", ", ".join(str(v) for v in cell[0].tolist())),
+             ("density", f"softplus({number(float(row[DENSITY]))} + {number(model.config.bias)})")),
+        ),
+        Stage(
+            "Colour",
+            "Spherical harmonics of the direction, Y₀ and three Y₁, times the blended coefficients of a channel; "
+            "a sigmoid makes that a colour. Y₀ alone would be matt; the others let it change with the view.",
+            (BarCode(("Y(d)", "red", "green", "blue"), (basis, *coefficients), float(np.abs(coefficients).max())),
+             Colors(("towards this camera",), torch.sigmoid(torch.from_numpy(coefficients @ basis))[None].numpy())),
+        ),
+        field_stage(
+            samples, f"At each of its {count} samples the grid is looked up like this: there is no network to ask."
+        ),
+        absorption_stage(samples),
+    )  # fmt: skip
