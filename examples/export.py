@@ -6,7 +6,7 @@ python examples/export.py
 from pathlib import Path
 
 from nerf_core.datasets import LoadOptions, load_scene
-from nerf_core.geometry.paths import orbit
+from nerf_core.geometry.paths.orbit import Orbit
 from nerf_core.rendering.export.film import FilmJob
 from nerf_core.rendering.export.jobs import Job
 from nerf_core.rendering.export.requests import ExportPath, ExportStill
@@ -24,7 +24,7 @@ def main(
     trainer = Trainer(scene, RunSettings(method="voxels", seed=0))
     for _ in range(steps):
         trainer.step()
-    cameras = orbit(scene, frames, side, side, elevation_degrees=20.0)
+    cameras = Orbit.cameras(scene, frames, side, side, elevation=20.0)
     film, still = out / "orbit.mp4", out / "picture.npy"
     finish(FilmJob(trainer.method.frozen(), scene, ExportPath(cameras, 24.0, film)))
     finish(StillJob(trainer.method.frozen(), scene, ExportStill(cameras[0], still)))

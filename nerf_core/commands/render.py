@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar
 
 import tyro
 
@@ -19,9 +19,28 @@ from nerf_core.rendering.export.requests import ExportPath
 from nerf_core.training.run_folder import RunFolder
 
 
+def described(values: dict[str, str]) -> str:
+    """ "60 (orbit), 120 (spiral)": each path's value with its name."""
+    return ", ".join(f"{value} ({name})" for name, value in values.items())
+
+
+KINDS = {name: PATHS.get(name) for name in PATHS.names()}
+FRAMES = described({name: str(kind.default_frames or "all") for name, kind in KINDS.items()})
+OPTIONS = {option: text for kind in KINDS.values() for option, text in kind.options.items()}
+# A field for each option that a kind of path has: a new kind brings its own.
+PathOptions = make_dataclass(
+    "PathOptions",
+    [
+        (name, Annotated[float | None, tyro.conf.arg(help=text)], field(default=None, kw_only=True))
+        for name, text in OPTIONS.items()
+    ],
+    frozen=True,
+)
+
+
 @COMMANDS.register("render")
 @dataclass(frozen=True)
-class Render:
+class Render(PathOptions):
     """Render a camera path of a trained run to an MP4."""
 
     order: ClassVar[int] = 2
@@ -29,20 +48,19 @@ class Render:
     run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR", help="A run folder.")]
     out: Path
     """The .mp4 file."""
-    path: Literal["orbit", "spiral", "test"] = "orbit"
-    """Around the scene, a spiral before it, or through the held-out views."""
-    frames: int | None = None
-    """Number of frames; by default 60 (orbit), 120 (spiral), all (test)."""
+    path: Annotated[
+        str,
+        tyro.conf.arg(
+            metavar="{" + ",".join(KINDS) + "}", help=described({name: kind.summary for name, kind in KINDS.items()})
+        ),
+    ] = "orbit"
+    frames: Annotated[int | None, tyro.conf.arg(help=f"Number of frames; by default {FRAMES}.")] = None
     fps: float = 30.0
     """Frames a second."""
     width: int | None = None
     """Of the video in pixels; by default that of the training photos."""
     height: int | None = None
     """Of the video in pixels; by default that of the training photos."""
-    elevation: float | None = None
-    """Of an orbit, degrees above the horizon; by default 25."""
-    radius: float | None = None
-    """Of an orbit, in scene units; by default the cameras' own distance."""
     png_frames: bool = False
     """Also write every frame as a PNG, beside the video."""
     data: Annotated[Path | None, tyro.conf.arg(help=MOVED_HELP)] = None
@@ -55,12 +73,14 @@ class Render:
                 raise UserError(f"--{name} {shorten(getattr(self, name))}: give a whole number from 1 to {most:,}")
         if self.out.suffix.lower() != ".mp4":
             raise UserError(f"--out {self.out}: only MP4 is written: name a .mp4 file")
-        around = {"elevation_degrees": self.elevation, "radius": self.radius}
-        chosen: dict[str, Any] = {name: value for name, value in around.items() if value is not None}
-        if chosen and self.path != "orbit":
-            raise UserError(f"--elevation and --radius belong to --path orbit, not to {self.path}: leave them out")
+        kind = PATHS.get(self.path)
+        chosen: dict[str, Any] = {name: getattr(self, name) for name in OPTIONS if getattr(self, name) is not None}
+        for owner, other in KINDS.items():
+            if other is not kind and chosen.keys() & other.options.keys() - kind.options.keys():
+                names = " and ".join(f"--{name}" for name in other.options)
+                raise UserError(f"{names} belong to --path {owner}, not to {self.path}: leave them out")
         trainer = restored(RunFolder(self.run_folder), self.data, self.device)
-        cameras = PATHS[self.path](trainer.scene, self.frames, self.width, self.height, **chosen)
+        cameras = kind.cameras(trainer.scene, self.frames, self.width, self.height, **chosen)
         signals.be_polite()
         job = FilmJob(trainer.method, trainer.scene, ExportPath(cameras, self.fps, self.out, self.png_frames))
         try:

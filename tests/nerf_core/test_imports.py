@@ -26,8 +26,8 @@ ORDER = (
 )  # fmt: skip
 # Folders of plug-ins: no file that registers something is imported by a sibling.
 PLUGINS = (
-    "nerf_core/datasets/formats", "nerf_core/methods", "nerf_core/commands", "nerf_core/kernels/implementations",
-    "nerf_core/probe/verdicts",
+    "nerf_core/geometry/paths", "nerf_core/datasets/formats", "nerf_core/methods", "nerf_core/commands",
+    "nerf_core/kernels/implementations", "nerf_core/probe/verdicts",
     "viewer/panels", "viewer/commands/actions",
 )  # fmt: skip
 # What only a window, a format, a video or a command line needs.

@@ -12,7 +12,7 @@ from nerf_core.common.errors import UserError
 from nerf_core.common.user_paths import own_path
 from nerf_core.datasets.formats.demo import LANDMARKS
 from nerf_core.geometry.camera import Camera
-from nerf_core.geometry.paths import orbit
+from nerf_core.geometry.paths.orbit import Orbit
 from nerf_core.geometry.scene import Scene
 from nerf_core.live.messages import (
     ExportPath,
@@ -168,12 +168,12 @@ def orbit_export(scene: Scene, form: OrbitForm) -> ExportPath:
     file = own_path(Path(form.file.strip()))
     if not file.name:
         raise UserError("the orbit has no file name: give one that ends in .mp4")
-    cameras: tuple[Camera, ...] = orbit(
+    cameras: tuple[Camera, ...] = Orbit.cameras(
         scene,
         form.frames,
         form.width or None,
         form.height or None,
-        elevation_degrees=form.elevation_degrees,
+        elevation=form.elevation_degrees,
         radius=form.radius or None,
     )
     return ExportPath(cameras, form.fps, file if file.suffix else file.with_suffix(".mp4"), form.png_frames)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from nerf_core.geometry.camera import Camera
-from nerf_core.geometry.paths import capture_distance
+from nerf_core.geometry.paths.steps import capture_distance
 from nerf_core.geometry.scene import Scene
 from nerf_core.geometry.turntable import angles_from, level, looking_along, rotation_from
 

@@ -9,7 +9,7 @@ from typing import Literal
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from nerf_core.geometry.paths import capture_distance, training_size
+from nerf_core.geometry.paths.steps import capture_distance, training_size
 from nerf_core.geometry.scene import Scene
 from nerf_core.live.messages import CancelExport, Export
 

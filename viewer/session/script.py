@@ -12,7 +12,7 @@ from pathlib import Path
 from nerf_core.common.console import Display, duration
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.geometry.camera_files import picked_camera
-from nerf_core.geometry.paths import training_size
+from nerf_core.geometry.paths.steps import training_size
 from nerf_core.live.messages import (
     CancelExport,
     Command,

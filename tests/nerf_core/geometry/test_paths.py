@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +14,11 @@ from nerf_core.common.errors import UserError
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.lens import Lens
 from nerf_core.geometry.ndc import Ndc
-from nerf_core.geometry.paths import PATHS, capture_distance, held_out_views, orbit, spiral
+from nerf_core.geometry.paths import PATHS
+from nerf_core.geometry.paths.held_out import HeldOut
+from nerf_core.geometry.paths.orbit import Orbit
+from nerf_core.geometry.paths.spiral import Spiral
+from nerf_core.geometry.paths.steps import capture_distance
 from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene, View
 from nerf_core.geometry.turntable import angles_from, looking_along, rotation_from
@@ -60,7 +67,7 @@ def forward(count: int = 20) -> Scene:
 
 def test_orbit_circles_the_centre() -> None:
     scene = around()
-    path = orbit(scene, 12, elevation_degrees=20, radius=2.5)
+    path = Orbit.cameras(scene, 12, elevation=20, radius=2.5)
     assert len(path) == 12
     axis = scene.up / np.linalg.norm(scene.up)
     for camera in path:
@@ -73,7 +80,8 @@ def test_orbit_circles_the_centre() -> None:
 
 
 @pytest.mark.parametrize(
-    "make", [lambda: orbit(around(), 10), lambda: spiral(forward(), 40), lambda: spiral(around(), 40)]
+    "make",
+    [lambda: Orbit.cameras(around(), 10), lambda: Spiral.cameras(forward(), 40), lambda: Spiral.cameras(around(), 40)],
 )
 def test_a_path_closes_without_repeating_a_frame(make) -> None:
     path = make()
@@ -85,7 +93,7 @@ def test_a_path_closes_without_repeating_a_frame(make) -> None:
 
 def test_orbit_starts_beside_the_first_training_view_at_its_distance() -> None:
     scene = around()
-    path = orbit(scene)
+    path = Orbit.cameras(scene)
     first = scene.views[scene.split("train")[0]].camera
     assert len(path) == 60
     azimuth = [angles_from(c.c2w[:, :3], scene.up)[0] for c in (path[0], first)]
@@ -101,7 +109,7 @@ def test_distance_of_a_panorama_is_the_scenes_radius() -> None:
 
 def test_orbit_of_an_ndc_scene_stays_before_it() -> None:
     scene = forward()
-    for camera in orbit(scene, 30, elevation_degrees=80):
+    for camera in Orbit.cameras(scene, 30, elevation=80):
         assert camera.c2w[2, 3] > -0.5
         assert -camera.c2w[2, 2] < -0.9
 
@@ -110,7 +118,7 @@ def test_spiral_stays_within_the_cameras_and_looks_at_one_point() -> None:
     scene = forward()
     positions = np.stack([scene.views[i].camera.c2w[:, 3] for i in scene.split("train")])
     mean, spread = positions.mean(0), np.ptp(positions, axis=0)
-    path = spiral(scene)
+    path = Spiral.cameras(scene)
     assert len(path) == 120
     assert all((np.abs(c.c2w[:, 3] - mean) < spread).all() for c in path)
     reach = np.abs(np.stack([c.c2w[:, 3] for c in path]) - mean).max(0)
@@ -127,15 +135,15 @@ def test_spiral_stays_within_the_cameras_and_looks_at_one_point() -> None:
 def test_spiral_of_a_surrounding_capture_stays_by_its_first_view() -> None:
     scene = around()
     first = scene.views[scene.split("train")[0]].camera.c2w
-    for camera in spiral(scene, 20):
+    for camera in Spiral.cameras(scene, 20):
         assert np.linalg.norm(camera.c2w[:, 3] - first[:, 3]) < 0.3 * 4.0
         assert camera.project(scene.center[None])[0][0] == pytest.approx([20, 15])
 
 
-@pytest.mark.parametrize("name", PATHS)
+@pytest.mark.parametrize("name", PATHS.names())
 def test_every_path_is_made_of_proper_cameras(name: str) -> None:
     for scene in (around(), forward()):
-        for camera in PATHS[name](scene, 3, 64, 20):
+        for camera in PATHS.get(name).cameras(scene, 3, 64, 20):
             assert (camera.width, camera.height) == (64, 20)
             rotation = camera.c2w[:, :3]
             np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
@@ -143,9 +151,9 @@ def test_every_path_is_made_of_proper_cameras(name: str) -> None:
 
 
 def test_field_of_view() -> None:
-    camera = orbit(around(), 1, 200, 100, fov_y_degrees=90)[0]
+    camera = Orbit.cameras(around(), 1, 200, 100, fov_y_degrees=90)[0]
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((50, 50, 100, 50))
-    assert orbit(around(), 1, 100, 60)[0].fy == pytest.approx(100)  # 50 over 30 rows
+    assert Orbit.cameras(around(), 1, 100, 60)[0].fy == pytest.approx(100)  # 50 over 30 rows
 
 
 def test_held_out_views_keep_lens_and_pixel_shape() -> None:
@@ -155,30 +163,55 @@ def test_held_out_views_keep_lens_and_pixel_shape() -> None:
     views = list(scene.views)
     views[0] = replace(views[0], camera=replace(views[0].camera, lens=Lens(k1=0.1), cx=17.0))
     scene = replace(scene, views=tuple(views))
-    path = held_out_views(scene)
+    path = HeldOut.cameras(scene)
     assert path[0] == scene.views[0].camera
     assert len(path) == len(scene.split("test"))
     assert {(c.width, c.height) for c in path} == {(40, 30)}
     assert path[1].fx == path[1].fy == pytest.approx(50 * 30 / 40)
     assert (path[1].cx, path[1].cy) == (20, 15)
-    assert held_out_views(scene, 2) == path[:2]
-    double = held_out_views(scene, 1, 80, 60)[0]
+    assert HeldOut.cameras(scene, 2) == path[:2]
+    double = HeldOut.cameras(scene, 1, 80, 60)[0]
     assert double.intrinsics() == scene.views[0].camera.resized(80, 60).intrinsics()
 
 
 def test_errors_say_what_to_do() -> None:
     scene = around()
     with pytest.raises(UserError, match="path of 0 frames is empty: take 1 or more"):
-        orbit(scene, 0)
+        Orbit.cameras(scene, 0)
     with pytest.raises(UserError, match="-3 pixels' width"):
-        spiral(scene, 4, -3)
+        Spiral.cameras(scene, 4, -3)
     with pytest.raises(UserError, match="elevation of 91°"):
-        orbit(scene, elevation_degrees=91)
+        Orbit.cameras(scene, elevation=91)
     with pytest.raises(UserError, match="elevation of nan°"):
-        orbit(scene, elevation_degrees=float("nan"))
+        Orbit.cameras(scene, elevation=float("nan"))
     with pytest.raises(UserError, match="radius of -1"):
-        orbit(scene, radius=-1)
+        Orbit.cameras(scene, radius=-1)
     with pytest.raises(UserError, match="field of view of 180°"):
-        orbit(scene, fov_y_degrees=180)
+        Orbit.cameras(scene, fov_y_degrees=180)
     with pytest.raises(UserError, match="scene made has no test views to render: take the path orbit or spiral"):
-        held_out_views(replace(scene, splits={"train": scene.split("train")}))
+        HeldOut.cameras(replace(scene, splits={"train": scene.split("train")}))
+
+
+ZIGZAG = """
+from nerf_core.geometry.paths import PATHS
+
+@PATHS.register("zigzag")
+class Zigzag:
+    label, summary, default_frames, options = "Zigzag", "to and fro", 7, {"swing": "Of a zigzag, in scene units."}
+
+    @staticmethod
+    def cameras(scene, frames=None, width=None, height=None, *, swing=1.0):
+        return ()
+"""
+
+
+def test_a_kind_in_a_new_file_is_found_with_its_options(tmp_path: Path) -> None:
+    (tmp_path / "zigzag.py").write_text(ZIGZAG)
+    code = (
+        f"import nerf_core.geometry.paths as paths; paths.__path__.append({str(tmp_path)!r}); "
+        "from nerf_core.cli import main; main(['render', '--help'])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    shown = " ".join(done.stdout.split())
+    for text in ("{orbit,spiral,test,zigzag}", "to and fro (zigzag)", "7 (zigzag)", "--swing", "Of a zigzag"):
+        assert text in shown, done.stderr or shown

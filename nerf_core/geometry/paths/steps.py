@@ -1,0 +1,62 @@
+"""Steps that camera paths share."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+import numpy as np
+
+from nerf_core.common.errors import UserError
+from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.scene import Scene, View
+
+
+def training_size(scene: Scene) -> tuple[int, int]:
+    """Width and height that most training photos have."""
+    return Counter((v.camera.width, v.camera.height) for v in training_views(scene)).most_common(1)[0][0]
+
+
+def capture_distance(scene: Scene) -> float:
+    """The median distance of the training cameras to the scene's centre, in scene units.
+
+    A capture that turned on the spot has none: there it is the scene's radius.
+    """
+    distances = [np.linalg.norm(v.camera.c2w[:, 3] - scene.center) for v in training_views(scene)]
+    median = float(np.median(distances))
+    return median if median > 1e-6 * scene.radius else float(scene.radius)
+
+
+def training_views(scene: Scene) -> list[View]:
+    """The views of the training split; of a scene without one, all."""
+    return [scene.views[i] for i in scene.split("train")] or list(scene.views)
+
+
+def checked(value: int, name: str) -> int:
+    """`value`, if it is at least 1. Raises UserError."""
+    if value < 1:
+        raise UserError(f"a camera path of {value} {name} is empty: take 1 or more")
+    return value
+
+
+def video_size(scene: Scene, width: int | None, height: int | None) -> tuple[int, int]:
+    """Width and height of a path's pictures: those asked for, else those of most training photos."""
+    own = training_size(scene)
+    return (
+        own[0] if width is None else checked(width, "pixels' width"),
+        own[1] if height is None else checked(height, "pixels' height"),
+    )
+
+
+def pinhole(scene: Scene, width: int | None, height: int | None, fov_y_degrees: float | None) -> Camera:
+    """A pinhole without distortion at the origin: a path's cameras but for their poses."""
+    width, height = video_size(scene, width, height)
+    own = training_size(scene)
+    like = next(v.camera for v in training_views(scene) if (v.camera.width, v.camera.height) == own)
+    if fov_y_degrees is None:
+        focal = like.fy * height / like.height
+    elif 0 < fov_y_degrees < 180:
+        focal = height / 2 / math.tan(math.radians(fov_y_degrees) / 2)
+    else:
+        raise UserError(f"a field of view of {fov_y_degrees:g}° shows nothing: take one between 0 and 180")
+    return Camera(width, height, focal, focal, width / 2, height / 2, np.eye(4)[:3])
