@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from nerf_core.common.errors import UserError
+from nerf_core.common.subprograms import run_limited
 from nerf_core.datasets.resample import srgb_encoded
 
 MAGIC = b"\x76\x2f\x31\x01"
@@ -79,13 +80,6 @@ def _decoded(path: Path) -> bytes:
         raise UserError(f"{path}: EXR photos need ffmpeg, which is missing: install it or save them as PNG") from error
     command = [ffmpeg, "-v", "error", "-f", "exr_pipe", "-i", f"file:{path.absolute()}", "-frames:v", "1"]
     try:
-        done = subprocess.run(
-            [*command, "-f", "rawvideo", "-pix_fmt", "gbrapf32le", "-"],
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            timeout=SECONDS,
-            check=False,
-        )
+        return run_limited([*command, "-f", "rawvideo", "-pix_fmt", "gbrapf32le", "-"], SECONDS).output
     except subprocess.TimeoutExpired as error:
         raise OSError(f"decoding took longer than {SECONDS} s") from error
-    return done.stdout

@@ -13,6 +13,7 @@ from typing import ClassVar
 import numpy as np
 
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.subprograms import run_limited
 from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions, Photo
 from nerf_core.datasets.colmap_files import AGAIN, check_model, find_models, image_count, suffix_of, text_names
 from nerf_core.datasets.photo_folders import PhotoFolder, choose_folder, photo_folders, photos_below
@@ -97,15 +98,11 @@ def read_model(folder: Path) -> Model:
         # -P: the program's folder is this package's; its files are no top-level modules
         command = [sys.executable, "-P", str(program), str(folder.resolve()), str(out)]
         try:
-            done = subprocess.run(
-                command, stdin=subprocess.DEVNULL, capture_output=True, timeout=READ_SECONDS, check=False
-            )
+            done = run_limited(command, READ_SECONDS)
         except subprocess.TimeoutExpired as error:
             raise UserError(f"{folder} was not read within {READ_SECONDS:g} s, it may be damaged: {AGAIN}") from error
-        if done.returncode:
-            said = done.stderr.decode("utf-8", "replace").strip().splitlines()
-            reason = shorten(said[-1], 200) if done.returncode > 0 and said else f"crash {done.returncode}"
-            raise UserError(f"{folder}: pycolmap cannot read the model ({reason}): {AGAIN}")
+        if done.reason:
+            raise UserError(f"{folder}: pycolmap cannot read the model ({shorten(done.reason, 200)}): {AGAIN}")
         with np.load(out, allow_pickle=False) as arrays:
             model = {name: arrays[name] for name in arrays.files}
     if not len(model["names"]):
