@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import logging
 import pkgutil
 from collections.abc import Callable
 from importlib.metadata import entry_points
@@ -79,7 +80,9 @@ class Registry(Generic[T]):
             try:
                 point.load()
             except Exception as error:  # another package's fault must not take this program down; it is told
-                self.problems.append(
+                problem = (
                     f"the {self.kind} {point.name} of package {point.dist.name if point.dist else '?'} cannot be "
                     f"loaded ({type(error).__name__}: {error}): update or uninstall that package"
                 )
+                self.problems.append(problem)
+                logging.getLogger("nerf_viewer").warning(problem)  # by default on standard error, once

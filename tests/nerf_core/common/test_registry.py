@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib.metadata import EntryPoint
+
 import pytest
 
 from nerf_core.common.errors import UserError
@@ -21,3 +23,15 @@ def test_a_name_is_taken_once() -> None:
         registry.register("one")(2)
     assert registry.names() == ("one",)
     assert registry.get("one") == 1
+
+
+def test_a_broken_plugin_of_another_package_is_told_once(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    broken = EntryPoint("broken", "no_such_module", "nerf_viewer.numbers")
+    monkeypatch.setattr("nerf_core.common.registry.entry_points", lambda group: [broken])
+    registry: Registry[int] = Registry("number", "nerf_core.volume", entry_points="nerf_viewer.numbers")
+    assert registry.names() == registry.names() == ()
+    assert caplog.messages == registry.problems
+    (problem,) = registry.problems
+    assert problem.startswith("the number broken of package ? cannot be loaded (ModuleNotFoundError")
