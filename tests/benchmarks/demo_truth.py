@@ -36,7 +36,7 @@ OBSERVED = np.radians(20)  # from a photo's look at a point: what the radiance p
 CAMERAS = 8  # training cameras that each point is looked at from
 
 
-def compare(trainer: Trainer, views: int = 3, seed: int = 0) -> dict[str, float]:
+def compare(trainer: Trainer, views: int = 3, points: int = POINTS, seed: int = 0) -> dict[str, float]:
     """Figures for the first `views` test views; lengths in scene units, colours on the [0, 1] scale of the photos."""
     scene, rng = trainer.scene, np.random.default_rng(seed)
     depth_errors, hits = [], []
@@ -47,13 +47,13 @@ def compare(trainer: Trainer, views: int = 3, seed: int = 0) -> dict[str, float]
         solid = np.isfinite(t)
         error = np.abs(rendered.depth.numpy()[solid] - t[solid])
         depth_errors.append(np.where(np.isnan(error), scene.far - scene.near, error))  # a hole is as wrong as can be
-        points = rays.origins.numpy()[solid] + t[solid, None] * rays.directions.numpy()[solid]
-        hits.append((points, normal[solid], objects[solid]))
-    points, normals, objects = (np.concatenate(v) for v in zip(*hits, strict=True))
-    chosen = rng.choice(len(points), min(POINTS, len(points)), replace=False)
+        met = rays.origins.numpy()[solid] + t[solid, None] * rays.directions.numpy()[solid]
+        hits.append((met, normal[solid], objects[solid]))
+    hit, normals, objects = (np.concatenate(v) for v in zip(*hits, strict=True))
+    chosen = rng.choice(len(hit), min(points, len(hit)), replace=False)
     depth = np.concatenate(depth_errors)
     figures = {"depth_median": float(np.median(depth)), "depth_90": float(np.percentile(depth, 90))}
-    return figures | _radiance(trainer, points[chosen], normals[chosen], objects[chosen], rng)
+    return figures | _radiance(trainer, hit[chosen], normals[chosen], objects[chosen], rng)
 
 
 def _radiance(

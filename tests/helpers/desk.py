@@ -12,7 +12,7 @@ from nerf_core.live.messages import Command, Notice, OpenScene, Snapshot, Train,
 from nerf_core.live.worker import Worker
 from nerf_core.training.settings import RunSettings
 
-PATIENCE = 60.0  # seconds; a busy machine is slow, a hanging thread is found all the same
+PATIENCE = 300.0  # seconds: what takes some on an old laptop is waited for on a machine ten times as slow
 
 
 class Desk:

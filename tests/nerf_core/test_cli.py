@@ -12,6 +12,7 @@ from pathlib import Path
 
 import imageio_ffmpeg
 import pytest
+from desk import PATIENCE
 
 import nerf_core
 from nerf_core.cli import main
@@ -210,7 +211,7 @@ def test_signals_save_and_exit(number: signal.Signals, status: int, capture: Pat
         out = RunFolder(tmp_path / str(rays))
         process = started(train(capture, out.path, rays=rays))
         process.send_signal(number)
-        output, errors = process.communicate(timeout=60)
+        output, errors = process.communicate(timeout=PATIENCE)
         assert (process.returncode, errors) == (status, "")
         assert "stopped: step" in output
         assert out.restore()[0].step_count == checkpoint.newest(out.path)[1]["step"]
@@ -224,7 +225,7 @@ def test_a_cancelled_render_leaves_no_file(capture: Path, tmp_path: Path) -> Non
     while process.poll() is None and not (films.exists() and list(films.iterdir())):
         time.sleep(0.01)
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=PATIENCE)
     assert (process.returncode, errors) == (130, "nerf-core: interrupted (SIGINT)\n")
     assert list(films.iterdir()) == []
 

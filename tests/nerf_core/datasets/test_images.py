@@ -129,9 +129,7 @@ def write_exr(path: Path, straight: np.ndarray) -> None:
     height, width = straight.shape[:2]
     planes = np.stack([straight[..., c] for c in (1, 2, 0, 3)]).astype(np.float32)
     command = f"-v error -y -f rawvideo -pix_fmt gbrapf32le -s {width}x{height} -i - -frames:v 1 -format float"
-    subprocess.run(
-        [imageio_ffmpeg.get_ffmpeg_exe(), *command.split(), str(path)], input=planes.tobytes(), check=True, timeout=60
-    )
+    subprocess.run([imageio_ffmpeg.get_ffmpeg_exe(), *command.split(), str(path)], input=planes.tobytes(), check=True)
 
 
 def test_exr_is_linear_and_premultiplied(tmp_path: Path) -> None:

@@ -46,6 +46,11 @@ from nerf_core.volume.cells import Cells
 from nerf_core.volume.voxel_grid import VoxelGrid
 
 UP = np.array([0.0, 0.0, 1.0])
+SMALL = {  # so that forty steps take seconds
+    "nerf": {"width": "32", "rays": "64"},
+    "nerf-guided": {"guide_steps": "30", "width": "32", "rays": "64"},
+    "hash": {"samples": "8000", "log2_rows": "14"},
+}
 
 
 class Ball(nn.Module):
@@ -191,7 +196,7 @@ def test_a_ray_without_samples_shows_none(scene: Scene, method: str) -> None:
 @pytest.mark.parametrize("method", ["voxels", "nerf-guided", "hash", "nerf"])
 def test_the_radiance_is_the_colour_that_a_ray_finds_there(scene: Scene, method: str) -> None:
     """From another point and direction each: an axis that was mixed up would show."""
-    trainer = Trainer(scene, RunSettings(method=method, changes={"guide_steps": "30"} if "guided" in method else {}))
+    trainer = Trainer(scene, RunSettings(method=method, changes=SMALL.get(method, {})))
     for _ in range(40):
         trainer.step()
     for view, pixel in ((0, (8, 8)), (1, (7, 9)), (2, (9, 6))):
@@ -205,7 +210,7 @@ def test_the_radiance_is_the_colour_that_a_ray_finds_there(scene: Scene, method:
 
 def test_in_open_space_the_axis_ends_where_the_weight_does(scene: Scene) -> None:
     place = replace(scene, synthetic=False)
-    trainer = Trainer(place, RunSettings(method="voxels", changes={"start": "12"}))
+    trainer = Trainer(place, RunSettings(method="voxels", changes={"start": "12", "rays": "1024", "first_rays": "512"}))
     for _ in range(2):
         trainer.step()
     ray = open_ray(trainer.method, place, place.views[0].camera, (8, 8), 2)
@@ -411,8 +416,7 @@ def _in_space(scene: Scene, kind: str) -> Scene:
 def test_every_pixel_is_the_sum_of_its_samples(scene: Scene, method: str, space: str) -> None:
     """10,000 and more of them, as they are opened, against the full picture."""
     scene = _in_space(scene, space)
-    small = {"nerf-guided": {"guide_steps": "30", "width": "64"}, "nerf": {"width": "32"}}.get(method, {})
-    trainer = Trainer(scene, RunSettings(method=method, changes=small))
+    trainer = Trainer(scene, RunSettings(method=method, changes=SMALL.get(method, {})))
     for _ in range(40):
         trainer.step()
     size = 104 if space == "world" else 40

@@ -1,24 +1,32 @@
-"""The `nerf-viewer` command: the real app, worker and files, offscreen and in a real window."""
+"""The `nerf-viewer` command: the real app, worker and files, offscreen and in a real window.
+
+Importing all that a window needs takes seconds, so most commands run in this process; a few run in one of their own.
+"""
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import signal
 import subprocess
 import sys
 import time
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import imageio.v3 as iio
 import imageio_ffmpeg
 import numpy as np
 import pytest
+from desk import PATIENCE
 
+from nerf_core import cli as core
 from nerf_core.common.errors import UserError
 from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.cameras import camera_rays
+from viewer.cli import main
 from viewer.model.pins import MOST
 from viewer.session.script import Wishes
 from viewer.session.session import autosave_path
@@ -30,16 +38,28 @@ TINY = [
 ]  # fmt: skip
 
 
+Completed = subprocess.CompletedProcess[str]
+
+
 def without(options: list[str], given: list[str]) -> list[str]:
     """`options`, pairs of a name and a value, but those that are `given`: an option is given once."""
     pairs = [options[i : i + 2] for i in range(0, len(options), 2)]
     return [word for name, value in pairs if name == "--set" or name not in given for word in (name, value)]
 
 
-def viewer(*arguments: str, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+def viewer(*arguments: str) -> Completed:
+    """The command in this process."""
+    with redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()) as err:
+        status = main(arguments)
+    return Completed(arguments, status, out.getvalue(), err.getvalue())
+
+
+def process(*arguments: str, cwd: Path | None = None, env: dict[str, str] | None = None) -> Completed:
+    """The command as a process of its own."""
     command = [sys.executable, "-m", "viewer.cli", *arguments]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[3]), **(env or {})}
     return subprocess.run(
-        command, capture_output=True, text=True, timeout=200, env={**os.environ, **(env or {})}, check=False
+        command, capture_output=True, text=True, timeout=PATIENCE, cwd=cwd, env=environment, check=False
     )
 
 
@@ -161,16 +181,23 @@ def test_a_loaded_model_keeps_its_method_and_constants(written: Path, arguments:
         (["--set", "depth=100000"], "depth"),
     ],
 )
-def test_a_mistake_is_one_line_and_status_2(arguments: list[str], words: str, tmp_path: Path) -> None:
+def test_a_mistake_is_one_line_and_status_2(
+    arguments: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     steps = [] if "--steps" in arguments or "--load" in arguments else ["--steps", "1"]
-    command = [sys.executable, "-m", "viewer.cli", *without(TINY, arguments), "--headless", *steps, *arguments]
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[3])}
-    done = subprocess.run(
-        command, capture_output=True, text=True, timeout=100, cwd=tmp_path, env=environment, check=False
-    )
+    done = viewer(*without(TINY, arguments), "--headless", *steps, *arguments)
     assert done.returncode == 2, done.stderr
     assert words in done.stderr
     assert done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("mistake", [["--wings"], ["--camera", "nowhere"]], ids=["while parsing", "with a window open"])
+def test_a_process_ends_with_one_line_and_status_2(mistake: list[str], tmp_path: Path) -> None:
+    done = process(*TINY, "--headless", "--steps", "1", *mistake, cwd=tmp_path)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert mistake[-1] in done.stderr
     assert not list(tmp_path.iterdir())
 
 
@@ -221,56 +248,54 @@ def test_an_autosave_never_replaces_an_older_one(data_home: Path) -> None:
     assert kept[0].name.endswith("000003.safetensors")
 
 
-def test_a_window_does_the_same(display: str, tmp_path: Path) -> None:
+@pytest.fixture
+def screen(display: str, tmp_path: Path) -> dict[str, str]:
+    """The environment of a window on a screen, whose user has no layout and no weights yet."""
+    home = {"XDG_CONFIG_HOME": str(tmp_path / "config"), "XDG_DATA_HOME": str(tmp_path / "data")}
+    return {"DISPLAY": display, "WAYLAND_DISPLAY": ""} | home
+
+
+def test_a_window_does_the_same(screen: dict[str, str], tmp_path: Path) -> None:
     shot = tmp_path / "window.png"
-    home = {"DISPLAY": display, "XDG_CONFIG_HOME": str(tmp_path / "config"), "XDG_DATA_HOME": str(tmp_path / "data")}
-    done = viewer(*TINY, "--steps", "3", "--click", "0.5", "0.5", "--screenshot", str(shot), env=home)
+    done = process(*TINY, "--steps", "3", "--click", "0.5", "0.5", "--screenshot", str(shot), env=screen)
     assert done.returncode == 0, done.stderr
     assert iio.imread(shot).shape[2] == 3
 
 
-def test_closing_a_training_window_loses_nothing(display: str, tmp_path: Path) -> None:
-    home = {"DISPLAY": display, "XDG_CONFIG_HOME": str(tmp_path / "config"), "XDG_DATA_HOME": str(tmp_path / "data")}
+def test_closing_a_training_window_loses_nothing(screen: dict[str, str], tmp_path: Path) -> None:
     saved = tmp_path / "model.safetensors"
-    command = [
-        sys.executable,
-        "-m",
-        "viewer.cli",
-        *TINY,
-        "--save",
-        str(saved),
-        "--steps",
-        "100000",
-        "--orbit",
-        str(tmp_path / "o.mp4"),
-    ]
-    with subprocess.Popen(command, env={**os.environ, **home}, stdout=subprocess.PIPE, text=True) as process:
-        time.sleep(12)
-        process.send_signal(signal.SIGTERM)
+    asked = ["--save", str(saved), "--steps", "100000", "--orbit", str(tmp_path / "o.mp4")]
+    command = [sys.executable, "-m", "viewer.cli", *TINY, *asked]
+    with subprocess.Popen(command, env={**os.environ, **screen}, stdout=subprocess.PIPE, text=True) as window:
+        assert window.stdout is not None
+        assert any(line.startswith("training: ") for line in window.stdout)  # how far it is, after some seconds
+        window.send_signal(signal.SIGTERM)
         begin = time.monotonic()
-        assert process.wait(timeout=20) == 143
-        assert time.monotonic() - begin < 5
+        assert window.wait(timeout=PATIENCE) == 143
+        assert time.monotonic() - begin < 5  # whoever sends SIGTERM soon sends SIGKILL
     assert saved.is_file()
     assert not list(tmp_path.glob("*.mp4"))
 
 
-def test_a_window_that_cannot_open_what_it_was_told_says_so_and_ends(display: str, tmp_path: Path) -> None:
-    home = {"DISPLAY": display, "XDG_CONFIG_HOME": str(tmp_path / "config"), "XDG_DATA_HOME": str(tmp_path / "data")}
-    done = viewer("nowhere", env=home)
+def test_a_window_that_cannot_open_what_it_was_told_says_so_and_ends(
+    screen: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in screen.items():
+        monkeypatch.setenv(name, value)
+    done = viewer("nowhere")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "nowhere" in done.stderr
-    done = viewer("--scale", "2", env=home)
+    done = viewer("--scale", "2")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "--scale 2" in done.stderr
 
 
-def test_offscreen_with_nothing_asked_for_leaves_a_picture_an_orbit_and_a_ray(tmp_path: Path) -> None:
+def test_offscreen_with_nothing_asked_for_leaves_a_picture_an_orbit_and_a_ray(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """As the first command of the README does on a machine without a display, but with less training."""
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[3])}
-    command = [sys.executable, "-m", "viewer.cli", *TINY, "--headless", "--steps", "5"]
-    done = subprocess.run(
-        command, capture_output=True, text=True, timeout=200, cwd=tmp_path, env=environment, check=False
-    )
+    monkeypatch.chdir(tmp_path)
+    done = viewer(*TINY, "--headless", "--steps", "5")
     assert done.returncode == 0, done.stderr
     (folder,) = tmp_path.iterdir()
     assert str(folder) in done.stdout
@@ -281,7 +306,7 @@ def test_offscreen_with_nothing_asked_for_leaves_a_picture_an_orbit_and_a_ray(tm
 def test_a_window_without_a_display_works_offscreen(tmp_path: Path) -> None:
     shot = tmp_path / "shot.png"
     env = {"DISPLAY": "", "WAYLAND_DISPLAY": ""}
-    done = viewer(*TINY, "--steps", "2", "--screenshot", str(shot), env=env)
+    done = process(*TINY, "--steps", "2", "--screenshot", str(shot), env=env)
     assert done.returncode == 0, done.stderr
     assert "offscreen" in done.stdout
     assert shot.is_file()
@@ -295,7 +320,7 @@ def test_gl_and_training_live_in_one_process() -> None:
         "p = torch.nn.Parameter(torch.ones(3)); o = torch.optim.Adam([p]); p.sum().backward(); o.step();"
         "w.framebuffer.clear(1.0, 0.0, 0.0); print(w.read_pixels()[0, 0].tolist())"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100, check=False)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "[255, 0, 0]"
 
@@ -339,8 +364,7 @@ def test_a_checkpoint_is_looked_at_before_anything_else_is_done(tmp_path: Path) 
 def test_both_commands_write_the_same_of_a_pixel(tmp_path: Path) -> None:
     """The microscope through the window's worker, and straight from a run: one checkpoint, one schema, equal arrays."""
     options = ["--method", "voxels", "--device", "cpu", "--threads", "1", "--downscale", "8"]
-    core = [sys.executable, "-m", "nerf_core.cli"]
-    subprocess.run([*core, "train", "--out", str(tmp_path), *options, "--steps", "40"], capture_output=True, check=True)
+    assert core.main(["train", "--out", str(tmp_path), *options, "--steps", "40"]) == 0
     (model,) = tmp_path.rglob("*.safetensors")
     files = tmp_path / "viewer.json", tmp_path / "core.json"
     done = viewer(
@@ -353,7 +377,7 @@ def test_both_commands_write_the_same_of_a_pixel(tmp_path: Path) -> None:
     np.testing.assert_allclose(looking["camera"]["c2w"], photo.camera.c2w, atol=1e-6)
     pixel = [str(v) for v in looking["pixel"]]
     words = ["probe", str(tmp_path), "--camera", str(files[0]), "--pixel", *pixel, "--write", str(files[1])]
-    subprocess.run([*core, *words], capture_output=True, check=True)
+    assert core.main(words) == 0
     one, other = (json.loads(file.read_text()) for file in files)
     assert {"passes", "verdict", "radiance", "evidence"} <= one.keys()
     assert _numbers(one).keys() == _numbers(other).keys()

@@ -10,6 +10,7 @@ import time
 
 import numpy as np
 import pytest
+from desk import PATIENCE
 
 from viewer.window import DisplayError, Window, open_window
 
@@ -140,7 +141,12 @@ for _ in range(2):
 print(int(window.read_pixels()[0, 0, 0]), float(weight.weight.sum()) == float(weight.weight.sum()))
 """
     done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, env=dict(os.environ), check=False, timeout=120
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        env=dict(os.environ),
+        check=False,
+        timeout=PATIENCE,
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["128", "True"]
