@@ -22,7 +22,7 @@ from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.geometry.rays import Rays, Rendering, Samples, Trace
 from nerf_core.geometry.scene import Scene
 from nerf_core.geometry.spaces import Space
-from nerf_core.methods import METHODS, Draw
+from nerf_core.methods import METHODS, Defaults, Draw
 from nerf_core.methods.adam_state import adam_state, load_adam
 from nerf_core.methods.stages import Stage, absorption_stage, field_stage
 from nerf_core.probe import open_pixel, write_inspection
@@ -49,13 +49,10 @@ class GridConfig:
 
 
 @METHODS.register("grid")
-class GridMethod:
+class GridMethod(Defaults):
     """σ(x) and c(x) are interpolated between the vertices of a grid over the scene's box."""
 
     summary: ClassVar[str] = "A dense grid of density and colour, in plain torch."
-    coarse: ClassVar[str] = ""  # there is no cheaper picture
-    alone: ClassVar[bool] = True  # a ray comes out the same, whichever rays are computed with it
-    stage, born = "", 0
     tile = 2048  # rays that are rendered at once
 
     @staticmethod
@@ -73,6 +70,7 @@ class GridMethod:
         self.high = torch.tensor(self.space.high, dtype=torch.float32, device=device)
         self.background = torch.tensor(scene.background, device=device)
         self.generator = torch.Generator().manual_seed(seed)
+        self.generators = (self.generator,)  # the trainer restores them when a step is abandoned
         self.grid = torch.zeros(1, CHANNELS, *[config.cells] * 3, device=device)
         self.grid[:, 0] = -3.0  # thin fog: it shows where density would help, and hides nothing
         self.grid.requires_grad_()
@@ -116,16 +114,6 @@ class GridMethod:
         pump()  # a preview may be drawn here; if it raises, the step is abandoned before it changes a weight
         self.optimizer.step()
         return loss.item()
-
-    @property
-    def generators(self) -> tuple[torch.Generator, ...]:
-        return (self.generator,)
-
-    def undo(self, step: int) -> Callable[[], None]:
-        return lambda: None  # an abandoned step leaves gradients behind, which the next one clears
-
-    def halve(self) -> bool:
-        return False
 
     # ---- pictures and the microscope ----------------------------------------------------------------------------
 

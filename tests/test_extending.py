@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pages
+import panel_states
 import pytest
+import torch
 from PIL import Image
 
 from nerf_core.cli import main
@@ -20,9 +23,18 @@ from nerf_core.common.registry import Registry
 from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.datasets.capture import DATASETS
 from nerf_core.geometry.cameras import camera_rays
+from nerf_core.geometry.paths import PATHS
+from nerf_core.geometry.spaces import BoxRays
+from nerf_core.kernels.choice import VOXEL_KERNELS, voxel_kernels
+from nerf_core.kernels.implementations import on_numba
+from nerf_core.kernels.voxel_kernels import March
+from nerf_core.methods import Traceable
+from nerf_core.probe.verdict import conclude
+from nerf_core.probe.verdicts import VERDICTS
 from nerf_core.rendering.modes import MODES, mode_names, shaded
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
+from nerf_core.volume.voxel_grid import VoxelGrid
 
 ROOT = Path(__file__).parent.parent
 SMALL_NERF = {"width": "16", "coarse_samples": "8", "fine_samples": "8"}
@@ -69,6 +81,7 @@ def test_a_render_mode(load: Load) -> None:
     scene = load_scene(None, LoadOptions(downscale=20))
     method = Trainer(scene, RunSettings(method="nerf", changes=SMALL_NERF)).method
     rays = camera_rays(scene.views[0].camera, scene.near, scene.far)
+    assert isinstance(method, Traceable)
     trace = method.trace(rays)
     picture = shaded(method, rays, trace, "opacity")
     assert picture.shape == (len(rays), 3)
@@ -84,3 +97,41 @@ def test_a_subcommand(load: Load, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["--help"])
     assert "List the photos of a capture by split." in capsys.readouterr().out
+
+
+def test_a_camera_path(load: Load) -> None:
+    load("nerf_core/geometry/paths/approach.py", PATHS)
+    scene = load_scene(None, LoadOptions(downscale=8))
+    cameras = PATHS.get("approach").cameras(scene, 5, 40, 30, left=0.5)
+    first = scene.views[scene.split("train")[0]].camera.c2w
+    distances = [float(np.linalg.norm(camera.c2w[:, 3] - scene.center)) for camera in cameras]
+    np.testing.assert_allclose(cameras[0].c2w, first)
+    np.testing.assert_allclose(distances, np.linspace(1, 0.5, 5) * distances[0])
+    assert all((camera.width, camera.height) == (40, 30) for camera in cameras)
+    with pytest.raises(UserError, match="--left 2"):
+        PATHS.get("approach").cameras(scene, left=2.0)
+
+
+def test_a_kernel_implementation(load: Load, monkeypatch: pytest.MonkeyPatch) -> None:
+    load("nerf_core/kernels/implementations/checked.py", VOXEL_KERNELS)
+    monkeypatch.setattr(on_numba, "numba_obstacle", lambda: "numba is gone")
+    kernels = voxel_kernels(torch.device("cpu"))
+    grid = VoxelGrid.over(np.full(3, -1.0), np.full(3, 0.5), torch.ones(4, 4, 4, dtype=torch.bool), False)
+    origin, direction = torch.tensor([[0.0, 0.0, -3.0]]), torch.tensor([[0.0, 0.0, 1.0]])
+    rays = BoxRays(origin, direction, direction, torch.zeros(1), torch.full((1,), 9.0))
+    march = March(0.7, 0.0, torch.ones(3), torch.zeros(1))
+    error, samples = kernels.accumulate(grid, rays, torch.zeros(1, 3), march)
+    assert error > 0
+    assert samples > 0
+    with pytest.raises(FloatingPointError, match="1 rays"):
+        kernels.accumulate(grid, rays, torch.full((1, 3), torch.nan), march)
+
+
+def test_a_verdict_class(load: Load) -> None:
+    load("nerf_core/probe/verdicts/wrong_colour.py", VERDICTS)
+    ray = panel_states.make_ray()
+    opened = panel_states.make_opened(ray)
+    assert opened.verdict is not None
+    missed = replace(opened.verdict.standings[0], against=0, blank=0, missing=11)  # no floater, then
+    assert conclude(ray, (replace(missed, error=0.2),)).kind == "wrong colour"
+    assert conclude(ray, (replace(missed, error=0.02),)).kind == "surface"
