@@ -100,7 +100,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def tiny() -> RunSettings:
     """Networks and batches so small that a step takes milliseconds."""
     return RunSettings(

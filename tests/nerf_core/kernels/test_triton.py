@@ -13,6 +13,7 @@ import pytest
 from nerf_core.kernels.packed_kernels import BETA1, BETA2
 
 HERE = Path(__file__).parent
+PACKED, FIXED_STEP = HERE / "test_packed_kernels.py", HERE.parent / "methods" / "test_fixed_step.py"
 GENERATIONS = (75, 80, 90, 120)  # compute capabilities: Turing, Ampere, Hopper, Blackwell
 TYPES = {
     "*u8": "occupied leap",
@@ -23,17 +24,29 @@ TYPES = {
 }  # fmt: skip  of the kernels' arguments; others point to fp32
 
 
-@pytest.mark.parametrize(
-    ("checks", "fewest"), [(HERE / "test_packed_kernels.py", 18), (HERE.parent / "test_fixed_step.py", 5)]
-)
-def test_the_interpreted_kernels_pass_what_the_others_pass(checks: Path, fewest: int) -> None:
+def interpreted(words: str, *checks: Path) -> int:
+    """How many of the checks whose names fit `words` passed, all that were not left out."""
     pytest.importorskip("triton")
     environment = {**os.environ, "TRITON_INTERPRET": "1"}
-    command = [sys.executable, "-m", "pytest", "-v", "-p", "no:cacheprovider", "-n0", "-k", "triton", checks]
+    command = [sys.executable, "-m", "pytest", "-v", "-p", "no:cacheprovider", "-n0", "-k", words, *checks]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=3000, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.count(" PASSED") >= fewest
     assert " SKIPPED" not in done.stdout
+    return done.stdout.count(" PASSED")
+
+
+def test_the_interpreted_kernels_pass_what_the_others_pass() -> None:
+    """All but the longest: long marches, and whole training steps."""
+    assert interpreted("triton and not leaps and not far_away", PACKED) >= 13
+
+
+@pytest.mark.thorough
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize(
+    ("checks", "words", "fewest"), [(PACKED, "triton and (leaps or far_away)", 5), (FIXED_STEP, "triton", 5)]
+)
+def test_the_interpreted_kernels_pass_the_longest_checks(checks: Path, words: str, fewest: int) -> None:
+    assert interpreted(words, checks) >= fewest
 
 
 def machine_code(name: str, capability: int, **constants: Any) -> Any:

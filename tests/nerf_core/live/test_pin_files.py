@@ -9,15 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from desk import Desk
+from desk import PATIENCE, Desk
 
 from nerf_core.common.errors import UserError
 from nerf_core.live.messages import LoadCheckpoint, Pin, Reset, SaveCheckpoint, Snapshot, Train, Unpin
 from nerf_core.live.pin_files import restored
 from nerf_core.probe import RayHistory
 from nerf_core.training import checkpoint
+from nerf_core.training.settings import RunSettings
 
 OpenDesk = Callable[..., Desk]
+pytestmark = pytest.mark.xdist_group("pin files")  # one worker trains what they all load
 
 
 def history_of(snapshot: Snapshot, number: int = 1) -> RayHistory:
@@ -26,10 +28,10 @@ def history_of(snapshot: Snapshot, number: int = 1) -> RayHistory:
     return found
 
 
-@pytest.fixture
-def saved(open_desk: OpenDesk, tmp_path: Path) -> tuple[Path, Snapshot]:
+@pytest.fixture(scope="module")
+def saved(tiny: RunSettings, capture: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Snapshot]:
     """A checkpoint of step 5 with a ray pinned at step 0 and one pinned at step 3, and what was shown then."""
-    desk, file = open_desk(), tmp_path / "run.safetensors"
+    desk, file = Desk(tiny, capture), tmp_path_factory.mktemp("saved") / "run.safetensors"
     camera = desk.until(lambda s: s.scene is not None).scene.views[0].camera  # pyright: ignore
     desk.send(Pin(1, camera, (8, 8)), Train(3))
     desk.until(lambda s: s.step == 3 and s.status == "paused")
@@ -39,6 +41,7 @@ def saved(open_desk: OpenDesk, tmp_path: Path) -> tuple[Path, Snapshot]:
     )
     desk.send(SaveCheckpoint(file, {"mark": 7}))
     desk.until_told("saved step 5")
+    assert desk.worker.stop(PATIENCE)
     return file, shown
 
 
@@ -159,10 +162,10 @@ def test_histories_that_nobody_wrote_are_refused(saved: tuple[Path, Snapshot]) -
 
 
 def test_a_model_opens_without_the_histories_that_are_refused(
-    open_desk: OpenDesk, saved: tuple[Path, Snapshot]
+    open_desk: OpenDesk, saved: tuple[Path, Snapshot], tmp_path: Path
 ) -> None:
-    file, _ = saved
-    description, state = checkpoint.load(file)
+    file = tmp_path / "run.safetensors"
+    description, state = checkpoint.load(saved[0])
     checkpoint.save(file, description | {"watched": 5}, state)
     desk = open_desk()
     desk.send(LoadCheckpoint(file))
