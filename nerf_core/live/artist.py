@@ -6,7 +6,8 @@ import time
 
 from nerf_core.geometry.cameras import camera_rays
 from nerf_core.live.messages import Preview, ViewRequest
-from nerf_core.live.opened_rays import OpenedRays
+from nerf_core.live.opened_ray import OpenedRay
+from nerf_core.live.pins import Pins
 from nerf_core.live.refinement import Refinement, first_stride
 from nerf_core.methods import Method, traced
 from nerf_core.rendering.modes import COLOR, shaded
@@ -24,7 +25,7 @@ class Artist:
     """Does one small piece of drawing at a time; remembers what is half done. Owned by the worker thread."""
 
     def __init__(self) -> None:
-        self.rays = OpenedRays()
+        self.ray, self.pins = OpenedRay(), Pins()
         self._picture: Refinement | None = None
         self._model: Method | None = None  # what draws the level under way, and
         self._model_step = 0
@@ -40,7 +41,8 @@ class Artist:
     def forget_pictures(self) -> None:
         """The model was exchanged: everything is to be drawn again."""
         self._picture = self._model = self._copy = self._ready = self._shown = None
-        self.rays.forget()
+        self.ray.forget()
+        self.pins.forget()
 
     @property
     def fresh(self) -> bool:
@@ -67,13 +69,20 @@ class Artist:
             return True
         return self._whole and not picture.begins and not picture.level_done
 
-    def draw(self, trainer: Trainer, view: ViewRequest | None, training: bool) -> bool:
-        """One piece; whether there was any to do. training: whether more steps are on their way."""
-        first_pixels = self.urgent(view) and not self.rays.urgent
-        if not first_pixels and self.rays.draw(trainer, training):
-            return True
-        if view is None:
+    def draw_rays(self, trainer: Trainer, view: ViewRequest | None, training: bool) -> bool:
+        """One piece of the opened ray or of a pinned one; whether there was any to do.
+
+        The first pixels of a new view come before all rays but one that somebody waits for.
+        """
+        if self.urgent(view) and not self.ray.urgent:
             return False
+        return self.ray.draw(trainer, training) or self.pins.draw(trainer, training)
+
+    def draw_view(self, trainer: Trainer, view: ViewRequest, training: bool) -> bool:
+        """One piece of the picture; whether there was any to do. training: whether more steps are on their way.
+
+        Raises UserError for a mode that the method cannot draw.
+        """
         picture = self._current(view, trainer.method.born)
         if not training and self._model_step != trainer.step_count and not picture.begins:
             picture.begin_again()  # what is under way shows a model of before the pause

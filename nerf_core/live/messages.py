@@ -6,8 +6,8 @@ latest-wins `Snapshot` and an ordered queue of `Notice`s (things that happened o
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import itertools
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,13 +22,29 @@ from nerf_core.rendering.modes import COLOR
 from nerf_core.training.loss_history import History
 from nerf_core.training.settings import RunSettings
 
+FIRST_RUN = 1  # the run that exists from the beginning: a window that shows one model never names another
+MOST_PINS = 8  # as many as there are colours that can be told apart
+PIN_NAME_LENGTH = 60
+
+_fresh = itertools.count(1).__next__  # ids are unique within a process
+
 # ---- to the worker -------------------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True, kw_only=True)
+class OfRun:
+    """A message about one run: a scene with one model. run: its number."""
+
+    run: int = FIRST_RUN
+
+
 @dataclass(frozen=True)
-class ViewRequest:
-    """The picture that is wanted now. stamp: grows with every change; answers carry it back. mode: its colours', or one
-    of `nerf_core.rendering.modes`."""
+class ViewRequest(OfRun):
+    """The picture that is wanted now.
+
+    stamp: grows with every change; answers carry it back.
+    mode: what is drawn of each pixel, one of `nerf_core.rendering.modes.mode_names()`.
+    """
 
     stamp: int
     camera: Camera
@@ -37,7 +53,7 @@ class ViewRequest:
 
 
 @dataclass(frozen=True)
-class OpenScene:
+class OpenScene(OfRun):
     """Load a capture (None: the demo scene) and build a fresh model for it; then train it, if `train`."""
 
     path: Path | None
@@ -46,7 +62,21 @@ class OpenScene:
 
 
 @dataclass(frozen=True)
-class Train:
+class OpenRun(OfRun):
+    """Add run number `run`: a fresh model of `method` on the scene of run `like`; then train it, if `train`."""
+
+    method: str
+    like: int = FIRST_RUN
+    train: bool = False
+
+
+@dataclass(frozen=True)
+class CloseRun(OfRun):
+    """Forget a run. The first one stays."""
+
+
+@dataclass(frozen=True)
+class Train(OfRun):
     """Train on, until `steps` more steps are done or `seconds` more of training time have passed.
 
     None: no such limit. Without either, until the schedule ends.
@@ -57,17 +87,17 @@ class Train:
 
 
 @dataclass(frozen=True)
-class Pause:
+class Pause(OfRun):
     pass
 
 
 @dataclass(frozen=True)
-class Reset:
+class Reset(OfRun):
     """Forget the weights, start again from the same seed."""
 
 
 @dataclass(frozen=True)
-class UseMethod:
+class UseMethod(OfRun):
     """Begin anew on the open scene with another method (a name of METHODS, or auto) and its own constants."""
 
     name: str
@@ -76,68 +106,104 @@ class UseMethod:
 
 @dataclass(frozen=True)
 class SetShare:
-    """How much of the worker's time training keeps while a preview is being drawn, 0.05 … 0.95."""
+    """How much of the worker's time training keeps while pictures are drawn.
+
+    train: 0.05 … 0.95. rule: one of `nerf_core.live.shares.SHARES`, which may vary it with the situation.
+    """
 
     train: float
+    rule: str = "steady"
 
 
 @dataclass(frozen=True)
-class SaveCheckpoint:
-    """session: JSON values that come back with the checkpoint, in `Snapshot.session`."""
+class SaveCheckpoint(OfRun):
+    """Write the model and its pinned rays."""
 
-    path: Path
-    session: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class LoadCheckpoint:
     path: Path
 
 
 @dataclass(frozen=True)
-class Inspect:
+class LoadCheckpoint(OfRun):
+    path: Path
+
+
+@dataclass(frozen=True)
+class Inspect(OfRun):
     """Open the ray through integer `pixel` of `camera`, and keep it open while training goes on.
 
     point_t: world distance at which the radiance is shown; None: where the verdict has the surface, else the median
     depth, else the strongest sample. around: what the middle of the radiance's disc is.
+    id: of the ray; a pin of the same ray has the same. look: of this request; answers carry it back.
     """
 
     camera: Camera
     pixel: tuple[int, int]
     point_t: float | None = None
     around: Around = "viewer"
+    id: int = field(default_factory=_fresh)
+    look: int = field(default_factory=_fresh)
+
+    def again(self, **changes: Any) -> Inspect:
+        """Another look at the same ray, with another `point_t` or `around`."""
+        return replace(self, look=_fresh(), **changes)
 
 
 @dataclass(frozen=True)
-class StopInspecting:
+class StopInspecting(OfRun):
     pass
 
 
 @dataclass(frozen=True)
-class Pin:
-    """Keep the ray through integer `pixel` of `camera` open as well, and its history from now on, under a number."""
+class PinRay(OfRun):
+    """Keep the ray through integer `pixel` of `camera` open as well, and its history from now on.
 
-    id: int
+    name: empty for "ray N". hidden: not drawn in the viewport. id: see `Inspect`.
+    """
+
     camera: Camera
     pixel: tuple[int, int]
+    name: str = ""
+    hidden: bool = False
+    id: int = field(default_factory=_fresh)
+
+    @staticmethod
+    def of(ray: Inspect) -> PinRay:
+        return PinRay(ray.camera, ray.pixel, id=ray.id, run=ray.run)
 
 
 @dataclass(frozen=True)
-class Unpin:
+class EditPin(OfRun):
+    """Rename, hide or show a pinned ray; None: as it is."""
+
+    id: int
+    name: str | None = None
+    hidden: bool | None = None
+
+
+@dataclass(frozen=True)
+class UnpinRay(OfRun):
     id: int
 
 
 @dataclass(frozen=True)
-class ExportRays:
-    """Write the opened ray and pinned ones: those of these numbers, under these names, with their histories. The format
-    is that of the suffix (`nerf_core.probe.report`)."""
+class ExportRays(OfRun):
+    """Write the opened ray and the pinned ones that are not hidden, with their histories.
+
+    The suffix of the file gives the format (`nerf_core.probe.report`).
+    """
 
     file: Path
-    pins: Mapping[int, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
-class CancelExport:
+class StartExport(OfRun):
+    """Write a film or a picture of the model as it is now, while training goes on."""
+
+    request: ExportPath | ExportStill
+
+
+@dataclass(frozen=True)
+class CancelExport(OfRun):
     pass
 
 
@@ -147,21 +213,33 @@ class Quit:
 
 
 Command = (
-    OpenScene | Train | Pause | Reset | UseMethod | SetShare | SaveCheckpoint | LoadCheckpoint | Inspect
-    | StopInspecting | Pin | Unpin | ExportRays | ExportPath | ExportStill | CancelExport | Quit
+    OpenScene | OpenRun | CloseRun | Train | Pause | Reset | UseMethod | SetShare | SaveCheckpoint | LoadCheckpoint
+    | Inspect | StopInspecting | PinRay | EditPin | UnpinRay | ExportRays | StartExport | CancelExport | Quit
 )  # fmt: skip
 
 # ---- from the worker -----------------------------------------------------------------------------------------
 
 
+Level = Literal["info", "warning", "error"]
+Kind = Literal["note", "opened", "loaded", "saved", "wrote", "exported", "failed"]
+
+
 @dataclass(frozen=True)
 class Notice:
-    """Something that happened. path: what the notice leads to (a written file). detail: a traceback."""
+    """Something that happened.
 
-    level: Literal["info", "warning", "error"]
+    path: what the notice leads to (a written file). detail: a traceback.
+    kind: what happened, for programs; `text` is for people and may be reworded. command: the number that
+    `Worker.send` gave to the command that this answers; 0: none was sent. run: the run's number.
+    """
+
+    level: Level
     text: str
     path: Path | None = None
     detail: str = ""
+    kind: Kind = "note"
+    command: int = 0
+    run: int = FIRST_RUN
 
 
 @dataclass(frozen=True)
@@ -188,12 +266,25 @@ class Preview:
 
 
 @dataclass(frozen=True)
-class Pinned:
-    """A pinned ray, as it was last opened, and how it came to be; None: not yet."""
+class Pin:
+    """A pinned ray with its place in the lists: the worker owns it, windows show it.
+
+    color: index into the palette of rays; no other pin of the run has it. ray, history: as it was last opened, and
+    how it came to be; None: not yet.
+    """
 
     id: int
-    ray: RayProbe | None
-    history: RayHistory | None
+    name: str
+    color: int
+    hidden: bool
+    camera: Camera
+    pixel: tuple[int, int]
+    ray: RayProbe | None = None
+    history: RayHistory | None = None
+
+    def inspect(self, run: int = FIRST_RUN) -> Inspect:
+        """The request that opens this ray."""
+        return Inspect(self.camera, self.pixel, id=self.id, run=run)
 
 
 Status = Literal["empty", "loading", "ready", "training", "paused", "finished", "failed"]
@@ -201,12 +292,13 @@ Status = Literal["empty", "loading", "ready", "training", "paused", "finished", 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Everything the window shows of the worker at one moment.
+    """Everything the window shows of one run at one moment.
 
     loaded: grows with every scene that was opened; reset or loaded models keep it. train_share: the measured share
     of the worker's time that went into training over the last seconds. seconds: training time alone.
     """
 
+    run: int = FIRST_RUN
     status: Status = "empty"
     loaded: int = 0
     scene: Scene | None = None
@@ -223,13 +315,16 @@ class Snapshot:
     seconds_left: float | None = None
     train_share: float = 0.0
     wanted_share: float = 0.5
+    share_rule: str = "steady"
+    frame_share: float = 1.0  # of the time that the window's frames may take
     memory_bytes: int = 0
     history: History = field(default_factory=History)
     preview: Preview | None = None
-    opened: Opened | None = None  # the ray under the lens
+    opened: Opened | None = None  # the ray under the lens,
+    opened_id: int = 0  # its id,
+    opened_look: int = 0  # and the look at it that is answered; 0: not whole yet
     opened_step: int = -1  # of its ray, the rest is as new; −1: some of it is older, or not there yet
-    pinned: tuple[Pinned, ...] = ()
-    session: Mapping[str, Any] = field(default_factory=dict)  # what the newest loaded checkpoint brought back
+    pins: tuple[Pin, ...] = ()
     export: Export | None = None
     loading: str = ""  # what is being loaded, with a count, while status is "loading"
     preview_rays_per_second: float = 0.0  # at full quality, while drawing; 0: not measured yet

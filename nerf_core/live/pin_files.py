@@ -1,9 +1,12 @@
-"""How pinned rays came to be, as a checkpoint keeps it beside the model."""
+"""Pinned rays as a checkpoint keeps them beside the model: two parts of its description, and tensors.
+
+`session.pins` has names, colours and places. `watched` has the rays with a history, whose arrays are tensors.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -12,48 +15,92 @@ from torch import Tensor
 
 from nerf_core.common.errors import UserError
 from nerf_core.geometry.camera_files import camera_of, camera_values
-from nerf_core.live.messages import Inspect
+from nerf_core.live.messages import MOST_PINS, PIN_NAME_LENGTH, Pin, PinRay
 from nerf_core.probe import RayHistory
 from nerf_core.probe.history import BINS
 
-Watched = Sequence[tuple[Inspect, RayHistory]]
-FIELD = "watched"  # of the description: the rays
+FIELD = "watched"
 MOST_RAYS, MOST_RECORDS = 64, 5000  # a schedule makes some 280 records of a ray; twice its steps, some 30 more
 N = -1  # records
 SHAPES = {"edges": (BINS + 1,), "steps": (N,), "weights": (N, BINS), "color": (N, 3), "depth": (N,), "opacity": (N,)}
 
 
-def described(watched: Watched) -> dict[str, Any]:
-    """What a checkpoint's description holds of it, as JSON values."""
-    return {FIELD: [{"camera": camera_values(ray.camera), "pixel": list(ray.pixel)} for ray, _ in watched]}
+def described(pins: Sequence[Pin]) -> dict[str, Any]:
+    """What a checkpoint's description holds of pins, as JSON values."""
+    session = [
+        {
+            "name": pin.name, "color": pin.color, "hidden": pin.hidden, "pixel": list(pin.pixel),
+            "camera": camera_values(pin.camera),
+        }
+        for pin in pins
+    ]  # fmt: skip
+    watched = [{"camera": camera_values(pin.camera), "pixel": list(pin.pixel)} for pin in _watched(pins)]
+    return {"session": {"pins": session} if session else {}, FIELD: watched}
 
 
-def state(watched: Watched) -> dict[str, Tensor]:
-    """What a checkpoint's tensors are of it, by name."""
+def tensors(pins: Sequence[Pin]) -> dict[str, Tensor]:
+    """What a checkpoint's tensors hold of pins, by name."""
     return {
-        f"{FIELD}.{k}.{f.name}": torch.from_numpy(np.array(getattr(history, f.name)))
-        for k, (_, history) in enumerate(watched)
+        f"{FIELD}.{k}.{f.name}": torch.from_numpy(np.array(getattr(pin.history, f.name)))
+        for k, pin in enumerate(_watched(pins))
         for f in fields(RayHistory)
     }
 
 
-def restored(description: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> Watched:
-    """What `described()` and `state()` hold of a run at its step; nothing of checkpoints that have none.
+def restored_pins(description: Mapping[str, Any]) -> list[Pin]:
+    """The pins of a description, without histories; none where a checkpoint has none.
 
-    Raises UserError for what those did not write: a checkpoint comes from anywhere.
+    Raises UserError for what `described` did not write: a checkpoint comes from anywhere.
     """
-    found = []
     try:
-        rays = description.get(FIELD, ())
-        if len(rays) > MOST_RAYS:
-            raise ValueError("more than anybody pins")
-        for k, values in enumerate(rays):
-            camera, (column, row) = camera_of(values["camera"]), (int(v) for v in values["pixel"])
-            arrays = {name: tensors[f"{FIELD}.{k}.{name}"].numpy() for name in SHAPES}
-            found.append((Inspect(camera, (column, row)), _history(arrays, description["step"])))
+        stored = description.get("session", {}).get("pins", [])
+        pins = [_pin(values) for values in stored[:MOST_PINS]]
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
+        raise UserError("the checkpoint's pinned rays cannot be read: they are left out") from None
+    if len({pin.color for pin in pins}) < len(pins):
+        raise UserError("the checkpoint's pinned rays share a colour: they are left out")
+    return pins
+
+
+def with_histories(pins: Iterable[Pin], description: Mapping[str, Any], state: Mapping[str, Tensor]) -> list[Pin]:
+    """`pins` with the histories that `described` and `tensors` hold of the same rays.
+
+    Raises UserError for what those did not write.
+    """
+    try:
+        found = list(_histories(description, state))
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         raise UserError("the checkpoint's pinned rays' histories cannot be read: they begin anew") from None
-    return found
+    joined = []
+    for pin in pins:  # JSON keeps every digit: the same ray has the same numbers
+        place = camera_values(pin.camera), list(pin.pixel)
+        k = next((k for k, (ray, _) in enumerate(found) if ray == place), None)
+        joined.append(pin if k is None else replace(pin, history=found.pop(k)[1]))
+    return joined
+
+
+def _watched(pins: Sequence[Pin]) -> list[Pin]:
+    return [pin for pin in pins if pin.history is not None]
+
+
+def _pin(values: Mapping[str, Any]) -> Pin:
+    camera, (column, row) = camera_of(values["camera"]), (int(v) for v in values["pixel"])
+    color = int(values["color"])
+    if not (0 <= column < camera.width and 0 <= row < camera.height and 0 <= color < MOST_PINS):
+        raise ValueError("not of the kind that is written")
+    name = "".join(c for c in str(values["name"]) if c.isprintable())[:PIN_NAME_LENGTH]
+    return Pin(PinRay(camera, (column, row)).id, name, color, bool(values["hidden"]), camera, (column, row))
+
+
+def _histories(description: Mapping[str, Any], state: Mapping[str, Tensor]) -> Iterable[tuple[Any, RayHistory]]:
+    """Each watched ray as camera values and pixel, with its history."""
+    rays = description.get(FIELD, ())
+    if len(rays) > MOST_RAYS:
+        raise ValueError("more than anybody pins")
+    for k, values in enumerate(rays):
+        camera, (column, row) = camera_of(values["camera"]), (int(v) for v in values["pixel"])
+        arrays = {name: state[f"{FIELD}.{k}.{name}"].numpy() for name in SHAPES}
+        yield (camera_values(camera), [column, row]), _history(arrays, description["step"])
 
 
 def _history(arrays: Mapping[str, np.ndarray], last: int) -> RayHistory:

@@ -22,11 +22,19 @@ from functools import partial
 import numpy as np
 from imgui_bundle import imgui
 
-from nerf_core.live.messages import Command, Inspect, OpenScene, Snapshot, Train, ViewRequest
+from nerf_core.live.messages import (
+    Command,
+    Inspect,
+    OpenScene,
+    PinRay,
+    Snapshot,
+    Train,
+    UnpinRay,
+    ViewRequest,
+)  # fmt: skip
 from nerf_core.live.worker import Worker
 from nerf_core.training.settings import RunSettings
 from viewer.app.app import App
-from viewer.model.state import PinRay, UnpinRay
 from viewer.window import Window
 
 TABS = (  # of the two places where the microscope's panels lie
@@ -150,10 +158,10 @@ class _Hand:
         return Inspect(self._app.state.camera.camera(800, 600), (column, row))
 
     def pin(self, count: int) -> None:
-        for pin in tuple(self._app.state.pins):
+        for pin in tuple(self._app.state.snapshot.pins):
             self._app.perform(UnpinRay(pin.id))
         for _ in range(count):
-            self._app.perform(PinRay(self._ray()))
+            self._app.perform(PinRay.of(self._ray()))
 
     def click(self) -> None:
         now = time.perf_counter()
@@ -195,10 +203,10 @@ class _Stopwatch:
         self._read = worker.snapshot()
         self.notices = worker.notices
 
-    def send(self, command: Command) -> None:
+    def send(self, command: Command) -> int:
         if isinstance(command, Inspect):
             self._clicked = command, time.perf_counter()
-        self._worker.send(command)
+        return self._worker.send(command)
 
     def request_view(self, request: ViewRequest | None) -> None:
         if request is not None:
@@ -218,13 +226,13 @@ class _Stopwatch:
             answered = snapshot.preview.stamp
             self.delays.append((time.perf_counter() - self._asked[answered]) * 1e3)
             self._asked = {stamp: t for stamp, t in self._asked.items() if stamp > answered}
-        now, opened = time.perf_counter(), snapshot.opened
-        if self._clicked is not None and opened is not None and snapshot.opened_step >= 0:
+        now = time.perf_counter()
+        if self._clicked is not None:
             command, asked = self._clicked
-            if opened.camera is command.camera and opened.ray.pixel == command.pixel:
+            if snapshot.opened_look == command.look:
                 self.opened.append((now - asked) * 1e3)
                 self._clicked = None
-        for pin in snapshot.pinned:
+        for pin in snapshot.pins:
             if pin.ray is None:
                 continue
             step, before = self._pins.get(pin.id, (-1, now))

@@ -26,9 +26,8 @@ class Desk:
             self.send(OpenScene(capture, settings))
             self.until(lambda s: s.status == "ready")
 
-    def send(self, *commands: Command) -> None:
-        for command in commands:
-            self.worker.send(command)
+    def send(self, *commands: Command) -> list[int]:
+        return [self.worker.send(command) for command in commands]
 
     def until(self, wanted: Callable[[Snapshot], bool]) -> Snapshot:
         end = time.monotonic() + PATIENCE

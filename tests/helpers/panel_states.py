@@ -11,7 +11,7 @@ import numpy as np
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene, View
-from nerf_core.live.messages import Export, History, Inspect, Notice, Pinned, Preview, Snapshot, Status
+from nerf_core.live.messages import Export, History, Inspect, Notice, Pin, Preview, Snapshot, Status
 from nerf_core.methods.stages import BarCode, Colors, Marks, Stage, Stems, Transfer
 from nerf_core.probe import (
     SPHERE_COLUMNS,
@@ -27,7 +27,7 @@ from nerf_core.probe import (
     Verdict,
     disc_grid,
 )
-from viewer.model.state import AppState, PinnedRay, ShownNotice
+from viewer.model.state import AppState, ShownNotice
 
 
 def make_camera(eye: np.ndarray) -> Camera:
@@ -155,6 +155,14 @@ def make_history(last: int = 12_400) -> History:
     return History(step, (10 ** (-psnr / 10)).astype(np.float32), psnr.astype(np.float32))
 
 
+def make_pins(ray: RayProbe) -> tuple[Pin, ...]:
+    camera = make_camera(np.array([3.2, 0, 2.4]))
+    return (
+        Pin(1, "the wall", 0, False, camera, ray.pixel, ray, make_ray_history()),
+        Pin(2, "another", 5, True, camera, ray.pixel),
+    )
+
+
 def make_snapshot(status: Status = "training", density: float = 40.0) -> Snapshot:
     ray = make_ray(density)
     preview = Preview(
@@ -165,7 +173,7 @@ def make_snapshot(status: Status = "training", density: float = 40.0) -> Snapsho
         status=status, loaded=1, scene=make_scene(), method="nerf", device="CPU", step=12_400, saved_step=10_000,
         total_steps=30_000, seconds=612.0, rays_per_second=640_123.0, seconds_left=70.2, train_share=0.62,
         memory_bytes=512 << 20, history=make_history(), preview=preview, opened=make_opened(ray), opened_step=12_400,
-        preview_rays_per_second=9_000.0, pinned=(Pinned(1, ray, make_ray_history()), Pinned(2, None, None)),
+        opened_id=1, preview_rays_per_second=9_000.0, pins=make_pins(ray),
     )  # fmt: skip
 
 
@@ -176,8 +184,7 @@ def make_state(snapshot: Snapshot) -> AppState:
     if snapshot.scene is not None:
         state.camera.set_scene(snapshot.scene)
     if snapshot.ray is not None:
-        state.inspect = Inspect(state.camera.camera(*state.viewport), snapshot.ray.pixel)
-        state.pins = [PinnedRay(1, "the wall", 0, state.inspect), PinnedRay(2, "another", 5, state.inspect, True)]
+        state.inspect = snapshot.pins[0].inspect()
     return state
 
 

@@ -11,17 +11,18 @@ from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene, View
 from nerf_core.live.messages import (
     Command,
+    EditPin,
     History,
     Inspect,
     Notice,
     Pause,
     Pin,
-    Pinned,
+    PinRay,
     Preview,
     Snapshot,
     StopInspecting,
     Train,
-    Unpin,
+    UnpinRay,
     ViewRequest,
 )
 from nerf_core.probe import SPHERE_COLUMNS, SPHERE_ROWS, Opened, PassProbe, RadianceProbe, RayProbe, Verdict, disc_grid
@@ -139,7 +140,7 @@ class ScriptedWorker:
         steps = np.arange(0, 101, dtype=np.int64)
         loss = (0.1 * np.exp(-steps / 30)).astype(np.float32)
         history = History(steps, loss, (-10 * np.log10(loss)).astype(np.float32))
-        self.current = Snapshot("empty")
+        self.current = Snapshot(status="empty")
         if scene is not None:
             self.current = Snapshot(
                 status="ready", loaded=1, scene=scene, method="nerf", device="CPU", step=100,
@@ -152,7 +153,7 @@ class ScriptedWorker:
         self.stride = 1
         self.waiting_notices: list[Notice] = []
 
-    def send(self, command: Command) -> None:
+    def send(self, command: Command) -> int:
         self.sent.append(command)
         match command:
             case Train():
@@ -164,17 +165,29 @@ class ScriptedWorker:
                 verdict = Verdict("surface", ("one layer",), ray.depth_median, (), "good")
                 assert self.current.scene is not None
                 opened = Opened(command.camera, self.current.scene, "scripted", ray, verdict, radiance)
-                self.current = replace(self.current, opened=opened, opened_step=ray.step)
+                self.current = replace(
+                    self.current, opened=opened, opened_step=ray.step, opened_id=command.id, opened_look=command.look
+                )
             case StopInspecting():
                 self.current = replace(self.current, opened=None)
-            case Pin(number, camera, pixel):
+            case PinRay(camera, pixel):
                 ray, _ = open_ray(Inspect(camera, pixel))
-                self.current = replace(self.current, pinned=(*self.current.pinned, Pinned(number, ray, None)))
-            case Unpin(number):
-                left = tuple(pin for pin in self.current.pinned if pin.id != number)
-                self.current = replace(self.current, pinned=left)
+                number = len(self.current.pins)
+                pin = Pin(command.id, command.name or f"ray {number + 1}", number, command.hidden, camera, pixel, ray)
+                self.current = replace(self.current, pins=(*self.current.pins, pin))
+            case EditPin(number, name, hidden):
+                pins = [self._edited(pin, name, hidden) if pin.id == number else pin for pin in self.current.pins]
+                self.current = replace(self.current, pins=tuple(pins))
+            case UnpinRay(number):
+                left = tuple(pin for pin in self.current.pins if pin.id != number)
+                self.current = replace(self.current, pins=left)
             case _:
                 pass
+        return len(self.sent)
+
+    @staticmethod
+    def _edited(pin: Pin, name: str | None, hidden: bool | None) -> Pin:
+        return replace(pin, name=pin.name if name is None else name, hidden=pin.hidden if hidden is None else hidden)
 
     def request_view(self, request: ViewRequest) -> None:
         self.views.append(request)

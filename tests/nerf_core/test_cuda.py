@@ -15,7 +15,7 @@ from pretended_cuda import Graph, Rules, pretended_cuda, recorded
 from nerf_core.geometry.cameras import camera_rays
 from nerf_core.geometry.scene import Scene
 from nerf_core.kernels.implementations.on_triton import PackedOnTriton
-from nerf_core.live.messages import ExportRays, Inspect, LoadCheckpoint, Pin, SaveCheckpoint, Train
+from nerf_core.live.messages import ExportRays, Inspect, LoadCheckpoint, PinRay, SaveCheckpoint, Train
 from nerf_core.live.worker import Worker
 from nerf_core.methods import METHODS, traced
 from nerf_core.probe import open_pixel
@@ -36,13 +36,13 @@ def cuda(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     if torch.cuda.is_available():
         yield
         return
-    run = Worker._run
+    work = Worker._work
 
     def under_its_rules(worker: Worker) -> None:
         with Rules():
-            run(worker)
+            work(worker)
 
-    monkeypatch.setattr(Worker, "_run", under_its_rules)
+    monkeypatch.setattr(Worker, "_work", under_its_rules)
     monkeypatch.setattr(PackedOnTriton, "obstacle", lambda: "pretended")  # test_fixed_step.py has the interpreted ones
     with pretended_cuda():
         yield
@@ -74,11 +74,11 @@ def test_a_window_gets_pictures_rays_and_files(cuda: None, tiny: RunSettings, ca
         assert scene is not None
         camera = scene.views[0].camera
         desk.worker.request_view(view_of(scene, 1))
-        desk.send(Inspect(camera, (8, 8)), Pin(1, camera, (3, 9)), Train(6))
-        shown = desk.until(lambda s: s.step == 6 and s.opened_step == 6 and s.pinned[0].ray is not None)
+        desk.send(Inspect(camera, (8, 8)), PinRay(camera, (3, 9), id=1), Train(6))
+        shown = desk.until(lambda s: s.step == 6 and s.opened_step == 6 and s.pins[0].ray is not None)
         assert shown.device == torch.cuda.get_device_name(0)
         desk.until(lambda s: s.preview is not None and s.preview.step == 6)
-        desk.send(SaveCheckpoint(tmp_path / "run.safetensors"), ExportRays(tmp_path / "rays.npz", {1: "Pin 1"}))
+        desk.send(SaveCheckpoint(tmp_path / "run.safetensors"), ExportRays(tmp_path / "rays.npz"))
         desk.until(lambda _: (tmp_path / "rays.npz").exists())
         desk.send(Train(1), LoadCheckpoint(tmp_path / "run.safetensors"))
         desk.until_told("loaded run.safetensors: step 6")

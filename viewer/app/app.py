@@ -6,20 +6,18 @@ import time as clock
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 
 from nerf_core.common.errors import UserError
-from nerf_core.live.messages import Inspect, Notice, Snapshot
+from nerf_core.live.messages import Notice, Snapshot
 from nerf_core.rendering.video import write_png
 
 from ..commands.keyboard import Keyboard
 from ..commands.perform import Actions
 from ..draw.imgui_renderer import ImguiRenderer
 from ..draw.textures import TextureCache
-from ..model import pins
 from ..model.link import Link
 from ..model.state import Action, AppState
 from ..ui.contract import Panel
@@ -77,7 +75,7 @@ class App:
         self._pacer = Pacer(watched=window.has_display)
         self._actions = Actions(self.state, link)
         self._views = ViewRequests(link)
-        self._answered: Inspect | None = None  # the newest ray that was asked for and came
+        self._answered = 0  # the newest look at a ray that was asked for and came
         self._drawn_at = self.state.time
         self._frame_times: deque[float] = deque(maxlen=120)
         self._closed = self._hidden = False
@@ -126,11 +124,7 @@ class App:
             if new.loaded != old.loaded and new.scene is not None:
                 self.state.camera.set_scene(new.scene)
                 self.state.inspect = self.state.current_view = None
-                self.state.pins = []
-                self._actions.pin_landmarks(new.scene)
                 self.state.checkpoint_file = ""
-            if new.session is not old.session and new.session:
-                self._actions.restore(new.session)
         self._focus_behind()
         for notice in notices:
             self._actions.tell(notice)
@@ -139,15 +133,10 @@ class App:
 
     def _is_answer(self, snapshot: Snapshot) -> bool:
         """Whether the ray that was asked for is whole, for the first time."""
-        asked, opened = self.state.inspect, snapshot.opened
-        if asked is None or asked is self._answered or opened is None or snapshot.opened_step < 0:
+        asked = self.state.inspect
+        if asked is None or asked.look == self._answered or snapshot.opened_look != asked.look:
             return False
-        radiance = opened.radiance
-        if opened.camera is not asked.camera or opened.ray.pixel != asked.pixel or radiance is None:
-            return False
-        if radiance.around != asked.around or asked.point_t not in (None, radiance.t):
-            return False
-        self._answered = asked
+        self._answered = asked.look
         return True
 
     def _focus_behind(self) -> None:
@@ -156,7 +145,7 @@ class App:
         state, opened = self.state, self.state.snapshot.opened
         if state.focus is None or opened is None or opened.verdict is None:
             return
-        if opened.camera is not state.focus.camera or opened.ray.pixel != state.focus.pixel:
+        if state.snapshot.opened_id != state.focus.id:
             return
         stood, state.focus = state.focus.camera.c2w[:, 3], None
         if opened.verdict.surface_t is not None and np.allclose(state.camera.c2w()[:, 3], stood):  # else they went on
@@ -190,8 +179,7 @@ class App:
 
     def _frames_part(self) -> float:
         """Half of what training leaves for pictures: the worker's pictures want the other half."""
-        snapshot = self.state.snapshot
-        return (1 - snapshot.wanted_share) / 2 if snapshot.status == "training" else 1.0
+        return self.state.snapshot.frame_share
 
     def _show(self) -> None:
         self.window.swap()
@@ -252,10 +240,6 @@ class App:
             self._frame_times.popleft()
         self.state.frames_per_second = float(len(self._frame_times))
 
-    def session(self) -> dict[str, Any]:
-        """What a checkpoint keeps of the window: its pinned rays."""
-        return pins.to_json(self.state.pins)
-
     # ---- for scripts, tests and the headless mode ---------------------------------------------------------------
 
     @property
@@ -268,9 +252,9 @@ class App:
         """Whether the last frame showed a warp of an older picture."""
         return self._viewport.stale
 
-    def perform(self, action: Action) -> None:
-        """Do what a panel could have asked for."""
-        self._actions.perform(action)
+    def perform(self, action: Action) -> int:
+        """Do what a panel could have asked for; the number of the command that was sent to the worker, 0 if none."""
+        return self._actions.perform(action)
 
     def pixels(self) -> np.ndarray:
         """Draw a frame and read the whole window: uint8 (H, W, 3)."""
@@ -314,6 +298,6 @@ class App:
         imgui.destroy_context(self._context)
 
 
-def _opened(snapshot: Snapshot) -> tuple[int, ...]:
-    """Differs when something of an opened ray is new."""
-    return tuple(map(id, (snapshot.opened, *(pin.ray for pin in snapshot.pinned))))
+def _opened(snapshot: Snapshot) -> tuple[object, ...]:
+    """Differs when something of an opened or pinned ray is new."""
+    return id(snapshot.opened), *((pin.id, id(pin.ray), pin.name, pin.hidden) for pin in snapshot.pins)

@@ -109,17 +109,14 @@ class ViewportPanel:
                     overlay.lines(*frusta(cameras, depth), shade, (faded(color, 0.55), thin))
         if not state.show_samples:
             return
-        shown = {pin.id: pin for pin in state.pins if not pin.hidden}
-        pinned = [(shown[one.id], one.ray) for one in state.snapshot.pinned if one.ray is not None and one.id in shown]
+        pinned = [(pin, pin.ray) for pin in state.snapshot.pins if pin.ray is not None and not pin.hidden]
         colors, names = [theme.pins[pin.color] for pin, _ in pinned], [pin.name for pin, _ in pinned]
         _draw_rays(ui, overlay, [ray for _, ray in pinned], colors)
         overlay.tags(*_ends([ray for _, ray in pinned]), names, ui.em, colors, theme.ground)
         ray = state.snapshot.ray
         if ray is None:
             return
-        pin = next(
-            (pin for pin in state.pins if pin.ray.camera is _camera_of(state) and pin.ray.pixel == ray.pixel), None
-        )
+        pin = next((pin for pin in state.snapshot.pins if pin.id == state.snapshot.opened_id), None)
         _draw_rays(ui, overlay, [ray], [theme.ray if pin is None else theme.pins[pin.color]])
         if state.sample is not None and state.sample.one < len(ray.passes):
             one = ray.passes[state.sample.one]
@@ -154,10 +151,6 @@ class ViewportPanel:
 
     def release(self) -> None:
         self._picture.release()
-
-
-def _camera_of(state: AppState) -> Camera | None:
-    return state.inspect.camera if state.inspect is not None else None
 
 
 def _point_at(ui: PanelUi, state: AppState, overlay: Overlay, ray: RayProbe) -> None:

@@ -3,31 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from nerf_core.common.errors import UserError
 from nerf_core.common.user_paths import own_path
-from nerf_core.datasets.formats.demo import LANDMARKS
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.paths.orbit import Orbit
 from nerf_core.geometry.scene import Scene
 from nerf_core.live.messages import (
-    ExportPath,
+    Command,
     ExportRays,
     Inspect,
     LoadCheckpoint,
     Notice,
     OpenScene,
-    Pin,
     SaveCheckpoint,
+    StartExport,
     StopInspecting,
-    Unpin,
 )
+from nerf_core.rendering.export.requests import ExportPath
 
-from ..model import pins
 from ..model.link import Link
 from ..model.state import (
     Action,
@@ -35,16 +31,13 @@ from ..model.state import (
     FocusOn,
     FrameScene,
     GoToView,
-    OpenPin,
     OrbitForm,
-    PinRay,
     ResetView,
     SaveScreenshot,
     SetDisc,
     SetPointDepth,
     ShownNotice,
     StartOrbitExport,
-    UnpinRay,
 )
 
 
@@ -54,96 +47,53 @@ class Actions:
         self._link = link
         self.screenshots: list[Path] = []  # to be written when the frame is complete
 
-    def perform(self, action: Action) -> None:
-        """Do it now. What cannot be done becomes an error notice."""
+    def perform(self, action: Action) -> int:
+        """Do it now; the number of the command that was sent, 0 if none. What cannot be done becomes a notice."""
         try:
-            self._perform(action)
+            return self._perform(action)
         except UserError as error:
             self.tell(Notice("error", str(error)))
+            return 0
 
     def tell(self, notice: Notice) -> None:
         self._state.notices.append(ShownNotice(notice, self._state.time))
 
-    def _perform(self, action: Action) -> None:  # noqa: PLR0912  one branch an action
+    def _perform(self, action: Action) -> int:
         state, scene = self._state, self._state.snapshot.scene
         match action:
             case GoToView() | FocusOn() | ResetView() | FrameScene():
                 self._move(action)
             case SetPointDepth(t):
-                if state.inspect is not None:
-                    self._perform(replace(state.inspect, point_t=t))
-            case PinRay() | OpenPin() | UnpinRay():
-                self._pin(action)
+                return 0 if state.inspect is None else self._perform(state.inspect.again(point_t=t))
             case SetDisc(around):
-                if state.inspect is not None:
-                    self._perform(replace(state.inspect, around=around))
+                return 0 if state.inspect is None else self._perform(state.inspect.again(around=around))
             case SaveScreenshot(path):
                 self.screenshots.append(path)
             case StartOrbitExport():
                 if scene is None:
                     raise UserError("there is no scene to make an orbit of: open one first")
-                self._link.send(orbit_export(scene, state.orbit))
+                return self._link.send(StartExport(orbit_export(scene, state.orbit)))
+            case _:
+                return self._send(action)
+        return 0
+
+    def _send(self, command: Command) -> int:
+        state = self._state
+        match command:
             case Inspect():
-                state.inspect = action
-                self._link.send(action)
-            case OpenScene(path):
-                state.inspect = None
-                self._link.send(action if path is None else replace(action, path=own_path(path)))
-            case SaveCheckpoint(path):
-                self._link.send(SaveCheckpoint(own_path(path), pins.to_json(state.pins)))
-            case ExportRays(path, names):
-                self._link.send(ExportRays(own_path(path), names))
-            case LoadCheckpoint(path):
-                self._link.send(replace(action, path=own_path(path)))
+                state.inspect = command
             case StopInspecting():
                 state.inspect = None
-                self._link.send(action)
+            case OpenScene(path):
+                state.inspect = None
+                command = command if path is None else replace(command, path=own_path(path))
+            case SaveCheckpoint(path) | LoadCheckpoint(path):
+                command = replace(command, path=own_path(path))
+            case ExportRays(file):
+                command = replace(command, file=own_path(file))
             case _:
-                self._link.send(action)
-
-    def _pin(self, action: PinRay | OpenPin | UnpinRay) -> None:
-        state = self._state
-        match action:
-            case PinRay(ray):
-                if len(state.pins) >= pins.MOST:
-                    for landmark in pins.spare(state.pins)[:1]:
-                        self._pin(UnpinRay(landmark.id))
-                pin = pins.new_pin(state.pins, ray)
-                state.pins.append(pin)
-                self._link.send(Pin(pin.id, ray.camera, ray.pixel))
-            case OpenPin(number):
-                for pin in state.pins:
-                    if pin.id == number:
-                        self._perform(pin.ray)
-            case UnpinRay(number):
-                state.pins = [pin for pin in state.pins if pin.id != number]
-                self._link.send(Unpin(number))
-
-    def pin_landmarks(self, scene: Scene) -> None:
-        """Of the demo scene: out of sight, so that their histories begin with training."""
-        if scene.format != "demo" or not scene.split("train"):
-            return
-        camera = scene.views[scene.split("train")[0]].camera
-        for name, x, y in LANDMARKS:
-            pixel = int(x * camera.width), int(y * camera.height)
-            pin = replace(pins.new_pin(self._state.pins, Inspect(camera, pixel)), name=name, hidden=True)
-            self._state.pins.append(pin)
-            self._link.send(Pin(pin.id, camera, pixel))
-
-    def restore(self, session: Mapping[str, Any]) -> None:
-        """Pin what a loaded checkpoint brought back; where it brings nothing, what is pinned stays."""
-        try:
-            stored = pins.from_json(session)
-        except UserError as error:
-            self.tell(Notice("warning", str(error)))
-            return
-        if not stored:
-            return
-        for pin in self._state.pins:
-            self._link.send(Unpin(pin.id))
-        self._state.pins = stored
-        for pin in stored:
-            self._link.send(Pin(pin.id, pin.ray.camera, pin.ray.pixel))
+                pass
+        return self._link.send(command)
 
     def _move(self, action: GoToView | FocusOn | ResetView | FrameScene) -> None:
         state, scene = self._state, self._state.snapshot.scene

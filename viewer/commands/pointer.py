@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from imgui_bundle import imgui
 
-from nerf_core.live.messages import Inspect
+from nerf_core.live.messages import Inspect, PinRay
 
 from ..draw.viewport import same_view
-from ..model.state import Action, AppState, FocusOn, PinRay
+from ..model.state import Action, AppState, FocusOn
 from ..ui.theme import TEXT_PIXELS
 from .registry import Section
 
@@ -123,7 +123,7 @@ class ViewportInput:
         ray = Inspect(state.camera.camera(width, height), (x, y))
         self.actions.append(ray)
         if imgui.get_io().key_ctrl:
-            self.actions.append(PinRay(ray))
+            self.actions.append(PinRay.of(ray))
         return ray
 
 
@@ -139,7 +139,9 @@ def point_under(state: AppState, x: int, y: int) -> np.ndarray | None:
         if np.isfinite(z):
             return camera.c2w[:, :3] @ local + camera.c2w[:, 3]
     ray, asked = state.snapshot.ray, state.inspect
-    if ray is None or asked is None or not ray.pixel == asked.pixel == (x, y) or ray.depth_median is None:
+    if ray is None or asked is None or ray.depth_median is None:
+        return None
+    if state.snapshot.opened_id != asked.id or asked.pixel != (x, y):
         return None
     return ray.origin + ray.depth_median * ray.direction if same_view(asked.camera, camera) else None
 

@@ -10,7 +10,9 @@ from nerf_core.live.messages import Command, Notice, Snapshot, ViewRequest
 class Link(Protocol):
     """The window's side of `nerf_core.live.worker.Worker`; none of these ever waits."""
 
-    def send(self, command: Command) -> None: ...
+    def send(self, command: Command) -> int:
+        """Queue a command; notices that answer it carry this number."""
+        ...
 
     def request_view(self, request: ViewRequest) -> None: ...
 

@@ -57,25 +57,6 @@ class SetDisc:
 
 
 @dataclass(frozen=True)
-class PinRay:
-    """Keep this ray open beside others."""
-
-    ray: Inspect
-
-
-@dataclass(frozen=True)
-class OpenPin:
-    """Put the pinned ray of this number under the lens."""
-
-    id: int
-
-
-@dataclass(frozen=True)
-class UnpinRay:
-    id: int
-
-
-@dataclass(frozen=True)
 class SaveScreenshot:
     path: Path
 
@@ -86,8 +67,8 @@ class StartOrbitExport:
 
 
 Action = (
-    Command | GoToView | FocusOn | ResetView | FrameScene | SetPointDepth | SetDisc | PinRay | OpenPin | UnpinRay
-    | SaveScreenshot | StartOrbitExport
+    Command | GoToView | FocusOn | ResetView | FrameScene | SetPointDepth | SetDisc | SaveScreenshot
+    | StartOrbitExport
 )  # fmt: skip
 
 
@@ -112,17 +93,6 @@ class ShownNotice:
     dismissed: bool = False
 
 
-@dataclass
-class PinnedRay:
-    """A ray that stays where it is in the world. color: into the theme's palette of rays; no other pin has it."""
-
-    id: int
-    name: str
-    color: int
-    ray: Inspect
-    hidden: bool = False
-
-
 class SampleRef(NamedTuple):
     """A sample of the opened ray: of its pass with this number, the sample with this index."""
 
@@ -137,7 +107,6 @@ class AppState:
     snapshot: Snapshot = field(default_factory=Snapshot)
     camera: CameraControl = field(default_factory=CameraControl)
     inspect: Inspect | None = None  # the ray that was asked for last; the answer is snapshot.ray
-    pins: list[PinnedRay] = field(default_factory=list)
     sample: SampleRef | None = None  # the sample that was pointed at in the last frame, in whichever panel
     pointed_at: SampleRef | None = None  # * and in this one
     focus: Inspect | None = None  # where a double click went: what the verdict says of it is still to come

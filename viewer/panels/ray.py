@@ -115,7 +115,7 @@ class RayPanel:
 
     def _draw_figures(self, ui: Ui, state: AppState, ray: RayProbe) -> None:
         asked = state.inspect
-        if asked is not None and asked.pixel != ray.pixel:
+        if asked is not None and asked.id != state.snapshot.opened_id:
             hint(ui, f"Opening the ray through pixel {asked.pixel[0]:,}, {asked.pixel[1]:,} …")
         _verdict(ui, state)
         last = ray.passes[-1]

@@ -10,9 +10,10 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 
 from nerf_core.common.colormaps import colored
+from nerf_core.live.messages import Pin
 from nerf_core.probe import RayHistory
 
-from ..model.state import Action, AppState, PinnedRay
+from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import Limits, axis_name, color_scale, faded, hint, packed, same_line_if_fits
 
@@ -37,8 +38,7 @@ class RayHistoryPanel:
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
         yield from ()
         pin = _shown(state)
-        histories = {one.id: one.history for one in state.snapshot.pinned}
-        history = histories.get(pin.id) if pin is not None else None
+        history = pin.history if pin is not None else None
         if pin is not None and history is not None and len(history.steps) == 1:
             hint(
                 ui,
@@ -99,13 +99,10 @@ class RayHistoryPanel:
         implot.pop_style_var()
 
 
-def _shown(state: AppState) -> PinnedRay | None:
+def _shown(state: AppState) -> Pin | None:
     """The pin that is open, else the first."""
-    asked = state.inspect
-    for pin in state.pins:
-        if asked is not None and pin.ray.camera is asked.camera and pin.ray.pixel == asked.pixel:
-            return pin
-    return state.pins[0] if state.pins else None
+    asked, pins = state.inspect, state.snapshot.pins
+    return next((pin for pin in pins if asked is not None and pin.id == asked.id), pins[0] if pins else None)
 
 
 def _columns(history: RayHistory) -> np.ndarray:

@@ -10,10 +10,9 @@ from typing import Literal
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from nerf_core.live.messages import ExportRays, Pinned
+from nerf_core.live.messages import MOST_PINS, PIN_NAME_LENGTH, EditPin, ExportRays, Pin, PinRay, UnpinRay
 
-from ..model.pins import MOST, NAME_LENGTH
-from ..model.state import Action, AppState, OpenPin, PinnedRay, PinRay, UnpinRay
+from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
 from ..ui.text import number, triple
 from ..ui.widgets import Row, button, field_beside, figures, hint, packed, swatch
@@ -29,31 +28,31 @@ class RaysPanel:
     order = 4
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
-        asked = state.inspect
-        there = asked is not None and any(_same(pin, asked.pixel, asked.camera) for pin in state.pins)
-        can = asked is not None and not there and len(state.pins) < MOST
+        asked, pins = state.inspect, state.snapshot.pins
+        there = asked is not None and any(pin.id == asked.id for pin in pins)
+        can = asked is not None and not there and len(pins) < MOST_PINS
         tip = "keep this ray open, and its history from now on (Ctrl+click in the viewport)"
         if button(ui, PIN, "rays.pin", enabled=can, tip=tip) and asked is not None:
-            yield PinRay(asked)
-        if not state.pins:
-            hint(ui, f"Up to {MOST} rays stay where they are while you move, and keep a history of their training.")
-        if state.pins or state.snapshot.opened is not None:
+            yield PinRay.of(asked)
+        if not pins:
+            hint(
+                ui, f"Up to {MOST_PINS} rays stay where they are while you move, and keep a history of their training."
+            )
+        if pins or state.snapshot.opened is not None:
             field_beside(ui, WRITE)
             _, state.rays_file = imgui.input_text("##file", state.rays_file)
             ui.mark("rays.file")
             imgui.same_line()
             tip = "the opened ray and the pinned ones: .json, .npz, .csv, or a figure as .png or .svg"
             if button(ui, WRITE, "rays.write", enabled=bool(state.rays_file.strip()), tip=tip):
-                shown = {pin.id: pin.name for pin in state.pins if not pin.hidden}
-                yield ExportRays(Path(state.rays_file.strip()), shown)
-        opened = {one.id: one for one in state.snapshot.pinned}
-        for pin in list(state.pins):
+                yield ExportRays(Path(state.rays_file.strip()))
+        for pin in pins:
             imgui.push_id(pin.id)
-            yield from _draw_pin(ui, pin, opened.get(pin.id))
+            yield from _draw_pin(ui, pin)
             imgui.pop_id()
 
 
-def _draw_pin(ui: Ui, pin: PinnedRay, opened: Pinned | None) -> Iterator[Action]:
+def _draw_pin(ui: Ui, pin: Pin) -> Iterator[Action]:
     at, high = imgui.get_cursor_screen_pos(), imgui.get_frame_height()
     color = packed(ui.theme.pins[pin.color])
     imgui.get_window_draw_list().add_rect_filled(at, ImVec2(at.x + 0.3 * ui.em, at.y + high), color)
@@ -64,24 +63,20 @@ def _draw_pin(ui: Ui, pin: PinnedRay, opened: Pinned | None) -> Iterator[Action]
     changed, name = imgui.input_text("##name", pin.name)
     ui.mark(f"rays.name {pin.id}")
     if changed:
-        pin.name = name[:NAME_LENGTH]
+        yield EditPin(pin.id, name=name[:PIN_NAME_LENGTH])
     imgui.same_line()
     if button(ui, eye, f"rays.hide {pin.id}", tip="show in the viewport" if pin.hidden else "hide in the viewport"):
-        pin.hidden = not pin.hidden
+        yield EditPin(pin.id, hidden=not pin.hidden)
     imgui.same_line()
     if button(ui, icons.ICON_FA_MAGNIFYING_GLASS, f"rays.open {pin.id}", tip="open this ray in the panels below"):
-        yield OpenPin(pin.id)
+        yield pin.inspect()
     imgui.same_line()
     if button(ui, icons.ICON_FA_XMARK, f"rays.remove {pin.id}", tip="remove it and its history"):
         yield UnpinRay(pin.id)
-    ray = opened.ray if opened is not None else None
+    ray = pin.ray
     if ray is not None:
         rows: list[Row] = [
             ("colour", triple(ray.color), partial(swatch, ui, ray.color)),
             ("depth", f"{number(ray.depth_median, 4)}   opacity {ray.opacity:.3f}   step {ray.step:,}"),
         ]
         figures(ui, "figures", rows)
-
-
-def _same(pin: PinnedRay, pixel: tuple[int, int], camera: object) -> bool:
-    return pin.ray.pixel == pixel and pin.ray.camera is camera

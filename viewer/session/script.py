@@ -14,29 +14,32 @@ from nerf_core.common.errors import UserError, shorten
 from nerf_core.geometry.camera_files import picked_camera
 from nerf_core.geometry.paths.steps import training_size
 from nerf_core.live.messages import (
+    MOST_PINS,
     CancelExport,
     Command,
     ExportRays,
-    ExportStill,
-    Inspect,
+    Kind,
     LoadCheckpoint,
     Notice,
     OpenScene,
     Pause,
+    PinRay,
     SaveCheckpoint,
     SetShare,
     Snapshot,
+    StartExport,
     Train,
 )
+from nerf_core.live.pins import spare_pins
 from nerf_core.live.worker import Worker
 from nerf_core.probe.report import FORMATS
+from nerf_core.rendering.export.requests import ExportStill
 from nerf_core.rendering.modes import COLOR, mode_names
 from nerf_core.training.checkpoint import describe
 from nerf_core.training.settings import RunSettings
 
 from ..app.app import App
-from ..model.pins import MOST, spare
-from ..model.state import PinRay, StartOrbitExport
+from ..model.state import StartOrbitExport
 
 FRAME_SECONDS = 0.25  # how often an offscreen interface is drawn while it waits: drawing takes time from training
 SHARPEN_SECONDS = 180.0  # how long a screenshot waits for the preview to reach full resolution
@@ -77,8 +80,10 @@ class Wishes:
         """Raises UserError for what cannot be done, before hours are spent on what goes before it."""
         if self.mode not in mode_names():
             raise UserError(f"--mode {shorten(self.mode)}: choose from {', '.join(mode_names())}")
-        if len(self.pins) > MOST:
-            raise UserError(f"--pin: given {len(self.pins)} times; {MOST} rays at most can be pinned: leave some out")
+        if len(self.pins) > MOST_PINS:
+            raise UserError(
+                f"--pin: given {len(self.pins)} times; {MOST_PINS} rays at most can be pinned: leave some out"
+            )
         for option, places in (("click", self.clicks), ("pin", self.pins)):
             for place in places:
                 for text in place:
@@ -126,7 +131,7 @@ class Script:
         for note in scene.notes:
             self.say(f"note: {note}")
         if self.wishes.load is not None:
-            self._do(LoadCheckpoint(self.wishes.load), lambda _: self._told("loaded"))
+            self._ask(LoadCheckpoint(self.wishes.load), "loaded")
 
     def run(self) -> None:
         """Train, save, click; then the files, the quickest first."""
@@ -134,7 +139,7 @@ class Script:
         if wishes.steps or wishes.seconds:
             self._train(wishes.steps, wishes.seconds)
         if wishes.save is not None:
-            self._do(SaveCheckpoint(wishes.save), lambda _: self._told("saved"))
+            self._ask(SaveCheckpoint(wishes.save), "saved")
         self._uncover()
         for x, y in wishes.clicks:
             self._click(x, y)
@@ -146,7 +151,7 @@ class Script:
             self.app.screenshot(wishes.screenshot)
         if wishes.render is not None:
             camera = self.app.state.camera.camera(*self.app.state.viewport)
-            self._export(ExportStill(camera, wishes.render), f"rendering {camera.width}×{camera.height}")
+            self._export(StartExport(ExportStill(camera, wishes.render)), f"rendering {camera.width}×{camera.height}")
         if wishes.orbit is not None:
             self._film(wishes.orbit, wishes.orbit_seconds)
         for file in wishes.files():
@@ -214,12 +219,12 @@ class Script:
         for x, y in self.wishes.pins:
             _, _, column, row = self._place("pin", x, y)
             camera = state.camera.camera(*state.viewport)
-            self.app.perform(PinRay(Inspect(camera, (column, row))))
+            self.app.perform(PinRay(camera, (column, row)))
 
     def _check_room(self) -> None:
         """Whether --pin has it: the demo's own pins give way, those of a hand do not. Raises UserError."""
-        pins, asked = self.app.state.pins, len(self.wishes.pins)
-        room = MOST - len(pins) + len(spare(pins))
+        pins, asked = self._snapshot().pins, len(self.wishes.pins)
+        room = MOST_PINS - len(pins) + len(spare_pins(pins))
         if asked > room:
             beside = f"beside the rays that are pinned in {self.wishes.load} there is room for {room}"
             raise UserError(f"--pin: given {asked} times; {beside}: leave the others out")
@@ -237,11 +242,10 @@ class Script:
         asked = self.app.state.inspect
         if asked is None:
             raise UserError(f"--click {x} {y}: hit no pixel of the viewport")
-        self._wait(lambda s: s.ray is not None and s.ray.pixel == asked.pixel and s.opened_step == s.step)
+        self._wait(lambda s: s.opened_id == asked.id and s.opened_step == s.step)
 
     def _inspect(self, file: Path) -> None:
-        pins = {pin.id: pin.name for pin in self.app.state.pins if not pin.hidden}
-        self._do(ExportRays(file, pins), lambda _: self._told("wrote"))
+        self._ask(ExportRays(file), "wrote")
 
     def _film(self, file: Path, seconds: float | None) -> None:
         snapshot, form = self._snapshot(), self.app.state.orbit
@@ -304,11 +308,12 @@ class Script:
     def _snapshot(self) -> Snapshot:
         return self.app.state.snapshot
 
-    def _told(self, word: str) -> bool:
-        return any(n.text.startswith(word) for n in self._seen)
+    def _ask(self, command: Command, kind: Kind) -> None:
+        """Send a command and wait for the notice of this kind that answers it."""
+        number = self.app.perform(command)
+        self._wait(lambda _: any(n.command == number and n.kind == kind for n in self._seen))
 
     def _do(self, command: Command, done: Callable[[Snapshot], bool], bar: Display | None = None) -> None:
-        self._seen.clear()
         self.app.perform(command)
 
         def and_show(s: Snapshot) -> bool:
@@ -320,6 +325,7 @@ class Script:
 
     def _wait(self, done: Callable[[Snapshot], bool]) -> None:
         """Keep the app alive until `done`. Raises UserError with the worker's complaint, Closed on request."""
+        self._seen.clear()
         known = len(self.app.state.notices)
         while True:
             self.app.window.poll(0.02)

@@ -86,7 +86,7 @@ class Session:
             return
         path = asked or autosave_path(snapshot.scene)
         self.worker.send(CancelExport())
-        self.worker.send(SaveCheckpoint(path, self.app.session()))
+        self.worker.send(SaveCheckpoint(path))
         begin = time.monotonic()
         while not self.worker.stop(0.2):
             if time.monotonic() - begin > (SAVE_SECONDS if self.signals.received else PATIENT_SECONDS):

@@ -23,7 +23,7 @@ def test_training_gets_its_share_of_the_time(share: float, tile: float) -> None:
     trained = drawn = 0.0
     for _ in range(5000):
         clock.now += 0.01
-        budget.trained(0.01, 64)
+        budget.trained(0.01)
         trained += 0.01
         while budget.may_draw():
             clock.now += tile
@@ -32,7 +32,6 @@ def test_training_gets_its_share_of_the_time(share: float, tile: float) -> None:
     assert trained / (trained + drawn) == pytest.approx(share, abs=0.02)
     # what it says of the last seconds may be off by the one tile that was under way
     assert budget.train_share() == pytest.approx(share, abs=0.03)
-    assert budget.rays_per_second() == pytest.approx(6400 * budget.train_share())
 
 
 def test_a_new_share_takes_over_within_seconds() -> None:
@@ -43,7 +42,7 @@ def test_a_new_share_takes_over_within_seconds() -> None:
         end = clock.now + seconds
         while clock.now < end:
             clock.now += 0.01
-            budget.trained(0.01, 1)
+            budget.trained(0.01)
             while budget.may_draw():
                 clock.now += 0.005
                 budget.drew(0.005)
@@ -58,9 +57,9 @@ def test_an_idle_hour_earns_no_burst() -> None:
     clock = Clock()
     budget = Budget(0.5, clock)
     clock.now += 3600
-    budget.trained(3600, 1)
+    budget.trained(3600)
     clock.now += 20
-    budget.trained(0.01, 1)
+    budget.trained(0.01)
     spent = 0.0
     while budget.may_draw():
         clock.now += 0.01
@@ -71,7 +70,7 @@ def test_an_idle_hour_earns_no_burst() -> None:
 
 def test_nothing_measured_is_nothing_claimed() -> None:
     budget = Budget(0.5, Clock())
-    assert budget.train_share() == budget.rays_per_second() == 0
+    assert budget.train_share() == 0
     assert budget.may_draw()
 
 
@@ -91,7 +90,7 @@ def test_a_moving_camera_has_half_of_what_training_leaves(share: float) -> None:
     followed = 0.0
     while clock.now < 60:
         clock.now += 0.004
-        budget.trained(0.004 * share, 64)
+        budget.trained(0.004 * share)
         budget.showed(0.004 * (1 - share))  # a window that leaves nothing of the budget
         if budget.may_follow():
             clock.now += 0.01

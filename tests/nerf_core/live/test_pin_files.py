@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +14,20 @@ import torch
 from desk import PATIENCE, Desk
 
 from nerf_core.common.errors import UserError
-from nerf_core.live.messages import LoadCheckpoint, Pin, Reset, SaveCheckpoint, Snapshot, Train, Unpin
-from nerf_core.live.pin_files import restored
+from nerf_core.geometry.camera import Camera
+from nerf_core.live.messages import (
+    MOST_PINS,
+    EditPin,
+    LoadCheckpoint,
+    Pin,
+    PinRay,
+    Reset,
+    SaveCheckpoint,
+    Snapshot,
+    Train,
+    UnpinRay,
+)
+from nerf_core.live.pin_files import described, restored_pins, with_histories
 from nerf_core.probe import RayHistory
 from nerf_core.training import checkpoint
 from nerf_core.training.settings import RunSettings
@@ -23,9 +37,15 @@ pytestmark = pytest.mark.xdist_group("pin files")  # one worker trains what they
 
 
 def history_of(snapshot: Snapshot, number: int = 1) -> RayHistory:
-    found = next(pin.history for pin in snapshot.pinned if pin.id == number)
+    found = next(pin.history for pin in snapshot.pins if pin.id == number)
     assert found is not None
     return found
+
+
+def camera_of(desk: Desk) -> Camera:
+    scene = desk.worker.snapshot().scene
+    assert scene is not None
+    return scene.views[0].camera
 
 
 @pytest.fixture(scope="module")
@@ -33,13 +53,13 @@ def saved(tiny: RunSettings, capture: Path, tmp_path_factory: pytest.TempPathFac
     """A checkpoint of step 5 with a ray pinned at step 0 and one pinned at step 3, and what was shown then."""
     desk, file = Desk(tiny, capture), tmp_path_factory.mktemp("saved") / "run.safetensors"
     camera = desk.until(lambda s: s.scene is not None).scene.views[0].camera  # pyright: ignore
-    desk.send(Pin(1, camera, (8, 8)), Train(3))
+    desk.send(PinRay(camera, (8, 8), id=1), Train(3))
     desk.until(lambda s: s.step == 3 and s.status == "paused")
-    desk.send(Pin(2, camera, (2, 2)), Train(2))
+    desk.send(PinRay(camera, (2, 2), id=2), Train(2))
     shown = desk.until(
-        lambda s: s.step == 5 and s.status == "paused" and len(s.pinned) == 2 and history_of(s).steps[-1] == 5
+        lambda s: s.step == 5 and s.status == "paused" and len(s.pins) == 2 and history_of(s).steps[-1] == 5
     )
-    desk.send(SaveCheckpoint(file, {"mark": 7}))
+    desk.send(EditPin(2, name="rim"), SaveCheckpoint(file))
     desk.until_told("saved step 5")
     assert desk.worker.stop(PATIENCE)
     return file, shown
@@ -53,73 +73,82 @@ def test_curves_and_maps_go_on_where_the_checkpoint_left_them(
     open_desk: OpenDesk, saved: tuple[Path, Snapshot]
 ) -> None:
     (file, before), desk = saved, open_desk()
-    assert before.scene is not None
-    camera = desk.until(lambda s: s.scene is not None).scene.views[0].camera  # pyright: ignore
-    desk.send(LoadCheckpoint(file), Pin(7, camera, (8, 8)), Pin(8, camera, (2, 2)), Pin(9, camera, (5, 5)))
-    loaded = desk.until(lambda s: len(s.pinned) == 3 and all(pin.history is not None for pin in s.pinned))
-    assert same(history_of(loaded, 7), history_of(before, 1))
-    assert same(history_of(loaded, 8), history_of(before, 2))
-    assert history_of(loaded, 9).steps.tolist() == [5]
+    desk.send(LoadCheckpoint(file))
+    desk.until_told("loaded run.safetensors")
+    loaded = desk.worker.snapshot()
+    a, b = loaded.pins
+    assert [(pin.name, pin.color, pin.pixel) for pin in loaded.pins] == [("ray 1", 0, (8, 8)), ("rim", 1, (2, 2))]
+    assert same(history_of(loaded, a.id), history_of(before, 1))
+    assert same(history_of(loaded, b.id), history_of(before, 2))
     np.testing.assert_array_equal(loaded.history.step, before.history.step)
     np.testing.assert_array_equal(loaded.history.loss, before.history.loss)
 
     later = desk.trained(3)
     assert later.history.step.tolist() == [1, 2, 3, 4, 5, 6, 7, 8]
-    later = desk.until(lambda s: history_of(s, 7).steps[-1] == 8)
-    assert history_of(later, 7).steps.tolist() == [0, 1, 2, 3, 4, 5, 6, 7, 8]
-    assert history_of(later, 8).steps.tolist() == [3, 4, 5, 6, 7, 8]
+    later = desk.until(lambda s: history_of(s, a.id).steps[-1] == 8)
+    assert history_of(later, a.id).steps.tolist() == [0, 1, 2, 3, 4, 5, 6, 7, 8]
+    assert history_of(later, b.id).steps.tolist() == [3, 4, 5, 6, 7, 8]
 
 
-def test_what_is_removed_or_pinned_twice_begins_anew(open_desk: OpenDesk, saved: tuple[Path, Snapshot]) -> None:
-    desk, pixel = open_desk(), (2, 2)  # the ray that was pinned at step 3
-    camera = desk.until(lambda s: s.scene is not None).scene.views[0].camera  # pyright: ignore
-    desk.send(LoadCheckpoint(saved[0]), Pin(1, camera, pixel), Pin(2, camera, pixel))
-    both = desk.until(lambda s: len(s.pinned) == 2 and all(pin.history is not None for pin in s.pinned))
-    assert history_of(both, 1).steps.tolist() == [3, 4, 5]
-    assert history_of(both, 2).steps.tolist() == [5]
-    desk.send(Unpin(1), Unpin(2), Pin(3, camera, pixel))
-    again = desk.until(lambda s: [pin.id for pin in s.pinned] == [3] and s.pinned[0].history is not None)
-    assert history_of(again, 3).steps.tolist() == [5]
+def test_a_ray_that_is_removed_and_pinned_again_begins_anew(open_desk: OpenDesk, saved: tuple[Path, Snapshot]) -> None:
+    desk = open_desk()
+    desk.send(LoadCheckpoint(saved[0]))
+    desk.until_told("loaded run.safetensors")
+    pin = desk.worker.snapshot().pins[1]
+    desk.send(UnpinRay(pin.id), PinRay(pin.camera, pin.pixel, id=77))
+    again = desk.until(lambda s: [pin.id for pin in s.pins][1:] == [77] and s.pins[1].history is not None)
+    assert history_of(again, 77).steps.tolist() == [5]
+    assert again.pins[1].color == 1  # the colour that became free
 
 
-def test_a_history_goes_on_at_the_step_where_its_ray_is_pinned_again(
-    open_desk: OpenDesk, saved: tuple[Path, Snapshot]
-) -> None:
+def test_a_history_goes_on_past_the_checkpoints_schedule(open_desk: OpenDesk, saved: tuple[Path, Snapshot]) -> None:
     desk = open_desk(steps=20_000)  # the checkpoint's own schedule, of 100 steps, counts
-    camera = desk.until(lambda s: s.scene is not None).scene.views[0].camera  # pyright: ignore
-    desk.send(LoadCheckpoint(saved[0]), Train(120))  # past that schedule
-    desk.until(lambda s: s.step == 125 and s.status != "training")
-    desk.send(Pin(3, camera, (2, 2)))
-    shown = desk.until(lambda s: len(s.pinned) == 1 and s.pinned[0].history is not None)
-    assert history_of(shown, 3).steps.tolist() == [3, 4, 5, 125]
+    desk.send(LoadCheckpoint(saved[0]), Train(120))
+    shown = desk.until(lambda s: s.step == 125 and s.status != "training" and s.pins[1].history is not None)
+    steps = history_of(shown, shown.pins[1].id).steps.tolist()
+    assert steps[:3] == [3, 4, 5]
+    assert steps[-1] > 100
+    assert steps == sorted(set(steps))
 
 
 def test_another_training_knows_nothing_of_it(open_desk: OpenDesk, saved: tuple[Path, Snapshot]) -> None:
     desk = open_desk()
-    camera = desk.until(lambda s: s.scene is not None).scene.views[0].camera  # pyright: ignore
-    desk.send(LoadCheckpoint(saved[0]), Reset(), Pin(5, camera, (2, 2)))
-    begun = desk.until(lambda s: len(s.pinned) == 1 and s.pinned[0].history is not None)
-    assert history_of(begun, 5).steps.tolist() == [0]
+    desk.send(LoadCheckpoint(saved[0]), Reset())
+    begun = desk.until(lambda s: s.step == 0 and len(s.pins) == 2 and s.pins[1].history is not None)
+    assert [history_of(begun, pin.id).steps.tolist() for pin in begun.pins] == [[0], [0]]
     assert len(begun.history.step) == 0
+
+
+def test_what_is_pinned_stays_where_a_checkpoint_has_no_pins(open_desk: OpenDesk, tmp_path: Path) -> None:
+    desk, file = open_desk(), tmp_path / "bare.safetensors"
+    desk.trained(2)
+    desk.send(SaveCheckpoint(file), PinRay(camera_of(desk), (4, 4), id=9), LoadCheckpoint(file))
+    desk.until_told("loaded bare.safetensors")
+    (pin,) = desk.worker.snapshot().pins
+    assert (pin.id, pin.pixel) == (9, (4, 4))
+    assert history_of(desk.worker.snapshot(), 9).steps.tolist() == [2]
 
 
 def test_whoever_hears_that_a_checkpoint_was_loaded_finds_it_there(
     open_desk: OpenDesk, saved: tuple[Path, Snapshot]
 ) -> None:
     desk = open_desk()
-    desk.send(LoadCheckpoint(saved[0]))
-    desk.until_told("loaded run.safetensors")
+    (number,) = desk.send(LoadCheckpoint(saved[0]))
+    told = desk.until_told("loaded run.safetensors")
+    assert (told.kind, told.command) == ("loaded", number)
     shown = desk.worker.snapshot()
-    assert shown.session == {"mark": 7}
+    assert [pin.name for pin in shown.pins] == ["ray 1", "rim"]
     assert shown.step == 5
     assert shown.history.step.tolist() == [1, 2, 3, 4, 5]
 
 
 def test_a_checkpoint_without_histories_has_none(saved: tuple[Path, Snapshot]) -> None:
     description, state = checkpoint.load(saved[0])
-    assert len(restored(description, state)) == 2
+    pins = restored_pins(description)
+    assert all(pin.history is None for pin in pins)
+    assert all(pin.history is not None for pin in with_histories(pins, description, state))
     del description["watched"]
-    assert not restored(description, state)
+    assert all(pin.history is None for pin in with_histories(pins, description, state))
 
 
 def bad(name: str, change: Callable[[torch.Tensor], Any]) -> Callable[[dict[str, Any], dict[str, Any]], None]:
@@ -158,7 +187,7 @@ def test_histories_that_nobody_wrote_are_refused(saved: tuple[Path, Snapshot]) -
         description, state = checkpoint.load(saved[0])
         break_it(description, state)
         with pytest.raises(UserError, match="histories cannot be read"):
-            pytest.fail(f"{what} is taken: {restored(description, state)}")
+            pytest.fail(f"{what} is taken: {with_histories([], description, state)}")
 
 
 def test_a_model_opens_without_the_histories_that_are_refused(
@@ -172,3 +201,49 @@ def test_a_model_opens_without_the_histories_that_are_refused(
     assert desk.until_told("the checkpoint's pinned rays' histories cannot be read: they begin anew").level == "warning"
     assert desk.worker.snapshot().step == 5  # what is told is published before
     assert desk.trained(1).history.step.tolist() == [1, 2, 3, 4, 5, 6]
+
+
+# ---- names, colours and places -------------------------------------------------------------------------------------
+
+
+def some(count: int) -> list[Pin]:
+    poses = [np.column_stack([np.eye(3), [0.1 * k, 0.0, 4.0]]) for k in range(count)]
+    cameras = [Camera(100, 80, 90.0, 90.0, 50.0, 40.0, pose) for pose in poses]
+    return [Pin(k + 1, f"ray {k + 1}", k, False, camera, (k, 2 * k)) for k, camera in enumerate(cameras)]
+
+
+def test_pins_come_back_from_a_checkpoint() -> None:
+    pins = some(3)
+    pins[1] = replace(pins[1], name="the rim\u202e of it\n", hidden=True)
+    again = restored_pins(json.loads(json.dumps(described(pins))))
+    assert [pin.name for pin in again] == ["ray 1", "the rim of it", "ray 3"]  # no signs that turn or break a line
+    assert [(p.color, p.hidden, p.pixel) for p in again] == [(p.color, p.hidden, p.pixel) for p in pins]
+    for a, b in zip(again, pins, strict=True):
+        np.testing.assert_array_equal(a.camera.c2w, b.camera.c2w)
+        assert a.camera.intrinsics() == b.camera.intrinsics()
+    assert restored_pins({}) == restored_pins({"session": {}}) == []
+    assert described([]) == {"session": {}, "watched": []}
+
+
+def changed(**values: Any) -> dict[str, Any]:
+    session = described(some(2))["session"]
+    session["pins"][0] |= values
+    return session
+
+
+@pytest.mark.parametrize(
+    "session",
+    [
+        {"pins": 3}, {"pins": [3]}, {"pins": [{}]}, {"pins": {"a": 1}}, [], changed(pixel=[200, 0]), changed(pixel=[1]),
+        changed(pixel=[-1, 0]), changed(color=8), changed(color=1), changed(camera={"fx": 1}), changed(camera=None),
+        changed(pixel=["a", "b"]), changed(color=1e400),
+    ],
+)  # fmt: skip
+def test_what_no_window_wrote_is_left_out(session: Any) -> None:
+    with pytest.raises(UserError, match="the checkpoint's pinned rays"):
+        restored_pins({"session": session})
+
+
+def test_more_pins_than_there_are_colours_are_cut() -> None:
+    session = described(some(MOST_PINS))["session"]
+    assert len(restored_pins({"session": {"pins": session["pins"] * 2}})) == MOST_PINS

@@ -13,16 +13,17 @@ from desk import PATIENCE, Desk, orbit, view_of
 
 from nerf_core.live.messages import (
     Command,
-    ExportPath,
     LoadCheckpoint,
     OpenScene,
     Pause,
     Reset,
     SaveCheckpoint,
+    StartExport,
     Train,
     UseMethod,
 )
 from nerf_core.live.worker import Worker
+from nerf_core.rendering.export.requests import ExportPath
 from nerf_core.training import checkpoint
 from nerf_core.training.settings import RunSettings
 
@@ -128,7 +129,7 @@ def test_what_breaks_the_state_that_is_published_is_told_all_the_same(
     def lost(device: object) -> int:
         raise OSError("the device is lost")
 
-    monkeypatch.setattr("nerf_core.live.worker.memory_held", lost)
+    monkeypatch.setattr("nerf_core.live.run.memory_held", lost)
     desk.send(Pause())
     assert desk.until_told("the device is lost").level == "error"
 
@@ -171,7 +172,7 @@ def test_a_loss_that_is_no_number_goes_back_to_good_weights(open_desk: OpenDesk,
 
 def test_closing_ends_everything_and_keeps_what_was_asked_before(open_desk: OpenDesk, tmp_path: Path) -> None:
     desk, path = open_desk(), tmp_path / "last.safetensors"
-    desk.send(Train(), ExportPath(orbit(desk.worker.snapshot().scene, 5000), 30.0, tmp_path / "long.mp4"))
+    desk.send(Train(), StartExport(ExportPath(orbit(desk.worker.snapshot().scene, 5000), 30.0, tmp_path / "long.mp4")))
     desk.until(lambda s: s.step > 1 and s.export is not None)
     desk.send(SaveCheckpoint(path))
     assert desk.worker.stop(5.0)

@@ -16,16 +16,17 @@ from nerf_core.geometry.scene import Scene
 from nerf_core.live.artist import Artist
 from nerf_core.live.messages import (
     CancelExport,
-    ExportPath,
     Inspect,
     Pause,
     SaveCheckpoint,
     SetShare,
+    StartExport,
     StopInspecting,
     Train,
     ViewRequest,
 )
 from nerf_core.live.worker import Worker
+from nerf_core.rendering.export.requests import ExportPath
 from nerf_core.rendering.images import render_camera, to_bytes
 from nerf_core.training import checkpoint
 from nerf_core.training.settings import RunSettings
@@ -82,8 +83,8 @@ def test_a_moving_camera_waits_while_the_budget_says_so_and_a_resting_one_never(
     desk = open_desk()
     scene = desk.worker.snapshot().scene
     begun = []
-    monkeypatch.setattr(desk.worker._budget, "may_follow", lambda: False)
-    monkeypatch.setattr(desk.worker._budget, "followed", begun.append)
+    monkeypatch.setattr(desk.worker._scheduler.budget, "may_follow", lambda: False)
+    monkeypatch.setattr(desk.worker._scheduler.budget, "followed", begun.append)
     desk.send(Train())
     step = desk.until(lambda s: s.step > 2).step
     desk.worker.request_view(view_of(scene, 1, moving=True))
@@ -92,7 +93,7 @@ def test_a_moving_camera_waits_while_the_budget_says_so_and_a_resting_one_never(
     desk.worker.request_view(view_of(scene, 2))
     desk.until(lambda s: s.preview is not None and s.preview.stamp == 2)
     assert begun
-    monkeypatch.setattr(desk.worker._budget, "may_follow", lambda: True)
+    monkeypatch.setattr(desk.worker._scheduler.budget, "may_follow", lambda: True)
     desk.worker.request_view(view_of(scene, 3, moving=True))
     desk.until(lambda s: s.preview is not None and s.preview.stamp == 3)
 
@@ -101,8 +102,8 @@ def test_the_windows_frames_are_no_training(tiny: RunSettings) -> None:
     worker = Worker(tiny, share=0.6)
     worker.painted(0.25)
     worker._accounted = time.perf_counter() - 1.0
-    worker._account_for_training(100)
-    assert worker._budget.train_share() == pytest.approx(0.75, abs=0.01)
+    worker._account_for_training(worker._runs[1], 100)
+    assert worker._scheduler.budget.train_share() == pytest.approx(0.75, abs=0.01)
 
 
 def test_an_opened_ray_stays_live(open_desk: OpenDesk) -> None:
@@ -147,7 +148,7 @@ def test_watched_or_not_the_weights_are_the_same(
 
 def test_a_film_is_an_mp4(open_desk: OpenDesk, tmp_path: Path) -> None:
     desk = open_desk()
-    desk.send(ExportPath(orbit(desk.worker.snapshot().scene, 3), 30.0, tmp_path / "orbit.avi"))
+    desk.send(StartExport(ExportPath(orbit(desk.worker.snapshot().scene, 3), 30.0, tmp_path / "orbit.avi")))
     desk.until_told("orbit.avi: a film is written as MP4: name a .mp4 file")
     assert list(tmp_path.iterdir()) == []
 
@@ -162,7 +163,7 @@ def test_a_long_step_keeps_nobody_waiting(open_desk: OpenDesk, tmp_path: Path) -
     begin = time.monotonic()
     desk.send(Inspect(scene.views[0].camera, (3, 4)))
     desk.until(lambda s: s.ray is not None and s.ray.pixel == (3, 4))
-    desk.send(ExportPath(orbit(scene, 2), 30.0, tmp_path / "film.mp4"))
+    desk.send(StartExport(ExportPath(orbit(scene, 2), 30.0, tmp_path / "film.mp4")))
     desk.until_told("exported")
     desk.send(Pause())
     assert desk.until(lambda s: s.status == "ready").step == 0  # the step was given up
@@ -176,7 +177,7 @@ def test_a_long_step_keeps_nobody_waiting(open_desk: OpenDesk, tmp_path: Path) -
 
 def test_a_film_is_made_while_training_goes_on(open_desk: OpenDesk, tmp_path: Path) -> None:
     desk, film = open_desk(), tmp_path / "orbit.mp4"
-    desk.send(Train(), ExportPath(orbit(desk.worker.snapshot().scene, 20), 30.0, film, frames=True))
+    desk.send(Train(), StartExport(ExportPath(orbit(desk.worker.snapshot().scene, 20), 30.0, film, frames=True)))
     shown = desk.until(lambda s: s.export is not None and s.export.state == "done")
     assert shown.export is not None
     assert shown.export.done == shown.export.total > 0
@@ -190,15 +191,15 @@ def test_a_film_is_made_while_training_goes_on(open_desk: OpenDesk, tmp_path: Pa
 def test_a_cancelled_film_leaves_nothing(open_desk: OpenDesk, tmp_path: Path) -> None:
     desk = open_desk()
     scene = desk.worker.snapshot().scene
-    desk.send(ExportPath(orbit(scene, 5000), 30.0, tmp_path / "long.mp4", frames=True))
+    desk.send(StartExport(ExportPath(orbit(scene, 5000), 30.0, tmp_path / "long.mp4", frames=True)))
     desk.until(lambda s: s.export is not None and s.export.state == "running" and s.export.done > 30)
     assert list(tmp_path.glob("long_frames/*.png"))
-    desk.send(ExportPath(orbit(scene, 1), 30.0, tmp_path / "second.mp4"))
+    desk.send(StartExport(ExportPath(orbit(scene, 1), 30.0, tmp_path / "second.mp4")))
     desk.until_told("long.mp4 is running: cancel it or wait for it")
     desk.send(CancelExport())
     desk.until(lambda s: s.export is not None and s.export.state == "cancelled")
     assert list(tmp_path.iterdir()) == []
-    desk.send(ExportPath(orbit(scene, 1), 30.0, tmp_path / "second.mp4"))
+    desk.send(StartExport(ExportPath(orbit(scene, 1), 30.0, tmp_path / "second.mp4")))
     desk.until(lambda s: s.export is not None and s.export.state == "done")
 
 
@@ -211,11 +212,11 @@ def test_a_picture_that_training_overtakes_is_shown_whole(
     trainer, artist = make_trainer(tile=16), Artist()
     view, tiles = ViewRequest(1, scene.views[5].camera, moving=False), 16 * 16 // 16
     for _ in range(tiles):
-        assert artist.draw(trainer, view, training=True)
+        assert artist.draw_view(trainer, view, training=True)
     trainer.step()
     began, frozen = trainer.step_count, trainer.frozen_method()
     for _ in range(tiles + 1):
-        assert artist.draw(trainer, view, training=True)
+        assert artist.draw_view(trainer, view, training=True)
         trainer.step()
     picture = artist.preview(None)
     assert picture is not None
@@ -228,12 +229,12 @@ def test_a_pause_drops_what_shows_an_older_model(make_trainer: Callable[..., Tra
     trainer, artist = make_trainer(tile=16), Artist()
     view, tiles = ViewRequest(1, scene.views[5].camera, moving=False), 16 * 16 // 16
     for _ in range(tiles):
-        artist.draw(trainer, view, training=True)
+        artist.draw_view(trainer, view, training=True)
     trainer.step()
-    artist.draw(trainer, view, training=True)
+    artist.draw_view(trainer, view, training=True)
     trainer.step()
     drawn = 0
-    while artist.draw(trainer, view, training=False):
+    while artist.draw_view(trainer, view, training=False):
         drawn += 1
     assert drawn == tiles
     picture = artist.preview(None)
@@ -245,11 +246,11 @@ def test_other_weights_draw_another_picture(make_trainer: Callable[..., Trainer]
     """Where a network takes over from what guided it, nothing that was seen or timed before counts."""
     trainer, artist = make_trainer(tile=16), Artist()
     view = ViewRequest(1, scene.views[5].camera, moving=False)
-    while artist.draw(trainer, view, training=False):
+    while artist.draw_view(trainer, view, training=False):
         assert artist.preview(None) is None or not artist.urgent(view)
     assert artist.rays_per_second("fine") > 0
     trainer.method.born = 7  # type: ignore[misc]  as if
-    assert artist.draw(trainer, view, training=False)
+    assert artist.draw_view(trainer, view, training=False)
     assert artist.urgent(view)
     assert artist.rays_per_second("fine") > 0  # of the one piece that the new weights drew
     kept = artist.preview(None)

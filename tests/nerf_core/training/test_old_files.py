@@ -10,7 +10,7 @@ import torch
 
 from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.geometry.scene import Scene
-from nerf_core.live.pin_files import restored
+from nerf_core.live.pin_files import restored_pins, with_histories
 from nerf_core.training import checkpoint
 from nerf_core.training.run_folder import RunFolder
 from nerf_core.training.trainer import Trainer
@@ -48,8 +48,8 @@ def test_an_old_run_is_read_with_its_own_scene(tmp_path: Path) -> None:
 def test_an_old_window_checkpoint_brings_its_pins_back(demo: Scene) -> None:
     description, state = checkpoint.load(FILES / "window.safetensors")
     assert Trainer.resume(demo, description, state).step_count == 12
-    histories = restored(description, state)
-    pins = description["session"]["pins"]
-    assert len(histories) == len(pins) == 5  # the demo scene's own three and two more
-    assert all(len(history.steps) > 0 for _, history in histories)
-    assert [tuple(pin["pixel"]) for pin in pins] == [ray.pixel for ray, _ in histories]
+    pins = with_histories(restored_pins(description), description, state)
+    assert [pin.name for pin in pins][3:] == ["ray 4", "ray 5"]  # after the demo scene's own three
+    for pin in pins:
+        assert pin.history is not None
+        assert pin.history.steps[-1] == 12

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -17,32 +16,29 @@ from PIL import Image
 from nerf_core.common.errors import UserError
 from nerf_core.live.messages import (
     CancelExport,
-    ExportPath,
     Inspect,
     Notice,
     OpenScene,
     Pause,
-    Pin,
+    PinRay,
     Reset,
     SaveCheckpoint,
     Snapshot,
+    StartExport,
     StopInspecting,
     Train,
-    Unpin,
 )
 from nerf_core.probe import Verdict
+from nerf_core.rendering.export.requests import ExportPath
 from viewer.app.app import App
 from viewer.commands.perform import orbit_export
 from viewer.model.state import (
     Action,
     AppState,
     GoToView,
-    OpenPin,
     OrbitForm,
-    PinRay,
     SaveScreenshot,
     SetPointDepth,
-    UnpinRay,
 )
 from viewer.ui.contract import PANELS, Ui
 from viewer.window import Window
@@ -239,9 +235,14 @@ def test_dragging_the_depth_asks_for_the_same_ray_again(start: Start) -> None:
     first = app.state.inspect
     assert first is not None
     app.perform(SetPointDepth(2.0))
-    assert worker.sent[-1] == replace(first, point_t=2.0)
+    second = worker.sent[-1]
+    assert isinstance(second, Inspect)
+    assert second == replace(first, point_t=2.0, look=second.look)
+    assert second.look != first.look
     app.perform(SetPointDepth(None))
-    assert worker.sent[-1] == first
+    third = worker.sent[-1]
+    assert isinstance(third, Inspect)
+    assert third == replace(first, look=third.look)
 
 
 # ---- keys -----------------------------------------------------------------------------------------------------------
@@ -402,9 +403,11 @@ def test_ctrl_s_and_ctrl_e_save_and_export(start: Start) -> None:
     app.hand.key(imgui.Key.e, ctrl=True)
     save, export = worker.sent
     assert save == SaveCheckpoint(Path("kept.safetensors"))
-    assert isinstance(export, ExportPath)
-    assert (len(export.cameras), export.fps, export.file) == (5, 30.0, Path("turn.mp4"))
-    assert (export.cameras[0].width, export.cameras[0].height) == (40, 30)  # the training photos' size
+    assert isinstance(export, StartExport)
+    film = export.request
+    assert isinstance(film, ExportPath)
+    assert (len(film.cameras), film.fps, film.file) == (5, 30.0, Path("turn.mp4"))
+    assert (film.cameras[0].width, film.cameras[0].height) == (40, 30)  # the training photos' size
 
 
 def test_a_text_field_has_its_keys_to_itself(start: Start) -> None:
@@ -638,49 +641,30 @@ def test_ctrl_click_pins_a_ray_which_stays_while_the_camera_moves(start: Start) 
     app.hand.click(x, y)
     imgui.get_io().add_key_event(imgui.Key.mod_ctrl, False)
     app.settle()
-    (pin,) = app.state.pins
-    assert [command for command in worker.sent if isinstance(command, Pin)] == [
-        Pin(pin.id, pin.ray.camera, pin.ray.pixel)
+    (pin,) = app.state.snapshot.pins
+    assert [command for command in worker.sent if isinstance(command, PinRay)] == [
+        PinRay(pin.camera, pin.pixel, id=pin.id)
     ]
-    before = pin.ray.camera.c2w.copy()
+    assert app.state.inspect is not None
+    assert app.state.inspect.id == pin.id
+    before = pin.camera.c2w.copy()
     app.state.camera.orbit(80, 10, 600)
     app.hand.click(x + 60, y)
     app.settle()
-    np.testing.assert_array_equal(app.state.pins[0].ray.camera.c2w, before)
-    assert app.state.inspect is not None
-    assert app.state.inspect.pixel != pin.ray.pixel
-    app.perform(OpenPin(pin.id))
-    assert app.state.inspect is pin.ray
-    app.perform(UnpinRay(pin.id))
-    assert (app.state.pins, worker.sent[-1]) == ([], Unpin(pin.id))
+    np.testing.assert_array_equal(app.state.snapshot.pins[0].camera.c2w, before)
+    assert app.state.inspect.id != pin.id
 
 
 def test_pins_that_are_shown_are_named_in_the_picture(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
     named: list[str] = []
     monkeypatch.setattr("viewer.draw.overlays.Overlay._tag", lambda self, box, text, *style: named.append(text))
     app, _ = start()
-    app.perform(PinRay(Inspect(app.state.camera.camera(80, 60), (40, 30))))
-    app.perform(PinRay(Inspect(app.state.camera.camera(80, 60), (20, 30))))
-    app.state.pins[1].hidden = True
+    app.perform(PinRay(app.state.camera.camera(80, 60), (40, 30)))
+    app.perform(PinRay(app.state.camera.camera(80, 60), (20, 30), hidden=True))
     app.settle(1)
     named.clear()
     app.settle(1)
     assert named == ["ray 1"]
-
-
-def test_what_the_demo_pins_out_of_sight_gives_way_to_a_hand(start: Start) -> None:
-    app, worker = start()
-    ray = Inspect(app.state.camera.camera(80, 60), (40, 30))
-    for name, hidden in (("vase", True), ("glossy ball", False), ("past the ball", True)):
-        app.perform(PinRay(ray))
-        app.state.pins[-1].name, app.state.pins[-1].hidden = name, hidden
-    for _ in range(7):
-        app.perform(PinRay(ray))
-    assert [pin.name for pin in app.state.pins] == ["glossy ball", *(f"ray {k}" for k in range(4, 11))]
-    assert [command.id for command in worker.sent if isinstance(command, Unpin)] == [3, 1]
-    app.perform(PinRay(ray))
-    assert len(app.state.pins) == 8
-    assert "8 rays are pinned already" in app.state.notices[-1].notice.text
 
 
 def test_what_a_notice_tells_of_is_there_when_it_is_read(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -697,24 +681,6 @@ def test_what_a_notice_tells_of_is_there_when_it_is_read(start: Start, monkeypat
     monkeypatch.setattr(app._actions, "tell", lambda notice: steps.append(app.state.snapshot.step))
     app._read()
     assert steps == [77]
-
-
-def test_a_checkpoint_carries_the_pins(start: Start) -> None:
-    app, worker = start()
-    app.perform(PinRay(Inspect(app.state.camera.camera(100, 80), (40, 30))))
-    app.perform(SaveCheckpoint(Path("a.safetensors")))
-    saved = worker.sent[-1]
-    assert isinstance(saved, SaveCheckpoint)
-    app.perform(UnpinRay(app.state.pins[0].id))
-    worker.current = replace(worker.current, session=json.loads(json.dumps(saved.session)))
-    app.settle()
-    (pin,) = app.state.pins
-    assert pin.ray.pixel == (40, 30)
-    assert isinstance(worker.sent[-1], Pin)
-    worker.current = replace(worker.current, session={"pins": "hostile"})
-    app.settle()
-    assert len(app.state.pins) == 1
-    assert "cannot be read" in app.state.notices[-1].notice.text
 
 
 def test_the_presses_of_a_double_click_may_be_some_pixels_apart(start: Start) -> None:

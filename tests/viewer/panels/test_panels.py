@@ -27,17 +27,20 @@ from nerf_core.geometry.lens import Lens
 from nerf_core.geometry.photos import Photos
 from nerf_core.live.messages import (
     CancelExport,
+    EditPin,
     ExportRays,
+    Inspect,
     LoadCheckpoint,
     OpenScene,
     Pause,
-    Pinned,
+    PinRay,
     Reset,
     SaveCheckpoint,
     SetShare,
     Snapshot,
     Status,
     Train,
+    UnpinRay,
     UseMethod,
 )
 from nerf_core.methods import METHODS
@@ -49,15 +52,12 @@ from viewer.model.state import (
     FocusOn,
     FrameScene,
     GoToView,
-    OpenPin,
     OrbitForm,
-    PinRay,
     ResetView,
     SampleRef,
     SetDisc,
     SetPointDepth,
     StartOrbitExport,
-    UnpinRay,
 )
 from viewer.ui.contract import PANELS, Panel
 from viewer.ui.text import duration, number, rate, triple, vector
@@ -414,18 +414,19 @@ def test_hover_reads_the_direction_under_the_mouse(screen: Screen, widget: str, 
 
 def test_pins_are_opened_hidden_removed_and_written(screen: Screen) -> None:
     panel, state = PANELS.get("rays")(), make_state(make_snapshot())
+    pins = state.snapshot.pins
     screen.size = (360, 500)
     assert screen.click(panel, state, "rays.pin") == []  # the opened ray is pinned already
-    assert screen.click(panel, state, "rays.open 2") == [OpenPin(2)]
+    (asked,) = screen.click(panel, state, "rays.open 2")
+    assert isinstance(asked, Inspect)
+    assert (asked.id, asked.camera, asked.pixel) == (2, pins[1].camera, pins[1].pixel)
     assert screen.click(panel, state, "rays.remove 1") == [UnpinRay(1)]
-    screen.click(panel, state, "rays.hide 2")
-    assert not state.pins[1].hidden
-    assert screen.click(panel, state, "rays.write") == [ExportRays(Path("rays.json"), {1: "the wall", 2: "another"})]
-    screen.click(panel, state, "rays.hide 1")
-    assert screen.click(panel, state, "rays.write") == [ExportRays(Path("rays.json"), {2: "another"})]
-    state.pins = []
+    assert screen.click(panel, state, "rays.hide 2") == [EditPin(2, hidden=False)]
+    assert screen.click(panel, state, "rays.hide 1") == [EditPin(1, hidden=True)]
+    assert screen.click(panel, state, "rays.write") == [ExportRays(Path("rays.json"))]
+    state.snapshot = replace(state.snapshot, pins=())
     assert state.inspect is not None
-    assert screen.click(panel, state, "rays.pin") == [PinRay(state.inspect)]
+    assert screen.click(panel, state, "rays.pin") == [PinRay.of(state.inspect)]
 
 
 def test_a_line_of_the_table_points_at_its_sample(screen: Screen) -> None:
@@ -712,7 +713,7 @@ def test_the_history_is_of_the_opened_pin(screen: Screen) -> None:
     screen.frame(panel, state)
     screen.frame(panel, state)
     assert "ray_history.map" in screen.widgets
-    state.pins = []
+    state.snapshot = replace(state.snapshot, pins=())
     screen.frame(panel, state)
     screen.frame(panel, state)
     assert "ray_history.map" not in screen.widgets
@@ -746,7 +747,7 @@ def test_the_history_opens_where_the_weights_are_and_follows_them(screen: Screen
     screen.size = (900, 260)
 
     def shown(history: RayHistory) -> tuple[float, ...]:
-        state.snapshot = replace(state.snapshot, pinned=(Pinned(1, state.snapshot.ray, history),))
+        state.snapshot = replace(state.snapshot, pins=(replace(state.snapshot.pins[0], history=history),))
         for _ in range(3):
             screen.frame(panel, state)
         return panel._x.high.value, panel._t.low.value, panel._t.high.value
@@ -803,7 +804,7 @@ def test_the_historys_map_shows_at_each_step_the_record_in_force(screen: Screen)
             history, steps=history.steps[part], weights=weights[part], color=history.color[part],
             depth=history.depth[part], opacity=history.opacity[part],
         )  # fmt: skip
-        state.snapshot = replace(state.snapshot, pinned=(Pinned(1, state.snapshot.ray, some),))
+        state.snapshot = replace(state.snapshot, pins=(replace(state.snapshot.pins[0], history=some),))
         screen.frame(panel, state)
         drawn, strip = screen.pictures["ray history"], screen.pictures["ray colours"]
         columns = drawn.shape[1]

@@ -26,8 +26,8 @@ from nerf_core.common.errors import UserError
 from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.cameras import camera_rays
+from nerf_core.live.messages import MOST_PINS
 from viewer.cli import main
-from viewer.model.pins import MOST
 from viewer.session.script import Wishes
 from viewer.session.session import autosave_path
 
@@ -168,7 +168,7 @@ def test_a_loaded_model_keeps_its_method_and_constants(written: Path, arguments:
         (["--click", "2.0", "0.5", "--inspect", "x.json"], "--click 2.0"),
         (["--inspect", "x.json"], "--click X Y"),
         (["--click", "0.5", "0.5", "--inspect", "x.json", "--inspect", "y.txt"], "--inspect y.txt: name a .json or"),
-        (["--pin", "0.5", "0.5"] * (MOST + 1), "--pin: given 9 times; 8 rays at most can be pinned"),
+        (["--pin", "0.5", "0.5"] * (MOST_PINS + 1), "--pin: given 9 times; 8 rays at most can be pinned"),
         (["--camera", "nowhere", "--steps", "1", "--screenshot", "x.png"], "--camera 'nowhere': is none of the"),
         (["--click", "a", "0.5", "--steps", "1000000"], "--click a"),
         (["--render", "a.png", "--render", "b.npy"], "--render: given 2 times"),
@@ -211,7 +211,7 @@ def test_a_process_ends_with_one_line_and_status_2(mistake: list[str], tmp_path:
 
 
 def test_eight_pins_fit_beside_what_the_demo_pins_and_every_file_has_them(tmp_path: Path) -> None:
-    pins = [word for k in range(MOST) for word in ("--pin", f"0.{k + 1}", "0.4")]
+    pins = [word for k in range(MOST_PINS) for word in ("--pin", f"0.{k + 1}", "0.4")]
     files, model = [tmp_path / "rays.json", tmp_path / "rays.csv"], tmp_path / "model.safetensors"
     done = viewer(
         *TINY, "--headless", "--steps", "2", *pins, "--click", "0.5", "0.6", "--save", str(model),
@@ -221,9 +221,9 @@ def test_eight_pins_fit_beside_what_the_demo_pins_and_every_file_has_them(tmp_pa
     rays = json.loads(files[0].read_text())["rays"]
     names = [ray.get("name") for ray in rays]
     assert names[0] is None  # the clicked one
-    assert len(set(names[1:])) == len({tuple(ray["pixel"]) for ray in rays[1:]}) == MOST
+    assert len(set(names[1:])) == len({tuple(ray["pixel"]) for ray in rays[1:]}) == MOST_PINS
     lines = files[1].read_text().splitlines()[1:]
-    assert {line.partition(",")[0] for line in lines} == {str(k) for k in range(MOST + 1)}
+    assert {line.partition(",")[0] for line in lines} == {str(k) for k in range(MOST_PINS + 1)}
 
     done = viewer(*TINY, "--headless", "--load", str(model), "--pin", "0.5", "0.5", "--render", str(tmp_path / "x.npy"))
     assert done.returncode == 2

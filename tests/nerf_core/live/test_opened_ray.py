@@ -15,17 +15,16 @@ from nerf_core.geometry.scene import Scene
 from nerf_core.live.messages import (
     ExportRays,
     Inspect,
-    LoadCheckpoint,
-    Pin,
+    PinRay,
     Reset,
-    SaveCheckpoint,
     Snapshot,
     Train,
-    Unpin,
+    UnpinRay,
     UseMethod,
     ViewRequest,
 )
-from nerf_core.live.opened_rays import OpenedRays
+from nerf_core.live.opened_ray import OpenedRay
+from nerf_core.live.pins import Pins
 from nerf_core.probe import open_pixel
 from nerf_core.probe.history import BINS
 
@@ -39,7 +38,7 @@ def scene_of(desk: Desk) -> Scene:
 
 
 def records(snapshot: Snapshot, number: int = 1) -> list[int]:
-    for pin in snapshot.pinned:
+    for pin in snapshot.pins:
         if pin.id == number and pin.history is not None:
             return pin.history.steps.tolist()
     return []
@@ -48,24 +47,24 @@ def records(snapshot: Snapshot, number: int = 1) -> list[int]:
 def test_a_pinned_ray_has_a_history_from_the_step_it_was_pinned_at(open_desk: OpenDesk) -> None:
     desk = open_desk()
     camera = scene_of(desk).views[0].camera
-    desk.send(Pin(1, camera, (8, 8)), Train(5))
+    desk.send(PinRay(camera, (8, 8), id=1), Train(5))
     desk.until(lambda s: s.step == 5 and s.status == "paused")
-    desk.send(Pin(2, camera, (2, 2)), Train(4))
+    desk.send(PinRay(camera, (2, 2), id=2), Train(4))
     shown = desk.until(lambda s: s.step == 9 and s.status == "paused" and records(s)[-1:] == [9])
     assert records(shown) == list(range(10))  # of a schedule of 100 steps every one is worth a record
     assert records(shown, 2) == [5, 6, 7, 8, 9]
-    first = shown.pinned[0]
+    first = shown.pins[0]
     assert first.ray is not None
     assert first.history is not None
     np.testing.assert_allclose(first.history.color[-1], first.ray.color)
     assert first.history.weights.shape == (10, BINS)
-    desk.send(Unpin(1))
-    assert [pin.id for pin in desk.until(lambda s: len(s.pinned) == 1).pinned] == [2]
+    desk.send(UnpinRay(1))
+    assert [pin.id for pin in desk.until(lambda s: len(s.pins) == 1).pins] == [2]
 
 
 def test_another_course_of_training_begins_another_history(open_desk: OpenDesk) -> None:
     desk = open_desk()
-    desk.send(Pin(1, scene_of(desk).views[0].camera, (8, 8)), Train(3))
+    desk.send(PinRay(scene_of(desk).views[0].camera, (8, 8), id=1), Train(3))
     desk.until(lambda s: records(s) == [0, 1, 2, 3])
     desk.send(Reset())
     assert records(desk.until(lambda s: s.step == 0)) == [0]
@@ -76,10 +75,10 @@ def test_another_course_of_training_begins_another_history(open_desk: OpenDesk) 
 def test_a_pin_that_cannot_be_opened_is_told_once_and_the_others_stay(open_desk: OpenDesk) -> None:
     desk = open_desk()
     camera = scene_of(desk).views[0].camera
-    desk.send(Pin(1, camera, (99, 0)), Pin(2, camera, (3, 3)))
+    desk.send(PinRay(camera, (99, 0), id=1), PinRay(camera, (3, 3), id=2))
     desk.until_told("pixel 99 0: outside the picture")
-    shown = desk.until(lambda s: len(s.pinned) == 1 and s.pinned[0].ray is not None)
-    assert shown.pinned[0].id == 2
+    shown = desk.until(lambda s: len(s.pins) == 1 and s.pins[0].ray is not None)
+    assert shown.pins[0].id == 2
     desk.trained(2)
     assert sum("pixel 99" in notice.text for notice in desk.heard) == 1
 
@@ -111,9 +110,9 @@ def test_what_the_window_shows_is_what_a_notebook_opens(open_desk: OpenDesk, tmp
     desk.trained(4)
     desk.send(Inspect(camera, (8, 8)))
     desk.until(lambda s: s.opened_step == 4)
-    desk.send(ExportRays(tmp_path / "ray.json"), Pin(1, camera, (3, 3)), ExportRays(tmp_path / "rays.json", {1: "a"}))
+    desk.send(ExportRays(tmp_path / "ray.json"), PinRay(camera, (3, 3)), ExportRays(tmp_path / "rays.json"))
     desk.until_told("rays.json")
-    trainer = desk.worker._trainer
+    trainer = desk.worker._runs[1].trainer
     assert trainer is not None
     again = open_pixel(trainer.method, trainer.scene, camera, (8, 8), 4)
     stored = json.loads((tmp_path / "ray.json").read_text())
@@ -132,15 +131,16 @@ def test_a_point_that_is_dragged_is_there_at_once(open_desk: OpenDesk) -> None:
     scene, camera = scene_of(desk), scene_of(desk).views[2].camera
     desk.trained(2)
     assert desk.worker.stop()
-    trainer, rays = desk.worker._trainer, OpenedRays()
+    trainer, rays = desk.worker._runs[1].trainer, OpenedRay()
     assert trainer is not None
-    rays.inspect(Inspect(camera, (7, 9)))
+    asked = Inspect(camera, (7, 9))
+    rays.inspect(asked)
     while rays.draw(trainer, True):
         pass
     whole = rays.opened
     assert whole is not None
     for t in (2.5, 3.25):
-        rays.inspect(Inspect(camera, (7, 9), t))
+        rays.inspect(asked.again(point_t=t))
         assert rays.draw(trainer, True)
         assert rays.opened is not None
         assert rays.opened.radiance is not None
@@ -164,16 +164,16 @@ def test_what_is_written_is_whole_and_once(open_desk: OpenDesk) -> None:
     camera = scene_of(desk).views[2].camera
     desk.trained(2)
     assert desk.worker.stop()
-    trainer, rays = desk.worker._trainer, OpenedRays()
+    trainer, rays = desk.worker._runs[1].trainer, OpenedRay()
     assert trainer is not None
-    for number, pixel in enumerate([(3, 3), (7, 9), (3, 3), (5, 5)]):
-        rays.pin(Pin(number, replace(camera), pixel), trainer)  # each pin has a camera of its own
-    rays.record(trainer)
-    names = {0: "a", 1: "b", 2: "c"}
-    rays.inspect(Inspect(camera, (7, 9), 2.5))
+    pins, asked = Pins(), Inspect(camera, (7, 9), 2.5)
+    for name, pixel, number in (("a", (3, 3), 1001), ("b", (7, 9), asked.id), ("c", (5, 5), 1002)):
+        pins.add(PinRay(replace(camera), pixel, name, id=number), trainer)
+    pins.record(trainer)
+    rays.inspect(asked)
     for _ in range(3):  # not begun, then half done
-        written = rays.whole(trainer, names)
-        assert [(one.ray.pixel, one.name) for one in written] == [((7, 9), "b"), ((3, 3), "c")]
+        written = rays.whole(trainer, list(pins)[:2])
+        assert [(one.ray.pixel, one.name) for one in written] == [((7, 9), "b"), ((3, 3), "a")]
         assert all(one.history is not None and one.history.steps.tolist() == [2] for one in written)
         assert all(one.verdict is not None and one.evidence is not None and one.walk for one in written)
         assert written[0].radiance is not None
@@ -181,15 +181,22 @@ def test_what_is_written_is_whole_and_once(open_desk: OpenDesk) -> None:
         assert rays.draw(trainer, True)
     while rays.draw(trainer, True):
         pass
-    assert rays.whole(trainer, {})[0] is rays.opened
+    assert rays.whole(trainer, [])[0] is rays.opened
 
 
-def test_a_checkpoint_brings_back_what_the_window_gave_it(open_desk: OpenDesk, tmp_path: Path) -> None:
-    desk, file = open_desk(), tmp_path / "model.safetensors"
+def test_every_look_is_answered_by_its_number(open_desk: OpenDesk) -> None:
+    desk = open_desk()
+    first = Inspect(scene_of(desk).views[0].camera, (7, 9))
+    again = first.again(point_t=2.5)
+    assert again.id == first.id != Inspect(first.camera, first.pixel).id
     desk.trained(2)
-    desk.send(SaveCheckpoint(file, {"pins": [{"name": "a"}]}), Reset(), LoadCheckpoint(file))
-    desk.until_told("loaded model.safetensors")
-    assert desk.until(lambda s: bool(s.session)).session == {"pins": [{"name": "a"}]}
+    for look in (first, again):
+        desk.send(look)
+        shown = desk.until(lambda s, look=look: s.opened_look == look.look)
+        assert shown.opened_id == first.id
+        assert shown.opened_step == 2
+    assert shown.radiance is not None
+    assert shown.radiance.t == 2.5
 
 
 def test_a_mode_is_drawn_in_its_colours(open_desk: OpenDesk) -> None:

@@ -1,0 +1,111 @@
+"""The ray under the lens: kept open for the window while training goes on, a piece of work at a time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import fields, replace
+
+from nerf_core.live.clock import RefreshClock
+from nerf_core.live.messages import Inspect, Pin
+from nerf_core.probe import Opened, Witnesses, open_pixel
+from nerf_core.probe.opened import pieces
+from nerf_core.training.trainer import Trainer
+
+
+class OpenedRay:
+    """Does one piece at a time: a ray, its verdict, its radiance, its walk. Owned by the worker thread.
+
+    `opened` has the newest of each. `opened_step` is the step at which its ray was opened, −1 while the rest is not
+    there or older. `answered` is the `Inspect.look` for which all is there. While training goes on, the rest may be
+    some steps younger than the ray: panels do not wait for that.
+    """
+
+    def __init__(self) -> None:
+        self.opened: Opened | None = None
+        self.opened_step = -1
+        self.answered = 0
+        self._asked: Inspect | None = None
+        self._pieces: Iterator[None] | None = None
+        self._witnesses: Witnesses | None = None
+        self._clock = RefreshClock()
+        self._one_step = False  # whether all of what is opened is of one step
+
+    def inspect(self, command: Inspect | None) -> None:
+        """Open this ray; None: none."""
+        if command is None or command.id != self.id:
+            self.opened = None
+        self._asked, self.answered = command, 0
+        self._one_step = False
+        self.forget()
+
+    def forget(self) -> None:
+        """The model was exchanged: what is open is opened anew."""
+        self._pieces, self.opened_step = None, -1
+        self._clock.reset()
+
+    @property
+    def id(self) -> int:
+        """The ray's id; 0: none is open."""
+        return self._asked.id if self._asked is not None else 0
+
+    @property
+    def urgent(self) -> bool:
+        """Whether somebody waits for a ray that is not whole yet."""
+        return self._asked is not None and not self.answered
+
+    def draw(self, trainer: Trainer, training: bool) -> bool:
+        """One piece; whether there was any to do. What was begun is finished, however old it becomes meanwhile."""
+        if self._pieces is None and self._asked is not None and self._clock.due(trainer, training):
+            self._clock.begin(trainer)
+            self._pieces = self._look(self._asked, trainer)
+        if self._pieces is None:
+            return False
+        begin = time.monotonic()
+        if next(self._pieces, True):
+            self._pieces = None
+        self._clock.worked(time.monotonic() - begin)
+        return True
+
+    def _look(self, asked: Inspect, trainer: Trainer) -> Iterator[None]:
+        """The ray and all that is known of it, a piece at a time; training may go on between two of them."""
+        step, self.opened_step = trainer.step_count, -1
+        if self._witnesses is None or self._witnesses.scene is not trainer.scene:
+            self._witnesses = Witnesses(trainer.scene)
+        try:
+            for opened in pieces(
+                trainer.method, self._witnesses, asked.camera, asked.pixel, step, asked.point_t, asked.around
+            ):
+                self.opened = opened if self.opened is None else _with_older(opened, self.opened)
+                yield
+        except Exception:
+            self._asked = self._pieces = None  # a ray that cannot be opened is reported once, not twice a second
+            raise
+        self.opened_step, self.answered, self._one_step = step, asked.look, trainer.step_count == step
+
+    # ---- files -------------------------------------------------------------------------------------------------------
+
+    def whole(self, trainer: Trainer, pins: list[Pin]) -> list[Opened]:
+        """The ray under the lens, then `pins`; one that is both comes once.
+
+        A file is of one step per ray: what is not whole yet, or of several steps, is opened whole now.
+        """
+        asked = self._asked
+        rays = {} if asked is None else {asked.id: self._whole(asked, trainer)}
+        for pin in pins:
+            found = rays[pin.id] if pin.id in rays else self._whole(pin.inspect(), trainer)
+            rays[pin.id] = replace(found, name=pin.name, history=pin.history)
+        return list(rays.values())
+
+    def _whole(self, ray: Inspect, trainer: Trainer) -> Opened:
+        whole = self.answered and self._one_step and self.opened_step >= 0
+        if ray is self._asked and self.opened is not None and whole:
+            return self.opened
+        return open_pixel(
+            trainer.method, trainer.scene, ray.camera, ray.pixel, trainer.step_count, ray.point_t, ray.around
+        )
+
+
+def _with_older(new: Opened, old: Opened) -> Opened:
+    """What of the same ray is not known anew yet stays as it was: panels do not blink."""
+    return Opened(*(getattr(new, f.name) or getattr(old, f.name) for f in fields(Opened)))

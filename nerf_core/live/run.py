@@ -1,0 +1,392 @@
+"""A run: one scene, one trainer, the pictures of it that a window shows, and its opened rays."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from nerf_core.common.device import describe, memory_held
+from nerf_core.common.errors import UserError
+from nerf_core.datasets import load_scene
+from nerf_core.geometry.scene import Scene
+from nerf_core.kernels import choice as kernels
+from nerf_core.live import messages, pin_files
+from nerf_core.live.artist import Artist
+from nerf_core.live.messages import Notice, Snapshot, ViewRequest
+from nerf_core.live.scheduler import Scheduler
+from nerf_core.probe import check_format, write_inspection
+from nerf_core.rendering.export.jobs import Job
+from nerf_core.rendering.export.start import export_job
+from nerf_core.training import checkpoint
+from nerf_core.training.last_good import LastGood
+from nerf_core.training.settings import RunSettings
+from nerf_core.training.trainer import Diverged, Report, Trainer
+
+
+class Run:
+    """Owned by the worker thread, which does one piece of one run at a time.
+
+    tell: takes a notice. say_loading: publishes `loading`, at once or when it is time; what it raises ends the loading.
+    """
+
+    def __init__(
+        self,
+        number: int,
+        settings: RunSettings,
+        tell: Callable[[Notice], None],
+        say_loading: Callable[[bool], None],
+    ) -> None:
+        self.number, self.settings = number, settings
+        self._tell_worker, self._say_loading = tell, say_loading
+        self.scene: Scene | None = None
+        self.trainer: Trainer | None = None
+        self.artist = Artist()
+        self.job: Job | None = None  # the export under way
+        self.skipped: ViewRequest | None = None  # a view that could not be drawn: tried again when asked anew
+        self._export: messages.Export | None = None  # the newest export
+        self.failed = False
+        self.loading = ""
+        self._loaded = 0
+        self._until: int | None = None  # the step at which training pauses; None: it does not train
+        self._until_seconds = math.inf
+        self._saved_step = 0
+        self._rays_per_step = 0
+        self._good: LastGood | None = None
+
+    # ---- commands ---------------------------------------------------------------------------------------------------
+
+    def obey(self, command: messages.OfRun) -> None:  # noqa: PLR0912  one branch per message
+        """Raises UserError for what cannot be done; the run is then as it was."""
+        match command:
+            case messages.OpenScene(path, options, train):
+                self.open(path, options)
+                if train:
+                    self.train(None, None)
+            case messages.Train(steps, seconds):
+                self.train(steps, seconds)
+            case messages.Pause():
+                self.pause()
+            case messages.Reset():
+                self._adopt(self.need_trainer().restarted())
+            case messages.UseMethod(name, train):
+                self.use_method(self.need_scene(), self.settings, name)
+                if train:
+                    self.train(None, None)
+            case messages.SaveCheckpoint(path):
+                self._save(path)
+            case messages.LoadCheckpoint(path):
+                self._load(path)
+            case messages.Inspect():
+                self.artist.ray.inspect(command)
+            case messages.StopInspecting():
+                self.artist.ray.inspect(None)
+            case messages.PinRay():
+                self.artist.pins.add(command, self.need_trainer())
+                self.artist.pins.record(self.need_trainer())
+            case messages.EditPin():
+                self.artist.pins.edit(command)
+            case messages.UnpinRay(number):
+                self.artist.pins.remove(number)
+            case messages.ExportRays(path):
+                self._export_rays(path)
+            case messages.StartExport(request):
+                self._start_export(request)
+            case messages.CancelExport():
+                self._cancel_export()
+
+    def need_scene(self) -> Scene:
+        """Raises UserError where nothing is open."""
+        if self.scene is None:
+            raise UserError("no scene is open: open one first")
+        return self.scene
+
+    def need_trainer(self) -> Trainer:
+        """Raises UserError where nothing is open."""
+        if self.trainer is None:
+            raise UserError("no scene is open: open one first")
+        return self.trainer
+
+    # ---- scenes and checkpoints -------------------------------------------------------------------------------------
+
+    def open(self, path: Path | None, settings: RunSettings) -> None:
+        """Load a capture and make a model of it. One transaction: what fails leaves the open scene and model."""
+
+        def progress(done: int, total: int) -> None:
+            self._busy_with(f"loading photos: {done} of {total}", now=False)
+
+        with self._busy(f"opening {path or 'the demo scene'}"):
+            scene = load_scene(path, settings.load, progress)
+            trainer = self._made(scene, settings)
+            good = LastGood(trainer)
+        self.artist = Artist()
+        self._commit(scene, settings, trainer, good)
+        self._loaded += 1
+        self.artist.pins.add_landmarks(scene, trainer)
+        self.artist.pins.record(trainer)
+        for note in (*scene.notes, *filter(None, [kernels.note(trainer.device)])):
+            self._tell("warning", note)
+
+    def use_method(self, scene: Scene, settings: RunSettings, name: str) -> None:
+        """Begin anew on `scene` with another method and its own constants."""
+        settings = replace(settings, method=name, preset="auto", changes={})
+        with self._busy(""):
+            trainer = self._made(scene, settings)
+            good = LastGood(trainer)
+        fresh = self.scene is None
+        self._commit(scene, settings, trainer, good)
+        self._loaded += fresh
+
+    def _made(self, scene: Scene, settings: RunSettings) -> Trainer:
+        self._busy_with("preparing the method (the first time its loops are compiled)")
+        return Trainer(scene, settings)
+
+    def _adopt(self, trainer: Trainer) -> None:
+        """Another model of the open scene; paused. Raises Diverged for broken weights: what is open then stays."""
+        self._commit(self.need_scene(), self.settings, trainer, LastGood(trainer))
+
+    def _commit(self, scene: Scene, settings: RunSettings, trainer: Trainer, good: LastGood) -> None:
+        """The end of every transaction: nothing here can fail but the opening of pinned rays."""
+        self.scene, self.settings, self.trainer, self._good = scene, settings, trainer, good
+        self._until, self.failed, self.skipped, self._saved_step = None, False, None, 0
+        self.artist.forget_pictures()
+        self.artist.pins.restart(trainer)
+        self.artist.pins.record(trainer)
+
+    def _load(self, path: Path) -> None:
+        description, state = checkpoint.load(path)
+        scene = self.need_scene()
+        if description["scene"] != scene.identity():
+            raise UserError(f"{path}: {scene.difference(description)}")
+        trainer = Trainer.resume(scene, description, state, self.settings.device)
+        self._adopt(trainer)
+        self._restore_pins(trainer, description, state)
+        for note in trainer.notes(description):
+            self._tell("warning", note)
+        self._saved_step = description["step"]
+        if self.settings.method not in ("auto", trainer.method_name):
+            asked = self.settings.method
+            held = f"{path.name} holds a model of method {trainer.method_name}"
+            self._tell("warning", f"{held}: --method {asked} is not used")
+        self._tell("info", f"loaded {path.name}: step {description['step']:,}", path, kind="loaded")
+
+    def _restore_pins(self, trainer: Trainer, description: dict, state: dict) -> None:
+        pins: list[messages.Pin] = []
+        try:
+            pins = pin_files.restored_pins(description)
+            pins = pin_files.with_histories(pins, description, state)
+        except UserError as error:
+            self._tell("warning", str(error))
+        self.artist.pins.replace(pins, trainer)
+        self.artist.pins.record(trainer)
+
+    def _save(self, path: Path) -> None:
+        trainer, pins = self.need_trainer(), list(self.artist.pins)
+        description = trainer.describe() | pin_files.described(pins)
+        checkpoint.save(path, description, trainer.state() | pin_files.tensors(pins))
+        self._saved_step = trainer.step_count
+        self._tell("info", f"saved step {trainer.step_count:,} to {path}", path, kind="saved")
+
+    def _export_rays(self, path: Path) -> None:
+        check_format(path)
+        shown = [pin for pin in self.artist.pins if not pin.hidden]
+        write_inspection(self.artist.ray.whole(self.need_trainer(), shown), path)
+        self._tell("info", f"wrote {path}", path, kind="wrote")
+
+    # ---- training ---------------------------------------------------------------------------------------------------
+
+    @property
+    def training(self) -> bool:
+        return self._until is not None
+
+    def train(self, steps: int | None, seconds: float | None) -> None:
+        """See `messages.Train`."""
+        trainer = self.need_trainer()
+        self.failed, self.skipped = False, None
+        self._until_seconds = math.inf if seconds is None else trainer.seconds + seconds
+        end = trainer.total_steps if steps is None else trainer.step_count + steps
+        if trainer.step_count >= end:
+            self._tell("info", f"all {trainer.total_steps:,} steps of the schedule are done")
+        else:
+            self._until = end
+
+    def pause(self) -> None:
+        self._until = None
+
+    def fail(self, view: ViewRequest | None) -> None:
+        """Pause after a fault of the program. view: what was to be drawn; it is not tried again."""
+        self._until, self.failed, self.skipped = None, True, view
+
+    def pause_if_done(self) -> None:
+        """Pause where the end of what was asked for is reached."""
+        trainer, end = self.trainer, self._until
+        if trainer is None or end is None:
+            return
+        if trainer.step_count >= end or trainer.seconds >= self._until_seconds:
+            self._until = None
+
+    def step(self, pump: Callable[[], None]) -> Report | None:
+        """One training step; None where the loss diverged and the last good weights are back.
+
+        Raises UserError when the device has no memory left, and what `pump` raises: the step has then not happened.
+        """
+        trainer = self.need_trainer()
+        try:
+            if torch.get_num_threads() != trainer.threads:  # sums depend on it, and another run may have its own
+                torch.set_num_threads(trainer.threads)
+            report = trainer.step(pump)
+            if self._good is not None and self._good.due():
+                self._good.remember(trainer)
+        except Diverged as error:
+            self._recover(trainer, error)
+            return None
+        except torch.OutOfMemoryError as error:
+            self._until = None
+            raise UserError(
+                f"out of device memory: {error}; use a smaller step: --set rays, samples or chunk_rays"
+            ) from None
+        self._rays_per_step = report.rays
+        if report.note:
+            self._tell("warning", report.note)
+        return report
+
+    def _recover(self, trainer: Trainer, error: Diverged) -> None:
+        """Back to the last weights that are known to be good, paused."""
+        self._until, self.failed = None, True
+        if self._good is not None:
+            self._good.restore(trainer)
+            self.artist.pins.rewind(trainer.step_count)
+            self._saved_step = min(self._saved_step, trainer.step_count)
+        self.artist.forget_pictures()
+        self._tell("error", f"{error}; back at step {trainer.step_count:,}, paused", kind="failed")
+
+    # ---- files in the making ----------------------------------------------------------------------------------------
+
+    def _start_export(self, request: messages.ExportPath | messages.ExportStill) -> None:
+        trainer = self.need_trainer()
+        if self.job is not None:
+            raise UserError(f"an export to {self.job.progress.file} is running: cancel it or wait for it")
+        self.job = export_job(request, trainer.frozen_method(), trainer.scene)
+        self._export = self.job.progress
+
+    def _cancel_export(self) -> None:
+        if self.job is not None:
+            self.job.cancel()
+            self.job, self._export = None, self.job.progress
+
+    def draw_export(self) -> bool:
+        """One tile of the export under way; whether there was one."""
+        job = self.job
+        if job is None:
+            return False
+        try:
+            job.advance()
+        except UserError as error:
+            self._tell("error", f"export failed: {error}", kind="failed")
+        self._export = job.progress
+        if job.progress.state != "running":
+            self.job = None  # with its copy of the model
+        if job.progress.state == "done":
+            self._tell("info", f"exported {job.progress.file}", job.progress.file, kind="exported")
+        return True
+
+    def draw(self, view: ViewRequest | None) -> bool:
+        """One piece of a ray or of the picture, of at most some 15 ms; whether there was any to do."""
+        trainer = self.need_trainer()
+        if self.artist.draw_rays(trainer, view, self.training):
+            return True
+        if view is None:
+            return False
+        try:
+            return self.artist.draw_view(trainer, view, self.training)
+        except UserError:  # a mode that the method cannot draw: reported once, not at every turn
+            self.skipped = view
+            raise
+
+    # ---- what is shown ----------------------------------------------------------------------------------------------
+
+    def _tell(
+        self,
+        level: messages.Level,
+        text: str,
+        path: Path | None = None,
+        kind: messages.Kind = "note",
+    ) -> None:
+        self._tell_worker(Notice(level, text, path, kind=kind, run=self.number))
+
+    @contextmanager
+    def _busy(self, words: str) -> Iterator[None]:
+        try:
+            if words:
+                self._busy_with(words)
+            yield
+        finally:
+            self.loading = ""
+
+    def _busy_with(self, words: str, now: bool = True) -> None:
+        self.loading = words
+        self._say_loading(now)
+
+    def status(self) -> messages.Status:
+        if self.loading:
+            return "loading"
+        if self.failed:
+            return "failed"
+        trainer = self.trainer
+        if trainer is None:
+            return "empty"
+        if self.training:
+            return "training"
+        if trainer.step_count >= trainer.total_steps:
+            return "finished"
+        return "paused" if trainer.step_count else "ready"
+
+    def snapshot(self, before: Snapshot, scheduler: Scheduler) -> Snapshot:
+        """The state to publish. before: the one that was published last; a picture stays until there is another."""
+        status, trainer = self.status(), self.trainer
+        shown = replace(
+            before, run=self.number, status=status, loading=self.loading, loaded=self._loaded, scene=self.scene,
+            wanted_share=scheduler.wanted, share_rule=scheduler.rule,
+            frame_share=scheduler.budget.frame_share() if status == "training" else 1.0,
+            export=self._export,
+        )  # fmt: skip
+        if trainer is None:
+            return shown
+        ray = self.artist.ray
+        rate = scheduler.rays_per_second(self.number) if status == "training" else 0.0
+        left = None
+        if rate and self._until is not None:
+            left = (self._until - trainer.step_count) * self._rays_per_step / rate
+        return replace(
+            shown,
+            method=trainer.method_name,
+            coarse=trainer.method.coarse,
+            stage=trainer.method.stage,
+            method_reason=trainer.reason,
+            device=describe(trainer.device),
+            step=trainer.step_count,
+            saved_step=self._saved_step,
+            total_steps=trainer.total_steps,
+            seconds=trainer.seconds,
+            rays_per_second=rate,
+            seconds_left=left,
+            train_share=scheduler.budget.train_share(),
+            memory_bytes=memory_held(trainer.device),
+            history=trainer.history.view(),
+            preview=self.artist.preview(shown.preview),
+            opened=ray.opened,
+            opened_id=ray.id if ray.opened is not None else 0,
+            opened_look=ray.answered,
+            opened_step=ray.opened_step,
+            pins=tuple(self.artist.pins),
+            preview_rays_per_second=self.artist.rays_per_second("fine"),
+        )
+
+    def close(self) -> None:
+        """Leave no half-written file behind."""
+        if self.job is not None:
+            self.job.abort()

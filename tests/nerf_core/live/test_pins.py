@@ -1,0 +1,63 @@
+"""Pinned rays as the worker owns them: colours, names, places, and who gives way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from nerf_core.common.errors import UserError
+from nerf_core.live.messages import MOST_PINS, EditPin, PinRay
+from nerf_core.live.pins import Pins
+from nerf_core.training.trainer import Trainer
+
+
+@pytest.fixture
+def trainer(make_trainer: Callable[..., Trainer]) -> Trainer:
+    return make_trainer()
+
+
+def pin(trainer: Trainer, k: int = 0, name: str = "", hidden: bool = False) -> PinRay:
+    return PinRay(trainer.scene.views[0].camera, (k, k), name, hidden)
+
+
+def test_every_pin_has_a_colour_of_its_own_and_there_are_so_many(trainer: Trainer) -> None:
+    pins = Pins()
+    for k in range(MOST_PINS):
+        pins.add(pin(trainer, k), trainer)
+    assert {pin.color for pin in pins} == set(range(MOST_PINS))
+    assert [pin.name for pin in pins] == [f"ray {k + 1}" for k in range(MOST_PINS)]
+    with pytest.raises(UserError, match="8 rays are pinned already: remove one first"):
+        pins.add(pin(trainer), trainer)
+    pins.remove(next(pin.id for pin in pins if pin.color == 3))
+    pins.add(pin(trainer), trainer)
+    last = list(pins)[-1]
+    assert (last.color, last.name) == (3, "ray 9")
+
+
+def test_a_ray_is_pinned_once(trainer: Trainer) -> None:
+    pins, wanted = Pins(), pin(trainer)
+    pins.add(wanted, trainer)
+    pins.add(wanted, trainer)
+    assert [pin.id for pin in pins] == [wanted.id]
+
+
+def test_names_are_changed_and_cut(trainer: Trainer) -> None:
+    pins, wanted = Pins(), pin(trainer)
+    pins.add(wanted, trainer)
+    pins.edit(EditPin(wanted.id, name="x" * 99))
+    pins.edit(EditPin(wanted.id, hidden=True))
+    pins.edit(EditPin(-1, name="nobody"))
+    (found,) = pins
+    assert (found.name, found.hidden) == ("x" * 60, True)
+
+
+def test_what_the_demo_pins_out_of_sight_gives_way(trainer: Trainer) -> None:
+    pins = Pins()
+    for name, hidden in (("vase", True), ("glossy ball", False), ("past the ball", True)):
+        pins.add(pin(trainer, name=name, hidden=hidden), trainer)
+    for _ in range(7):
+        pins.add(pin(trainer), trainer)
+    assert [pin.name for pin in pins] == ["glossy ball", *(f"ray {k}" for k in range(4, 11))]
+    with pytest.raises(UserError, match="8 rays are pinned already"):
+        pins.add(pin(trainer), trainer)
