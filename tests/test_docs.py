@@ -7,6 +7,7 @@ import re
 import runpy
 from pathlib import Path
 
+import pages
 import pytest
 
 ROOT = Path(__file__).parent.parent
@@ -15,6 +16,8 @@ PICTURES = sorted(p for p in (ROOT / "docs").iterdir() if p.suffix in (".webp", 
 NEWCOMER_LINES = 200  # of the README: what one reads in five minutes
 LARGEST_PICTURE = 300_000  # bytes
 LINK = re.compile(r"\]\(([^)\s]+)\)")
+OURS = re.compile(r"`((?:[\w.]+/)*[\w.]+\.py|(?:nerf_core|viewer|tests|assets|examples)(?:/[\w.]+)+/?)`")
+LINKED = re.compile(r"\[[^\]]*\]\([^)]*\)")
 FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 PYTHON = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
@@ -59,6 +62,16 @@ def test_every_page_is_in_the_index() -> None:
 def test_pictures_are_small_and_shown(picture: Path) -> None:
     assert picture.stat().st_size <= LARGEST_PICTURE
     assert any(picture.name in Path(link).name for page in PAGES for link in _links(page))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=_name)
+def test_files_that_pages_name_are_there(page: Path) -> None:
+    """Names of our files and folders in backticks, from the root of the repository or of a package."""
+    text = LINKED.sub("", FENCE.sub("", page.read_text(encoding="utf-8")))
+    named = [name for name in OURS.findall(text) if "NAME" not in name and name not in pages.files()]
+    bases = (ROOT, ROOT / "nerf_core", ROOT / "viewer")
+    missing = [name for name in named if not any((base / name).exists() for base in bases)]
+    assert not missing, f"{_name(page)} names what is not there: {', '.join(missing)}"
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if PYTHON.search(p.read_text(encoding="utf-8"))], ids=_name)

@@ -28,6 +28,8 @@ from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels.choice import VOXEL_KERNELS, voxel_kernels
 from nerf_core.kernels.implementations import on_numba
 from nerf_core.kernels.voxel_kernels import March
+from nerf_core.live.scheduler import Scheduler
+from nerf_core.live.shares import SHARES, Situation
 from nerf_core.methods import Traceable
 from nerf_core.probe.verdict import conclude
 from nerf_core.probe.verdicts import VERDICTS
@@ -135,3 +137,13 @@ def test_a_verdict_class(load: Load) -> None:
     missed = replace(opened.verdict.standings[0], against=0, blank=0, missing=11)  # no floater, then
     assert conclude(ray, (replace(missed, error=0.2),)).kind == "wrong colour"
     assert conclude(ray, (replace(missed, error=0.02),)).kind == "surface"
+
+
+def test_a_rule_for_the_share_of_time(load: Load) -> None:
+    load("nerf_core/live/shares/smooth.py", SHARES)
+    scheduler = Scheduler(0.5)
+    scheduler.set_share(0.6, "smooth")
+    scheduler.adapt(Situation(moving=True, exporting=False))
+    assert scheduler.budget.share == 0.3
+    scheduler.adapt(Situation(moving=False, exporting=False))
+    assert scheduler.budget.share == 0.6
