@@ -10,15 +10,13 @@ from pathlib import Path
 
 import torch
 
-from nerf_core.common.device import describe, memory_held
 from nerf_core.common.errors import UserError
 from nerf_core.datasets import load_scene
 from nerf_core.geometry.scene import Scene
 from nerf_core.kernels import choice as kernels
 from nerf_core.live import messages, pin_files
 from nerf_core.live.artist import Artist
-from nerf_core.live.messages import Notice, Snapshot, ViewRequest
-from nerf_core.live.scheduler import Scheduler
+from nerf_core.live.messages import Notice, ViewRequest
 from nerf_core.probe import check_format, write_inspection
 from nerf_core.rendering.export.jobs import Job
 from nerf_core.rendering.export.start import export_job
@@ -48,14 +46,14 @@ class Run:
         self.artist = Artist()
         self.job: Job | None = None  # the export under way
         self.skipped: ViewRequest | None = None  # a view that could not be drawn: tried again when asked anew
-        self._export: messages.Export | None = None  # the newest export
+        self.export: messages.Export | None = None  # the newest export
         self.failed = False
         self.loading = ""
-        self._loaded = 0
-        self._until: int | None = None  # the step at which training pauses; None: it does not train
+        self.loaded = 0
+        self.until: int | None = None  # the step at which training pauses; None: it does not train
         self._until_seconds = math.inf
-        self._saved_step = 0
-        self._rays_per_step = 0
+        self.saved_step = 0
+        self.rays_per_step = 0
         self._good: LastGood | None = None
 
     # ---- commands ---------------------------------------------------------------------------------------------------
@@ -125,7 +123,7 @@ class Run:
             good = LastGood(trainer)
         self.artist = Artist()
         self._commit(scene, settings, trainer, good)
-        self._loaded += 1
+        self.loaded += 1
         self.artist.pins.add_landmarks(scene, trainer)
         self.artist.pins.record(trainer)
         for note in (*scene.notes, *filter(None, [kernels.note(trainer.device)])):
@@ -139,7 +137,7 @@ class Run:
             good = LastGood(trainer)
         fresh = self.scene is None
         self._commit(scene, settings, trainer, good)
-        self._loaded += fresh
+        self.loaded += fresh
 
     def _made(self, scene: Scene, settings: RunSettings) -> Trainer:
         self._busy_with("preparing the method (the first time its loops are compiled)")
@@ -152,7 +150,7 @@ class Run:
     def _commit(self, scene: Scene, settings: RunSettings, trainer: Trainer, good: LastGood) -> None:
         """The end of every transaction: nothing here can fail but the opening of pinned rays."""
         self.scene, self.settings, self.trainer, self._good = scene, settings, trainer, good
-        self._until, self.failed, self.skipped, self._saved_step = None, False, None, 0
+        self.until, self.failed, self.skipped, self.saved_step = None, False, None, 0
         self.artist.forget_pictures()
         self.artist.pins.restart(trainer)
         self.artist.pins.record(trainer)
@@ -167,7 +165,7 @@ class Run:
         self._restore_pins(trainer, description, state)
         for note in trainer.notes(description):
             self._tell("warning", note)
-        self._saved_step = description["step"]
+        self.saved_step = description["step"]
         if self.settings.method not in ("auto", trainer.method_name):
             asked = self.settings.method
             held = f"{path.name} holds a model of method {trainer.method_name}"
@@ -188,7 +186,7 @@ class Run:
         trainer, pins = self.need_trainer(), list(self.artist.pins)
         description = trainer.describe() | pin_files.described(pins)
         checkpoint.save(path, description, trainer.state() | pin_files.tensors(pins))
-        self._saved_step = trainer.step_count
+        self.saved_step = trainer.step_count
         self._tell("info", f"saved step {trainer.step_count:,} to {path}", path, kind="saved")
 
     def _export_rays(self, path: Path) -> None:
@@ -201,7 +199,7 @@ class Run:
 
     @property
     def training(self) -> bool:
-        return self._until is not None
+        return self.until is not None
 
     def train(self, steps: int | None, seconds: float | None) -> None:
         """See `messages.Train`."""
@@ -212,22 +210,22 @@ class Run:
         if trainer.step_count >= end:
             self._tell("info", f"all {trainer.total_steps:,} steps of the schedule are done")
         else:
-            self._until = end
+            self.until = end
 
     def pause(self) -> None:
-        self._until = None
+        self.until = None
 
     def fail(self, view: ViewRequest | None) -> None:
         """Pause after a fault of the program. view: what was to be drawn; it is not tried again."""
-        self._until, self.failed, self.skipped = None, True, view
+        self.until, self.failed, self.skipped = None, True, view
 
     def pause_if_done(self) -> None:
         """Pause where the end of what was asked for is reached."""
-        trainer, end = self.trainer, self._until
+        trainer, end = self.trainer, self.until
         if trainer is None or end is None:
             return
         if trainer.step_count >= end or trainer.seconds >= self._until_seconds:
-            self._until = None
+            self.until = None
 
     def step(self, pump: Callable[[], None]) -> Report | None:
         """One training step; None where the loss diverged and the last good weights are back.
@@ -245,22 +243,22 @@ class Run:
             self._recover(trainer, error)
             return None
         except torch.OutOfMemoryError as error:
-            self._until = None
+            self.until = None
             raise UserError(
                 f"out of device memory: {error}; use a smaller step: --set rays, samples or chunk_rays"
             ) from None
-        self._rays_per_step = report.rays
+        self.rays_per_step = report.rays
         if report.note:
             self._tell("warning", report.note)
         return report
 
     def _recover(self, trainer: Trainer, error: Diverged) -> None:
         """Back to the last weights that are known to be good, paused."""
-        self._until, self.failed = None, True
+        self.until, self.failed = None, True
         if self._good is not None:
             self._good.restore(trainer)
             self.artist.pins.rewind(trainer.step_count)
-            self._saved_step = min(self._saved_step, trainer.step_count)
+            self.saved_step = min(self.saved_step, trainer.step_count)
         self.artist.forget_pictures()
         self._tell("error", f"{error}; back at step {trainer.step_count:,}, paused", kind="failed")
 
@@ -271,12 +269,12 @@ class Run:
         if self.job is not None:
             raise UserError(f"an export to {self.job.progress.file} is running: cancel it or wait for it")
         self.job = export_job(request, trainer.frozen_method(), trainer.scene)
-        self._export = self.job.progress
+        self.export = self.job.progress
 
     def _cancel_export(self) -> None:
         if self.job is not None:
             self.job.cancel()
-            self.job, self._export = None, self.job.progress
+            self.job, self.export = None, self.job.progress
 
     def draw_export(self) -> bool:
         """One tile of the export under way; whether there was one."""
@@ -287,7 +285,7 @@ class Run:
             job.advance()
         except UserError as error:
             self._tell("error", f"export failed: {error}", kind="failed")
-        self._export = job.progress
+        self.export = job.progress
         if job.progress.state != "running":
             self.job = None  # with its copy of the model
         if job.progress.state == "done":
@@ -330,61 +328,6 @@ class Run:
     def _busy_with(self, words: str, now: bool = True) -> None:
         self.loading = words
         self._say_loading(now)
-
-    def status(self) -> messages.Status:
-        if self.loading:
-            return "loading"
-        if self.failed:
-            return "failed"
-        trainer = self.trainer
-        if trainer is None:
-            return "empty"
-        if self.training:
-            return "training"
-        if trainer.step_count >= trainer.total_steps:
-            return "finished"
-        return "paused" if trainer.step_count else "ready"
-
-    def snapshot(self, before: Snapshot, scheduler: Scheduler) -> Snapshot:
-        """The state to publish. before: the one that was published last; a picture stays until there is another."""
-        status, trainer = self.status(), self.trainer
-        shown = replace(
-            before, run=self.number, status=status, loading=self.loading, loaded=self._loaded, scene=self.scene,
-            wanted_share=scheduler.wanted, share_rule=scheduler.rule,
-            frame_share=scheduler.budget.frame_share() if status == "training" else 1.0,
-            export=self._export,
-        )  # fmt: skip
-        if trainer is None:
-            return shown
-        ray = self.artist.ray
-        rate = scheduler.rays_per_second(self.number) if status == "training" else 0.0
-        left = None
-        if rate and self._until is not None:
-            left = (self._until - trainer.step_count) * self._rays_per_step / rate
-        return replace(
-            shown,
-            method=trainer.method_name,
-            coarse=trainer.method.coarse,
-            stage=trainer.method.stage,
-            method_reason=trainer.reason,
-            device=describe(trainer.device),
-            step=trainer.step_count,
-            saved_step=self._saved_step,
-            total_steps=trainer.total_steps,
-            seconds=trainer.seconds,
-            rays_per_second=rate,
-            seconds_left=left,
-            train_share=scheduler.budget.train_share(),
-            memory_bytes=memory_held(trainer.device),
-            history=trainer.history.view(),
-            preview=self.artist.preview(shown.preview),
-            opened=ray.opened,
-            opened_id=ray.id if ray.opened is not None else 0,
-            opened_look=ray.answered,
-            opened_step=ray.opened_step,
-            pins=tuple(self.artist.pins),
-            preview_rays_per_second=self.artist.rays_per_second("fine"),
-        )
 
     def close(self) -> None:
         """Leave no half-written file behind."""

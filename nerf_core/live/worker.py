@@ -17,6 +17,7 @@ from nerf_core.live.messages import FIRST_RUN, Command, Notice, Snapshot, ViewRe
 from nerf_core.live.run import Run
 from nerf_core.live.scheduler import Scheduler
 from nerf_core.live.shares import Situation
+from nerf_core.live.snapshot import snapshot_of
 from nerf_core.training.settings import RunSettings
 
 PUBLISH_SECONDS = 1 / 10  # between snapshots nobody waits for: a full picture takes some 5 ms to hand over
@@ -327,7 +328,7 @@ class Worker:
         try:
             before, empty = self._mailbox.snapshots(), Snapshot()
             self._mailbox.deliver(
-                {n: run.snapshot(before.get(n, empty), self._scheduler) for n, run in self._runs.items()}
+                {n: snapshot_of(run, before.get(n, empty), self._scheduler) for n, run in self._runs.items()}
             )
         finally:  # what broke is told even where there is nothing more to show
             for notice in self._untold:

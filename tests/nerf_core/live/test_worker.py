@@ -129,7 +129,7 @@ def test_what_breaks_the_state_that_is_published_is_told_all_the_same(
     def lost(device: object) -> int:
         raise OSError("the device is lost")
 
-    monkeypatch.setattr("nerf_core.live.run.memory_held", lost)
+    monkeypatch.setattr("nerf_core.live.snapshot.memory_held", lost)
     desk.send(Pause())
     assert desk.until_told("the device is lost").level == "error"
 
