@@ -16,6 +16,7 @@ from nerf_core.volume.cells import Cells
 from nerf_core.volume.compositing import absorb, composite
 
 LEVELS = HashLevels((2, 5, 11, 40))
+MARCHED = 100 if "triton" in fast() else 200  # rays; interpreted, a block of 64 takes seconds
 WHITE = torch.tensor([1.0, 0.5, 0.25])
 each_fast = pytest.mark.parametrize("kernels", fast().values(), ids=fast().keys())
 each = pytest.mark.parametrize("kernels", [*fast().values(), PLAIN], ids=[*fast().keys(), "torch"])
@@ -56,19 +57,19 @@ def test_a_march_finds_the_same_samples(kernels: PackedKernels, contracted: bool
     occupied = torch.rand(9, 13, 10, generator=g) < 0.3
     occupied[:, 4:9] = False  # blocks to leap over
     cells = Cells.of(np.full(3, -half), 2 * half / np.array([9, 13, 10]), occupied, contracted)
-    origins = 3 * (torch.rand(200, 3, generator=g) * 2 - 1)
+    origins = 3 * (torch.rand(MARCHED, 3, generator=g) * 2 - 1)
     origins[:10] *= 0.2  # within the box
-    d = torch.nn.functional.normalize(torch.rand(200, 3, generator=g) * 2 - 1 - origins, dim=-1)
+    d = torch.nn.functional.normalize(torch.rand(MARCHED, 3, generator=g) * 2 - 1 - origins, dim=-1)
     d[5], d[20], origins[20] = torch.tensor([1.0, 0, 0]), torch.tensor([0, 0, 1.0]), torch.tensor([0.1, 0.2, -3])
     d[21], origins[21] = torch.tensor([0, 1.0, 0]), torch.tensor([9.0, 0, 0])  # beside the box, along its side
-    far = torch.full((200,), 1e6)
+    far = torch.full((MARCHED,), 1e6)
     far[30] = -1.0
-    rays, offsets = BoxRays(origins, d, d, torch.full((200,), 0.05), far), torch.rand(200, generator=g)
+    rays, offsets = BoxRays(origins, d, d, torch.full((MARCHED,), 0.05), far), torch.rand(MARCHED, generator=g)
     a, b = (k.march(cells, rays, 0.6, offsets) for k in (kernels, PLAIN))
     same = a.ends.diff() == b.ends.diff()
     assert int((~same).sum()) <= 4  # a sample that lies on a cell's face may be rounded to either side of it
     mine, theirs = (s.at(same[s.ray].nonzero()[:, 0]) for s in (a, b))
-    assert len(mine.t) > 500
+    assert len(mine.t) > 2.5 * MARCHED
     torch.testing.assert_close(mine.x, theirs.x, atol=2e-2, rtol=0)
     torch.testing.assert_close(mine.t, theirs.t, atol=1e-2, rtol=1e-2)
     near = mine.t < 50  # toward infinity a step's length is all rounding

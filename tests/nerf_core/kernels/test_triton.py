@@ -35,9 +35,13 @@ def interpreted(words: str, *checks: Path) -> int:
     return done.stdout.count(" PASSED")
 
 
-def test_the_interpreted_kernels_pass_what_the_others_pass() -> None:
-    """All but the longest: long marches, and whole training steps."""
-    assert interpreted("triton and not leaps and not far_away", PACKED) >= 13
+@pytest.mark.parametrize(
+    ("checks", "words", "fewest"),
+    [(PACKED, "triton and not leaps and not far_away", 13), (FIXED_STEP, "triton and no_room", 1)],
+)
+def test_the_interpreted_kernels_pass_what_the_others_pass(checks: Path, words: str, fewest: int) -> None:
+    """All but the longest: long marches, and several steps of training."""
+    assert interpreted(words, checks) >= fewest
 
 
 @pytest.mark.thorough

@@ -211,10 +211,11 @@ def test_a_process_ends_with_one_line_and_status_2(mistake: list[str], tmp_path:
 
 
 def test_eight_pins_fit_beside_what_the_demo_pins_and_every_file_has_them(tmp_path: Path) -> None:
+    tiny = ["--method", "voxels", "--device", "cpu", "--threads", "1", "--downscale", "8", "--size", "640x400"]
     pins = [word for k in range(MOST_PINS) for word in ("--pin", f"0.{k + 1}", "0.4")]
     files, model = [tmp_path / "rays.json", tmp_path / "rays.csv"], tmp_path / "model.safetensors"
     done = viewer(
-        *TINY, "--headless", "--steps", "2", *pins, "--click", "0.5", "0.6", "--save", str(model),
+        *tiny, "--headless", "--steps", "2", *pins, "--click", "0.5", "0.6", "--save", str(model),
         *(word for file in files for word in ("--inspect", str(file))),
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -225,7 +226,7 @@ def test_eight_pins_fit_beside_what_the_demo_pins_and_every_file_has_them(tmp_pa
     lines = files[1].read_text().splitlines()[1:]
     assert {line.partition(",")[0] for line in lines} == {str(k) for k in range(MOST_PINS + 1)}
 
-    done = viewer(*TINY, "--headless", "--load", str(model), "--pin", "0.5", "0.5", "--render", str(tmp_path / "x.npy"))
+    done = viewer(*tiny, "--headless", "--load", str(model), "--pin", "0.5", "0.5", "--render", str(tmp_path / "x.npy"))
     assert done.returncode == 2
     assert f"--pin: given 1 times; beside the rays that are pinned in {model} there is room for 0" in done.stderr
     assert not (tmp_path / "x.npy").exists()
