@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Self
 import torch
 from torch import Tensor
 
-from nerf_core.common.configs import changed, restored
+from nerf_core.common.configs import changed, check_ranges, constant, restored
 from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.geometry.rays import Rays, Rendering, Samples, Trace
 from nerf_core.geometry.scene import Scene
@@ -35,14 +35,17 @@ CHANNELS = 4  # density, red, green, blue
 
 @dataclass(frozen=True)
 class GridConfig:
-    """cells: vertices of the grid a side. samples: of a ray. rays: of a step. The trainer reads the last two."""
+    """What `nerf-core methods grid` lists and --set changes. The trainer reads the last two."""
 
-    cells: int = 64
-    samples: int = 96
-    rays: int = 1024
-    learning_rate: float = 0.1
-    total_steps: int = 2000
-    train_images: int = 0  # how many photos are used; 0: all
+    cells: int = constant(64, "vertices along a side of the grid", least=2, most=512)
+    samples: int = constant(96, "samples per ray", least=1, most=4096)
+    rays: int = constant(1024, "rays per step", least=1, most=2**20)
+    learning_rate: float = constant(0.1, "Adam's learning rate")
+    total_steps: int = constant(2000, "steps of the schedule, unless --steps says otherwise", least=1)
+    train_images: int = constant(0, "training photos that are used, evenly spread; 0: all")
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
 
     def to_json(self) -> dict[str, Any]:
         return asdict(self)
@@ -53,6 +56,7 @@ class GridMethod(Defaults):
     """σ(x) and c(x) are interpolated between the vertices of a grid over the scene's box."""
 
     summary: ClassVar[str] = "A dense grid of density and colour, in plain torch."
+    constants: ClassVar[type[GridConfig]] = GridConfig
     tile = 2048  # rays that are rendered at once
 
     @staticmethod

@@ -33,6 +33,9 @@ from nerf_core.live.shares import SHARES, Situation
 from nerf_core.methods import Traceable
 from nerf_core.probe.verdict import conclude
 from nerf_core.probe.verdicts import VERDICTS
+from nerf_core.rendering.export.models import EXPORTS
+from nerf_core.rendering.export.requests import ExportModel
+from nerf_core.rendering.export.start import export_job
 from nerf_core.rendering.modes import MODES, mode_names, shaded
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
@@ -127,6 +130,28 @@ def test_a_kernel_implementation(load: Load, monkeypatch: pytest.MonkeyPatch) ->
     assert samples > 0
     with pytest.raises(FloatingPointError, match="1 rays"):
         kernels.accumulate(grid, rays, torch.full((1, 3), torch.nan), march)
+
+
+def test_a_model_export(load: Load, tmp_path: Path) -> None:
+    scene = load_scene(None, LoadOptions(downscale=20))
+    trainer = Trainer(scene, RunSettings(method="voxels", changes={"start": "8", "resolution": "16"}))
+    for _ in range(5):
+        trainer.step()
+    with pytest.raises(UserError, match=r"a model is written as no model file; no model export is installed"):
+        export_job(ExportModel(tmp_path / "a.ply"), trainer.method, scene)
+    load("nerf_core/rendering/export/models/points.py", EXPORTS)
+    with pytest.raises(UserError, match=r"a\.obj: a model is written as \.ply"):
+        export_job(ExportModel(tmp_path / "a.obj"), trainer.method, scene)
+    job = export_job(ExportModel(tmp_path / "a.ply"), trainer.method, scene)
+    while job.advance():
+        pass
+    assert job.progress.done == job.progress.total
+    header, _, body = (tmp_path / "a.ply").read_bytes().partition(b"end_header\n")
+    count = int(header.split(b"vertex ")[1].split()[0])
+    assert 0 < count < len(scene.split("train")) * 100
+    points = np.frombuffer(body, [("position", "<f4", 3), ("color", "u1", 3)])
+    assert len(points) == count
+    assert np.linalg.norm(points["position"] - scene.center, axis=-1).max() < scene.far
 
 
 def test_a_verdict_class(load: Load) -> None:

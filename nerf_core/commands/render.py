@@ -9,8 +9,7 @@ from typing import Annotated, Any, ClassVar
 import tyro
 
 from nerf_core.commands import COMMANDS
-from nerf_core.commands.shared import MOVED_HELP, restored
-from nerf_core.common.console import Display
+from nerf_core.commands.shared import MOVED_HELP, finished, restored
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.signals import Signals
 from nerf_core.geometry.paths import PATHS
@@ -81,15 +80,7 @@ class Render(PathOptions):
                 raise UserError(f"{names} belong to --path {owner}, not to {self.path}: leave them out")
         trainer = restored(RunFolder(self.run_folder), self.data, self.device)
         cameras = kind.cameras(trainer.scene, self.frames, self.width, self.height, **chosen)
-        signals.be_polite()
         job = FilmJob(trainer.method, trainer.scene, ExportPath(cameras, self.fps, self.out, self.png_frames))
-        try:
-            with Display("rendering") as display:
-                while job.advance():
-                    signals.check()
-                    p = job.progress
-                    display.show(p.done / p.total, f"{len(cameras)} frames", p.seconds_left)
-        finally:
-            job.abort()  # of a finished video: does nothing
+        finished(job, signals, "rendering", f"{len(cameras)} frames")
         print(f"wrote {self.out}: {len(cameras)} frames")
         return 0

@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from nerf_core.common.console import Display
+from nerf_core.common.signals import Signals
+from nerf_core.rendering.export.jobs import Job
 from nerf_core.training.run_folder import RunFolder
 from nerf_core.training.trainer import Trainer
 
@@ -27,6 +29,18 @@ def restored(run: RunFolder, data: Path | None, device: str) -> Trainer:
         trainer, notes = run.restore(data, device, progress)
     tell(notes)
     return trainer
+
+
+def finished(job: Job, signals: Signals, label: str, text: str) -> None:
+    """Do all of a job's work and show how far it is. A signal cancels it and leaves no half-written file."""
+    signals.be_polite()
+    try:
+        with Display(label) as display:
+            while job.advance():
+                signals.check()
+                display.show(job.progress.done / max(job.progress.total, 1), text, job.progress.seconds_left)
+    finally:
+        job.abort()  # of a finished file: does nothing
 
 
 def tell(notes: Sequence[str]) -> None:

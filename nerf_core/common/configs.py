@@ -1,11 +1,14 @@
-"""A method's constants: a frozen dataclass of numbers, changed by name, checked, stored as JSON."""
+"""A method's constants: a frozen dataclass whose fields declare default, range and help in one place.
+
+They are changed by name, checked when the object is made, and stored as JSON.
+"""
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Mapping
-from dataclasses import fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, TypeVar, get_type_hints
 
 from nerf_core.common.errors import UserError, shorten
@@ -14,19 +17,80 @@ C = TypeVar("C")
 WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a word"}
 
 
-def check_ranges(config: Any, least: Mapping[str, float], most: Mapping[str, float]) -> None:
-    """Raises UserError for a number below `least` (0 where it says nothing), above `most`, or none at all."""
+LARGEST = sys.float_info.max
+SHARES = {"[0, 1)": "must lie in [0, 1)", "(0, 1]": "must lie in (0, 1]", "(0, 1)": "must lie between 0 and 1"}
+
+
+@dataclass(frozen=True)
+class Constant:
+    """What is known of one field of a configuration, besides its default.
+
+    least, most: its range, ends included. share: an interval between 0 and 1 that it must lie in, a key of SHARES;
+    empty: none. choices: the words that it may be; empty: it is a number or a truth value. help: one line.
+    """
+
+    help: str
+    least: float = 0.0
+    most: float = LARGEST
+    share: str = ""
+    choices: tuple[str, ...] = ()
+
+    @property
+    def range(self) -> str:
+        """The values that it may have, for people; empty: any."""
+        if self.choices:
+            return " or ".join(self.choices)
+        if self.share:
+            return self.share
+        if self.least == 0 and self.most == LARGEST:
+            return ""
+        low = "" if self.least == -LARGEST else f"from {self.least:,g}"
+        return f"{low} to {self.most:,.10g}".strip() if self.most != LARGEST else low
+
+
+def constant(
+    default: Any, help: str, *, least: float = 0.0, most: float = LARGEST, share: str = "", choices: Sequence[str] = ()
+) -> Any:
+    """A field of a configuration with its default, range and a line of help; see `Constant`."""
+    return field(default=default, metadata={"constant": Constant(help, least, most, share, tuple(choices))})
+
+
+def constants(kind: type[Any]) -> dict[str, tuple[Any, Constant]]:
+    """Defaults and descriptions of all fields of a configuration, by name; of a nested one as outer.inner."""
+    found: dict[str, tuple[Any, Constant]] = {}
+    for f in fields(kind):
+        if "constant" in f.metadata:
+            found[f.name] = f.default, f.metadata["constant"]
+        elif isinstance(f.default_factory, type) and is_dataclass(f.default_factory):
+            inner = constants(f.default_factory)
+            found |= {f"{f.name}.{name}": value for name, value in inner.items()}
+    return found
+
+
+def check_ranges(config: Any) -> None:
+    """Raises UserError for a field outside of the range that it declares, and for one that is no number."""
     for f in fields(config):
+        known: Constant | None = f.metadata.get("constant")
         value = getattr(config, f.name)
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
+        if known is None or isinstance(value, bool):
             continue
-        low, high = least.get(f.name, 0), most.get(f.name, sys.float_info.max)
-        if not value >= low and not (f.name not in least and f.name.startswith("bias")):
-            raise UserError(f"--set {f.name}={value}: must be at least {low}")
-        if value > high:
-            raise UserError(f"--set {f.name}={shorten(value)}: must be at most {high}")
+        if known.choices:
+            if value not in known.choices:
+                raise UserError(f"--set {f.name}={shorten(value)}: choose {' or '.join(known.choices)}")
+            continue
+        if not value >= known.least:
+            raise UserError(f"--set {f.name}={value}: must be at least {known.least:g}")
+        if value > known.most:
+            raise UserError(f"--set {f.name}={shorten(value)}: must be at most {known.most:.10g}")
         if not math.isfinite(value):
             raise UserError(f"--set {f.name}={value}: must be a finite number")
+        if known.share and not _in_share(value, known.share):
+            raise UserError(f"--set {f.name}={value}: {SHARES[known.share]}")
+
+
+def _in_share(value: float, share: str) -> bool:
+    low = value >= 0 if share[0] == "[" else value > 0
+    return low and (value <= 1 if share[-1] == "]" else value < 1)
 
 
 def changed(config: C, changes: Mapping[str, str], method: str) -> C:

@@ -72,7 +72,7 @@ class Budget:
         return self._draw * self.share <= self._train * (1 - self.share)
 
     def frame_share(self) -> float:
-        """The share of the time for the window's frames: half of what training leaves; pictures take the other."""
+        """Half of what training leaves: frames of the window take one half, pictures the other."""
         return (1 - self.share) / 2
 
     def followed(self, seconds: float) -> None:

@@ -7,6 +7,7 @@ latest-wins `Snapshot` and an ordered queue of `Notice`s (things that happened o
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -17,7 +18,7 @@ from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
 from nerf_core.probe import Opened, RadianceProbe, RayHistory, RayProbe, Sightings
 from nerf_core.probe.directions import Around
-from nerf_core.rendering.export.requests import Export, ExportPath, ExportStill
+from nerf_core.rendering.export.requests import Export, ExportRequest
 from nerf_core.rendering.modes import COLOR
 from nerf_core.training.loss_history import History
 from nerf_core.training.settings import RunSettings
@@ -197,9 +198,9 @@ class ExportRays(OfRun):
 
 @dataclass(frozen=True)
 class StartExport(OfRun):
-    """Write a film or a picture of the model as it is now, while training goes on."""
+    """Write a film, a picture or the model itself as it is now, while training goes on."""
 
-    request: ExportPath | ExportStill
+    request: ExportRequest
 
 
 @dataclass(frozen=True)
@@ -304,6 +305,7 @@ class Snapshot:
     scene: Scene | None = None
     method: str = ""
     method_reason: str = ""  # why this one
+    config: Mapping[str, Any] = field(default_factory=dict)  # its constants by name, as a checkpoint stores them
     stage: str = ""  # where training stands, if there is something to tell
     coarse: str = ""  # what draws its cheaper pictures; empty: it has none
     device: str = ""
@@ -316,7 +318,7 @@ class Snapshot:
     train_share: float = 0.0
     wanted_share: float = 0.5
     share_rule: str = "steady"
-    frame_share: float = 1.0  # of the time that the window's frames may take
+    frame_share: float = 0.25  # of the time, for frames, previews or exports each, while training goes on
     memory_bytes: int = 0
     history: History = field(default_factory=History)
     preview: Preview | None = None

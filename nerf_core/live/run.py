@@ -264,7 +264,7 @@ class Run:
 
     # ---- files in the making ----------------------------------------------------------------------------------------
 
-    def _start_export(self, request: messages.ExportPath | messages.ExportStill) -> None:
+    def _start_export(self, request: messages.ExportRequest) -> None:
         trainer = self.need_trainer()
         if self.job is not None:
             raise UserError(f"an export to {self.job.progress.file} is running: cancel it or wait for it")

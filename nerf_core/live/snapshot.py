@@ -16,7 +16,7 @@ def snapshot_of(run: Run, before: Snapshot, scheduler: Scheduler) -> Snapshot:
     shown = replace(
         before, run=run.number, status=status, loading=run.loading, loaded=run.loaded, scene=run.scene,
         wanted_share=scheduler.wanted, share_rule=scheduler.rule,
-        frame_share=budget.frame_share() if status == "training" else 1.0, export=run.export,
+        frame_share=budget.frame_share(), export=run.export,
     )  # fmt: skip
     if trainer is None:
         return shown
@@ -31,6 +31,7 @@ def snapshot_of(run: Run, before: Snapshot, scheduler: Scheduler) -> Snapshot:
         coarse=trainer.method.coarse,
         stage=trainer.method.stage,
         method_reason=trainer.reason,
+        config=trainer.config.to_json(),
         device=describe(trainer.device),
         step=trainer.step_count,
         saved_step=run.saved_step,

@@ -166,13 +166,18 @@ class Trainable(Protocol):
 
 
 class Method(Renderable, Trainable, Protocol):
-    """A model of one scene with its optimiser; owned by one thread. `summary` is the sentence that menus show.
+    """A model of one scene with its optimiser; owned by one thread.
+
+    summary: the sentence that menus show. constants: the dataclass of its `Config`, whose fields are declared with
+    `nerf_core.common.configs.constant`. presets: names of sets of constants besides "auto".
 
     `Traceable`, `Radiant`, `Dense` and `Explainable` are what a method may be besides. Where it is not, panels and
     probes say so (`lacking`).
     """
 
     summary: ClassVar[str]
+    constants: ClassVar[type[Any]]
+    presets: ClassVar[tuple[str, ...]]
 
     @staticmethod
     def configure(scene: Scene, preset: str, changes: Mapping[str, str], device: torch.device) -> Config:
@@ -193,6 +198,7 @@ class Defaults:
     coarse: ClassVar[str] = ""
     alone: ClassVar[bool] = True
     stage, born = "", 0
+    presets: ClassVar[tuple[str, ...]] = ()
     generators: tuple[torch.Generator, ...] = ()
 
     def undo(self, step: int) -> Callable[[], None]:

@@ -16,6 +16,7 @@ from desk import PATIENCE
 
 import nerf_core
 from nerf_core.cli import main
+from nerf_core.methods import METHODS
 from nerf_core.training import checkpoint
 from nerf_core.training.run_folder import RunFolder
 
@@ -282,3 +283,18 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
         main(["--version"])
     assert caught.value.code == 0
     assert capsys.readouterr().out == f"nerf-core {nerf_core.__version__}\n"
+
+
+def test_methods_are_listed_with_their_constants(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["methods"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == list(METHODS.names())
+    assert main(["methods", "nerf"]) == 0
+    text = capsys.readouterr().out
+    assert "presets: auto, complete, no-pe-viewdirs-hierarchy" in text
+    assert "  coarse_samples = 64 (from 3 to 16,384)\n      samples per ray of the coarse network, N_c\n" in text
+    assert "  precision = float32 (float32 or bfloat16)" in text
+    assert main(["methods", "nerf-guided"]) == 0
+    assert "  guide.growth = 1.7 (from 1.05 to 16)" in capsys.readouterr().out
+    assert main(["methods", "wings"]) == 2
+    assert "unknown method 'wings'" in capsys.readouterr().err

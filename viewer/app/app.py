@@ -179,7 +179,8 @@ class App:
 
     def _frames_part(self) -> float:
         """Half of what training leaves for pictures: the worker's pictures want the other half."""
-        return self.state.snapshot.frame_share
+        snapshot = self.state.snapshot
+        return snapshot.frame_share if snapshot.status == "training" else 1.0
 
     def _show(self) -> None:
         self.window.swap()

@@ -9,7 +9,7 @@ from pathlib import Path
 from nerf_core.common.errors import UserError
 from nerf_core.common.user_paths import own_path
 from nerf_core.geometry.camera import Camera
-from nerf_core.geometry.paths.orbit import Orbit
+from nerf_core.geometry.paths import PATHS
 from nerf_core.geometry.scene import Scene
 from nerf_core.live.messages import (
     Command,
@@ -28,16 +28,16 @@ from ..model.link import Link
 from ..model.state import (
     Action,
     AppState,
+    FilmForm,
     FocusOn,
     FrameScene,
     GoToView,
-    OrbitForm,
     ResetView,
     SaveScreenshot,
     SetDisc,
     SetPointDepth,
     ShownNotice,
-    StartOrbitExport,
+    StartFilmExport,
 )
 
 
@@ -69,10 +69,10 @@ class Actions:
                 return 0 if state.inspect is None else self._perform(state.inspect.again(around=around))
             case SaveScreenshot(path):
                 self.screenshots.append(path)
-            case StartOrbitExport():
+            case StartFilmExport():
                 if scene is None:
                     raise UserError("there is no scene to make an orbit of: open one first")
-                return self._link.send(StartExport(orbit_export(scene, state.orbit)))
+                return self._link.send(StartExport(film_export(scene, state.film)))
             case _:
                 return self._send(action)
         return 0
@@ -111,19 +111,14 @@ class Actions:
                 state.camera.frame()
 
 
-def orbit_export(scene: Scene, form: OrbitForm) -> ExportPath:
+def film_export(scene: Scene, form: FilmForm) -> ExportPath:
     """The command that the export form describes. Raises UserError for values that give no film."""
     if not (math.isfinite(form.fps) and form.fps > 0):
         raise UserError(f"an orbit of {form.fps:g} frames a second is none: take a positive number")
     file = own_path(Path(form.file.strip()))
     if not file.name:
         raise UserError("the orbit has no file name: give one that ends in .mp4")
-    cameras: tuple[Camera, ...] = Orbit.cameras(
-        scene,
-        form.frames,
-        form.width or None,
-        form.height or None,
-        elevation=form.elevation_degrees,
-        radius=form.radius or None,
-    )
+    kind = PATHS.get(form.path)
+    options = {name: form.options[name] for name in kind.options if name in form.options}
+    cameras: tuple[Camera, ...] = kind.cameras(scene, form.frames, form.width or None, form.height or None, **options)
     return ExportPath(cameras, form.fps, file if file.suffix else file.with_suffix(".mp4"), form.png_frames)

@@ -62,24 +62,28 @@ class SaveScreenshot:
 
 
 @dataclass(frozen=True)
-class StartOrbitExport:
-    """Export the orbit that `AppState.orbit` describes."""
+class StartFilmExport:
+    """Export the film that `AppState.film` describes."""
 
 
 Action = (
     Command | GoToView | FocusOn | ResetView | FrameScene | SetPointDepth | SetDisc | SaveScreenshot
-    | StartOrbitExport
+    | StartFilmExport
 )  # fmt: skip
 
 
 @dataclass
-class OrbitForm:
-    """The export panel's fields. width, height 0: the training photos' size. radius 0: the capture's own."""
+class FilmForm:
+    """The export panel's fields. width, height 0: the training photos' size.
 
+    path: a kind of `nerf_core.geometry.paths.PATHS`. options: the kind's own, by name; the kind has a default for
+    one that is absent.
+    """
+
+    path: str = "orbit"
     frames: int = 60
     fps: float = 30.0
-    elevation_degrees: float = 25.0
-    radius: float = 0.0
+    options: dict[str, float] = field(default_factory=lambda: {"elevation": 25.0})
     width: int = 0
     height: int = 0
     png_frames: bool = False
@@ -114,9 +118,10 @@ class AppState:
     viewport_rect: tuple[float, float, float, float] | None = None  # x, y, width, height in imgui's coordinates
     frames_per_second: float = 0.0
     notices: list[ShownNotice] = field(default_factory=list)
-    orbit: OrbitForm = field(default_factory=OrbitForm)  # *
+    film: FilmForm = field(default_factory=FilmForm)  # *
     checkpoint_file: str = ""  # *
     rays_file: str = "rays.json"  # *
+    model_file: str = ""  # *
     open_path: str = ""  # *
     settings: RunSettings = field(default_factory=RunSettings)  # * what the next capture is opened with
     focus_open: bool = False  # * give the scene panel's path field the keyboard in the next frame

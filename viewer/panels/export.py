@@ -1,33 +1,39 @@
-"""An orbit as a video: what it will be, how long it takes, how far it is."""
+"""A camera path as a video, and files of the model: what they will be, how long they take, how far they are."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
+from nerf_core.common.user_paths import own_path
+from nerf_core.geometry.paths import PATHS
 from nerf_core.geometry.paths.steps import capture_distance, training_size
 from nerf_core.geometry.scene import Scene
-from nerf_core.live.messages import CancelExport, Export
+from nerf_core.live.messages import CancelExport, Export, StartExport
+from nerf_core.rendering.export.models import EXPORTS
+from nerf_core.rendering.export.requests import ExportModel
 
 from ..commands.registry import with_keys
-from ..model.state import Action, AppState, OrbitForm, StartOrbitExport
+from ..model.state import Action, AppState, FilmForm, StartFilmExport
 from ..ui.contract import PANELS, Ui
 from ..ui.text import duration, number
 from ..ui.widgets import button, field_beside, field_width, hint, path_line, same_line_if_fits
 
-START, CANCEL = f"{icons.ICON_FA_FILM}  Export orbit", f"{icons.ICON_FA_XMARK}  Cancel"
-MAX_FRAMES, MAX_FPS, MAX_SIDE, MAX_RADIUS = 10_000, 240, 8192, 1e4
+CANCEL = f"{icons.ICON_FA_XMARK}  Cancel"
+MAX_FRAMES, MAX_FPS, MAX_SIDE, MAX_RADIUS, MAX_OPTION = 10_000, 240, 8192, 1e4, 1e4
+MODEL = f"{icons.ICON_FA_CUBE}  Write model"
 PNG = "PNG frames"
 LONGEST = "elevation"  # of the labels: all fields end where it starts
 
 
 @dataclass(frozen=True)
 class OwnPath:
-    """An orbit as it is by itself, in pixels and scene units; found once, as there may be thousands of photos."""
+    """The photos' size in pixels and the cameras' distance in scene units; found once: there may be many photos."""
 
     width: int
     height: int
@@ -49,7 +55,7 @@ class ExportPanel:
         self._own = OwnPath(0, 0, 0.0)
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
-        snapshot, form = state.snapshot, state.orbit
+        snapshot, form = state.snapshot, state.film
         if snapshot.scene is None:
             hint(ui, "Open a scene first: then an orbit around it can be written as a video.")
             return
@@ -65,32 +71,34 @@ class ExportPanel:
         imgui.end_disabled()
         if running:
             return
-        hint(ui, estimate(form, self._own, snapshot.preview_rays_per_second, snapshot.wanted_share))
+        hint(ui, estimate(form, self._own, snapshot.preview_rays_per_second, snapshot.frame_share))
         tip = with_keys("training goes on", "file.export")
-        if button(ui, START, "export.start", enabled=bool(form.file.strip()), tip=tip):
-            yield StartOrbitExport()
+        start = f"{icons.ICON_FA_FILM}  Export {PATHS.get(form.path).label.lower()}"
+        if button(ui, start, "export.start", enabled=bool(form.file.strip()), tip=tip):
+            yield StartFilmExport()
+        yield from _models(ui, state)
 
 
-def estimate(form: OrbitForm, own: OwnPath, speed: float, share: float) -> str:
-    """What the video will be and how long it takes at the measured speed of drawing, in rays a second.
+def estimate(form: FilmForm, own: OwnPath, speed: float, share: float) -> str:
+    """What the video will be and how long it takes at the measured speed of drawing, in rays per second.
 
-    While training goes on with its `share`, export and preview take turns in what is left of the time.
+    share: of the time that the export has while training goes on.
     """
     width, height = form.width or own.width, form.height or own.height
     film = f"{form.frames:,} frames of {width:,} × {height:,}, {form.frames / form.fps:.1f} s of video"
     if speed <= 0:
         return f"{film}; the time it takes is not measured yet"
     alone = form.frames * width * height / speed
-    return f"{film}; takes about {duration(alone)}, while training up to {duration(2 * alone / (1 - share))}"
+    return f"{film}; takes about {duration(alone)}, while training up to {duration(alone / share)}"
 
 
-def _form(ui: Ui, form: OrbitForm, own: OwnPath) -> None:
+def _form(ui: Ui, form: FilmForm, own: OwnPath) -> None:
+    _kind(ui, form)
     if imgui.begin_table("form", 2, imgui.TableFlags_.sizing_stretch_same | imgui.TableFlags_.no_pad_outer_x):
         form.frames = round(_number(ui, "frames", form.frames, (1, MAX_FRAMES), "%.0f"))
         form.fps = _number(ui, "fps", form.fps, (1, MAX_FPS), "%.4g")
-        form.elevation_degrees = _number(ui, "elevation", form.elevation_degrees, (-90, 90), "%.1f°")
-        radius = "%.4g" if form.radius else f"auto, {number(own.radius, 3)}"
-        form.radius = _number(ui, "radius", form.radius, (0, MAX_RADIUS), radius)
+        for name in PATHS.get(form.path).options:
+            _option(ui, form, name, own)
         for side, photos in (("width", own.width), ("height", own.height)):
             value: int = getattr(form, side)
             shown = "%.0f px" if value else f"auto, {photos:,}"
@@ -103,6 +111,51 @@ def _form(ui: Ui, form: OrbitForm, own: OwnPath) -> None:
     _, form.png_frames = imgui.checkbox(PNG, form.png_frames)
     ui.mark("export.png")
     imgui.set_item_tooltip("also write every frame as a PNG, in a folder beside the video")
+
+
+def _kind(ui: Ui, form: FilmForm) -> None:
+    """A box to choose the kind of path, if there is more than one."""
+    names = list(PATHS.names())
+    if len(names) < 2:
+        return
+    field_width(ui, "path")
+    at = names.index(form.path) if form.path in names else 0
+    changed, at = imgui.combo("path##export", at, [PATHS.get(name).label for name in names])
+    ui.mark("export.path")
+    if changed:
+        form.path, form.frames = names[at], PATHS.get(names[at]).default_frames or form.frames
+
+
+def _option(ui: Ui, form: FilmForm, name: str, own: OwnPath) -> None:
+    """A field for what only this kind of path can be asked for. 0 is its default, but for an elevation."""
+    limits, shown = (-MAX_OPTION, MAX_OPTION), "%.4g"
+    if name == "elevation":
+        limits, shown = (-90.0, 90.0), "%.1f°"
+    elif name == "radius":
+        limits = (0.0, MAX_RADIUS)
+    value = form.options.get(name, 0.0)
+    if not value and name != "elevation":
+        shown = f"auto, {number(own.radius, 3)}" if name == "radius" else "auto"
+    value = _number(ui, name, value, limits, shown)
+    if value or name == "elevation":
+        form.options[name] = value
+    else:
+        form.options.pop(name, None)
+
+
+def _models(ui: Ui, state: AppState) -> Iterator[Action]:
+    """A field and a button for files of the model, if any kind of them is installed."""
+    kinds = [EXPORTS.get(name) for name in EXPORTS.names()]
+    if not kinds:
+        return
+    imgui.separator()
+    field_beside(ui, MODEL)
+    _, state.model_file = imgui.input_text_with_hint("##model", f"model{kinds[0].suffix}", state.model_file)
+    ui.mark("export.model_file")
+    imgui.same_line()
+    tip = "; ".join(f"{kind.suffix}: {kind.summary}" for kind in kinds)
+    if button(ui, MODEL, "export.model", enabled=bool(state.model_file.strip()), tip=tip):
+        yield StartExport(ExportModel(own_path(Path(state.model_file.strip()))))
 
 
 def _number(ui: Ui, label: str, value: float, limits: tuple[float, float], shown: str) -> float:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
+from nerf_core.common.configs import Constant, constants
 from nerf_core.geometry.scene import SPLITS, Scene
 from nerf_core.live.messages import OpenScene, UseMethod
 from nerf_core.methods import METHODS
@@ -52,6 +53,7 @@ class ScenePanel:
         _downscale(ui, state)
         if scene is not None:
             yield from self._method(ui, state)
+            _constants(ui, state)
             for note in scene.notes:
                 hint(ui, f"{icons.ICON_FA_TRIANGLE_EXCLAMATION}  {note}", ui.theme.warning)
 
@@ -124,6 +126,37 @@ def _rows(scene: Scene) -> list[Row]:
 @cache
 def method_sentences() -> dict[str, str]:
     return {name: METHODS.get(name).summary for name in METHODS.names()}
+
+
+def _constants(ui: Ui, state: AppState) -> None:
+    """The constants of the open model, to read; each with its range and a line of help under the mouse."""
+    opened = imgui.tree_node_ex("Constants", imgui.TreeNodeFlags_.span_avail_width)
+    ui.mark("scene.constants")
+    if not opened:
+        return
+    values, known = state.snapshot.config, _known_constants(state.snapshot.method)
+    if imgui.begin_table("constants", 2, imgui.TableFlags_.sizing_stretch_prop):
+        for name, (_, about) in known.items():
+            imgui.table_next_column()
+            imgui.text_colored(ui.theme.muted, name)
+            limits = f"\n{about.range}" if about.range else ""
+            imgui.set_item_tooltip(f"{about.help}{limits}")
+            imgui.table_next_column()
+            imgui.text_unformatted(_value(values, name))
+        imgui.end_table()
+    imgui.tree_pop()
+
+
+def _value(values: Mapping[str, Any], name: str) -> str:
+    """The value of a constant; of a nested one, outer.inner."""
+    outer, _, inner = name.partition(".")
+    value = values.get(outer, {}).get(inner) if inner else values.get(name)
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+@cache
+def _known_constants(method: str) -> dict[str, tuple[Any, Constant]]:
+    return constants(METHODS.get(method).constants) if method in METHODS.names() else {}
 
 
 def _offer_methods(ui: Ui, state: AppState) -> None:

@@ -10,6 +10,7 @@ from imgui_bundle import ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.live.messages import LoadCheckpoint, Pause, Reset, SetShare, Snapshot, Train
+from nerf_core.live.shares import SHARES
 
 from ..commands.registry import run, with_keys
 from ..draw.history_plots import HistoryPlots
@@ -82,7 +83,16 @@ class TrainingPanel:
         if changed:
             self._share = percent / 100
         if imgui.is_item_deactivated_after_edit() and self._share is not None:
-            yield SetShare(self._share)
+            yield SetShare(self._share, snapshot.share_rule)
+        names = list(SHARES.names())
+        if len(names) > 1:
+            field_width(ui, "rule")
+            at = names.index(snapshot.share_rule)
+            changed, at = imgui.combo("rule##share", at, [SHARES.get(name).label for name in names])
+            ui.mark("training.rule")
+            imgui.set_item_tooltip(SHARES.get(names[at]).tip)
+            if changed:
+                yield SetShare(snapshot.wanted_share, names[at])
 
     def _checkpoint(self, ui: Ui, state: AppState) -> Iterator[Action]:
         field_beside(ui, SAVE, LOAD)

@@ -39,7 +39,7 @@ from nerf_core.training.checkpoint import describe
 from nerf_core.training.settings import RunSettings
 
 from ..app.app import App
-from ..model.state import StartOrbitExport
+from ..model.state import StartFilmExport
 
 FRAME_SECONDS = 0.25  # how often an offscreen interface is drawn while it waits: drawing takes time from training
 SHARPEN_SECONDS = 180.0  # how long a screenshot waits for the preview to reach full resolution
@@ -248,7 +248,7 @@ class Script:
         self._ask(ExportRays(file), "wrote")
 
     def _film(self, file: Path, seconds: float | None) -> None:
-        snapshot, form = self._snapshot(), self.app.state.orbit
+        snapshot, form = self._snapshot(), self.app.state.film
         form.file = str(file)
         if seconds is not None and snapshot.scene is not None:
             width, height = training_size(snapshot.scene)
@@ -262,9 +262,9 @@ class Script:
                 f"orbit: {form.frames} frames of {form.width}×{form.height}, to take about {takes}; "
                 f"--orbit FILE writes one in the photos' {width}×{height}"
             )
-        self._export(StartOrbitExport(), "orbit")
+        self._export(StartFilmExport(), "orbit")
 
-    def _export(self, action: Command | StartOrbitExport, label: str) -> None:
+    def _export(self, action: Command | StartFilmExport, label: str) -> None:
         before = self._snapshot().export
         self.app.perform(action)
         with Display(label) as bar:

@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from nerf_core.common.configs import changed, check_ranges, restored
+from nerf_core.common.configs import changed, constant, restored
 from nerf_core.common.device import fast_precision
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.geometry.scene import Scene
@@ -20,20 +20,15 @@ GUIDE = "guide."  # what the grid's constants are set with: --set guide.growth=1
 
 @dataclass(frozen=True)
 class GuidedConfig(MlpConfig):
-    """See `MlpConfig`. guide_steps: of the voxel grid, before the network's first; `total_steps` counts them.
+    """The paper's network with a proposal grid of its own constants, guide.NAME.
 
-    least: the network is asked about those samples of the grid that weigh more. guide: the grid's own constants.
     As configured, training differs from the paper's: a higher learning rate, which decays over fewer steps, and fewer
-    rays a step on a CPU.
+    rays per step on a CPU. `total_steps` counts the proposal grid's steps too.
     """
 
-    guide_steps: int = 500
-    least: float = 0.01
+    guide_steps: int = constant(500, "steps of the proposal grid, before the network's first", least=1, most=10**6)
+    least: float = constant(0.01, "weight above which a sample of the proposal grid is put to the network", most=0.5)
     guide: VoxelConfig = field(default_factory=VoxelConfig)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_ranges(self, {"guide_steps": 1}, {"guide_steps": 10**6, "least": 0.5})
 
     @staticmethod
     def configure(scene: Scene, preset: str, changes: Mapping[str, str], device: torch.device) -> GuidedConfig:

@@ -46,6 +46,7 @@ class GuidedNerf(MlpModel):
     coarse: ClassVar[str] = "the guide's picture"
     alone: ClassVar[bool] = False
 
+    constants: ClassVar[type[GuidedConfig]] = GuidedConfig
     configure = staticmethod(GuidedConfig.configure)
     restore = staticmethod(GuidedConfig.restore)
 

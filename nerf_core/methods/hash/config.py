@@ -8,58 +8,40 @@ from typing import Any
 
 import torch
 
-from nerf_core.common.configs import changed, check_ranges, restored
+from nerf_core.common.configs import changed, check_ranges, constant, restored
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.geometry.scene import Scene
 
-MOST = {
-    "samples": 2**22, "most_rays": 2**18, "levels": 32, "features": 8, "log2_rows": 24, "coarsest": 256,
-    "finest": 2**16, "hidden": 512, "cells": 256, "update_every": 10**6, "warm_updates": 10**6, "total_steps": 10**9,
-    "train_images": 10**9,
-}  # fmt: skip
-LEAST = {
-    "samples": 1, "most_rays": 1, "levels": 1, "features": 1, "log2_rows": 4, "coarsest": 2, "hidden": 1, "cells": 4,
-    "update_every": 1, "total_steps": 1, "pixels": 0.05, "slowdown": 1,
-}  # fmt: skip
 MOST_FEATURES = 2**28  # 1 GiB, and as much again for the gradient, each moment and the average
 
 
 @dataclass(frozen=True)
 class HashConfig:
-    """samples: about so many a step; the number of rays, at most most_rays, follows from how many each one needs.
+    """The paper's constants (arXiv:2201.05989), for CUDA; `configure` makes them smaller for a CPU."""
 
-    levels, features, log2_rows: of the hash grid (L, F, log₂ T). coarsest: cells a side of its first level; finest: of
-    its last (0: one pixel of a photo at the scene's centre). hidden: width of the two networks. pixels: length of a
-    sample, in such pixels. cells: of the occupancy grid, a side; update_every, warm_updates: how often it is looked at,
-    and how many times all of it at first; empty: what a cell must absorb along a sample to count; decay: of what was
-    once seen in it. learning_rate: Adam's, falling as 1/(1 + step/slowdown).
-    """
-
-    samples: int = 2**18
-    most_rays: int = 2**15
-    levels: int = 16
-    features: int = 2
-    log2_rows: int = 19
-    coarsest: int = 16
-    finest: int = 0
-    hidden: int = 64
-    pixels: float = 1.0
-    cells: int = 128
-    update_every: int = 16
-    warm_updates: int = 16
-    empty: float = 0.01
-    decay: float = 0.95
-    learning_rate: float = 1e-2
-    slowdown: float = 3000.0
-    total_steps: int = 30_000
-    train_images: int = 0
+    samples: int = constant(2**18, "samples per step, about; the number of rays follows", least=1, most=2**22)
+    most_rays: int = constant(2**15, "most rays per step", least=1, most=2**18)
+    levels: int = constant(16, "levels of the hash grid, L", least=1, most=32)
+    features: int = constant(2, "features per vertex and level, F; a power of two", least=1, most=8)
+    log2_rows: int = constant(19, "logarithm of the rows of a level's table, log2 T", least=4, most=24)
+    coarsest: int = constant(16, "cells along a side of the first level, N_min", least=2, most=256)
+    finest: int = constant(
+        0, "cells along a side of the last level, N_max; 0: one per pixel of a photo at the scene's centre", most=2**16
+    )
+    hidden: int = constant(64, "units of the hidden layers of both networks", least=1, most=512)
+    pixels: float = constant(1.0, "length of a sample, in pixels of a photo at the scene's centre", least=0.05)
+    cells: int = constant(128, "cells along a side of the occupancy grid", least=4, most=256)
+    update_every: int = constant(16, "steps between updates of the occupancy grid", least=1, most=10**6)
+    warm_updates: int = constant(16, "first updates that look at all of it", most=10**6)
+    empty: float = constant(0.01, "opacity that a cell must have along a sample to count as occupied", share="(0, 1)")
+    decay: float = constant(0.95, "share of a cell's last known density that an update keeps", share="(0, 1)")
+    learning_rate: float = constant(1e-2, "Adam's learning rate, falling as 1 / (1 + step / slowdown)")
+    slowdown: float = constant(3000.0, "steps after which the learning rate has halved", least=1)
+    total_steps: int = constant(30_000, "steps of the schedule, unless --steps says otherwise", least=1, most=10**9)
+    train_images: int = constant(0, "training photos that are used, evenly spread; 0: all", most=10**9)
 
     def __post_init__(self) -> None:
-        check_ranges(self, LEAST, MOST)
-        for name in ("empty", "decay"):
-            if not 0 < getattr(self, name) < 1:
-                raise UserError(f"--set {name}={getattr(self, name)}: must lie between 0 and 1")
-
+        check_ranges(self)
         if self.features & (self.features - 1):
             raise UserError(f"--set features={self.features}: must be 1, 2, 4 or 8")
         if self.levels * self.features << self.log2_rows > MOST_FEATURES:

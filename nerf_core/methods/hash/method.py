@@ -58,6 +58,7 @@ class Hash(Defaults):
 
     summary: ClassVar[str] = "Instant-ngp (2022): a hash grid and two small MLPs; made for a GPU."
 
+    constants: ClassVar[type[HashConfig]] = HashConfig
     configure = staticmethod(HashConfig.configure)
     restore = staticmethod(HashConfig.restore)
 

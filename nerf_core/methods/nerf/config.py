@@ -8,37 +8,28 @@ from typing import Any
 
 import torch
 
-from nerf_core.common.configs import changed, check_ranges, restored
+from nerf_core.common.configs import changed, constant, restored
 from nerf_core.common.device import fast_precision
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods.mlp.config import MlpConfig
 
-LEAST = {"coarse_samples": 3, "chunk_rays": 1}
-MOST = {"chunk_rays": 2**22, "coarse_samples": 2**14, "fine_samples": 2**14, "precrop_steps": 10**9}
-
 
 @dataclass(frozen=True)
 class NerfConfig(MlpConfig):
-    """See `MlpConfig`; and how the paper places samples.
+    """The paper's network and how it places samples; the official values for Blender scenes."""
 
-    one_image: each step's rays come from one photo. precrop_steps: so long, rays come from the middle `precrop` of a
-    photo. chunk_rays: rays whose gradient is computed at once; part of what a seed fixes.
-    """
-
-    coarse_samples: int = 64
-    fine_samples: int = 128
-    density_noise: float = 0.0
-    one_image: bool = True
-    precrop_steps: int = 0
-    precrop: float = 0.5
-    chunk_rays: int = 32
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_ranges(self, LEAST, MOST)
-        if not 0 < self.precrop <= 1:
-            raise UserError(f"--set precrop={self.precrop}: must lie in (0, 1]")
+    coarse_samples: int = constant(64, "samples per ray of the coarse network, N_c", least=3, most=2**14)
+    fine_samples: int = constant(
+        128, "samples per ray that the coarse weights place, N_f; 0: no fine network", most=2**14
+    )
+    density_noise: float = constant(0.0, "standard deviation of noise on the raw density in training")
+    one_image: bool = constant(True, "whether all rays of a step come from one photo")
+    precrop_steps: int = constant(0, "first steps in which rays come from the middle of photos alone", most=10**9)
+    precrop: float = constant(0.5, "the share of a photo's side that this middle has", share="(0, 1]")
+    chunk_rays: int = constant(
+        32, "rays whose gradient is computed at once; part of what a seed fixes", least=1, most=2**22
+    )
 
     @staticmethod
     def configure(scene: Scene, preset: str, changes: Mapping[str, str], device: torch.device) -> NerfConfig:

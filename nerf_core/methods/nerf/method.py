@@ -17,7 +17,7 @@ from nerf_core.geometry.rays import Rays, Rendering, Samples, Trace
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import METHODS, Draw
 from nerf_core.methods.mlp.model import MlpModel, Parametrised
-from nerf_core.methods.nerf.config import NerfConfig
+from nerf_core.methods.nerf.config import PRESETS, NerfConfig
 from nerf_core.methods.stages import Marks, Stage, Stems, Transfer, absorption_stage, field_stage
 from nerf_core.volume.compositing import absorb, composite, expected_depth
 from nerf_core.volume.sampling import cumulative, inverse_transform, spaced, stratified
@@ -56,6 +56,8 @@ class Nerf(MlpModel):
     coarse: ClassVar[str] = "coarse network"
     alone: ClassVar[bool] = False
 
+    constants: ClassVar[type[NerfConfig]] = NerfConfig
+    presets: ClassVar[tuple[str, ...]] = tuple(PRESETS)
     configure = staticmethod(NerfConfig.configure)
     restore = staticmethod(NerfConfig.restore)
 

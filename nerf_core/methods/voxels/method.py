@@ -18,6 +18,7 @@ class Voxels(VoxelModel):
 
     summary: ClassVar[str] = "A voxel grid with view-dependent colour, trained directly: seconds on a CPU."
 
+    constants: ClassVar[type[VoxelConfig]] = VoxelConfig
     configure = staticmethod(VoxelConfig.configure)
     restore = staticmethod(VoxelConfig.restore)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from nerf_core.common.errors import UserError
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method
-from nerf_core.rendering.export.jobs import Job
+from nerf_core.rendering.export.jobs import Job, tile_count
 from nerf_core.rendering.export.requests import ExportPath
 from nerf_core.rendering.images import to_bytes
 from nerf_core.rendering.video import VideoWriter, write_png
@@ -23,7 +23,7 @@ class FilmJob(Job):
             raise UserError(f"{command.file}: a film needs at least one frame")
         if command.file.suffix.lower() != ".mp4":
             raise UserError(f"{command.file}: a film is written as MP4: name a .mp4 file")
-        super().__init__(method, scene, command.file, command.cameras)
+        super().__init__(method, scene, command.file, tile_count(method, *command.cameras))
         self._command = command
         self._frames: list[Path] = []
         first = command.cameras[0]

@@ -20,26 +20,25 @@ from nerf_core.rendering.images import tiles
 class Job(ABC):
     """Renders with weights of its own, frozen when it began: training on does not change what it shows.
 
-    `progress` counts tiles of the whole job.
+    total: pieces of work that `_pieces` yields; `progress` counts them.
     """
 
-    def __init__(self, method: Method, scene: Scene, file: Path, cameras: tuple[Camera, ...]) -> None:
+    def __init__(self, method: Method, scene: Scene, file: Path, total: int) -> None:
         self._method, self._scene = method, scene
-        total = sum(-(-c.width * c.height // method.tile) for c in cameras)
         self.progress = Export(file, 0, total, None)
         self._work = self._pieces()
         self._began: float | None = None
 
     @abstractmethod
     def _pieces(self) -> Iterator[bool]:
-        """Yields after every tile, and writes what it has made."""
+        """Yields after every piece of work, and writes what it has made."""
 
     def abort(self) -> None:
         """Leave no file behind that is not whole."""
         self._work = iter(())
 
     def advance(self) -> bool:
-        """Render one tile; False when all is written. Raises UserError when it cannot be."""
+        """Do one piece of work; False when all is written. Raises UserError when it cannot be."""
         if self.progress.state != "running":
             return False
         self._began = self._began or time.perf_counter()
@@ -65,3 +64,8 @@ class Job(ABC):
             parts.append(self._method.render(rays).color.clamp(0, 1).cpu().numpy())
             yield None
         yield np.concatenate(parts).reshape(camera.height, camera.width, 3)
+
+
+def tile_count(method: Method, *cameras: Camera) -> int:
+    """How many tiles the pictures of `cameras` take."""
+    return sum(-(-camera.width * camera.height // method.tile) for camera in cameras)

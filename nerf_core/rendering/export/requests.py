@@ -28,8 +28,18 @@ class ExportStill:
 
 
 @dataclass(frozen=True)
+class ExportModel:
+    """Write the model itself; the suffix of the file gives the kind (`nerf_core.rendering.export.models`)."""
+
+    file: Path
+
+
+ExportRequest = ExportPath | ExportStill | ExportModel
+
+
+@dataclass(frozen=True)
 class Export:
-    """An export in progress or just over; done and total count the renderer's tiles."""
+    """An export in progress or just over; done and total count pieces of work, such as the renderer's tiles."""
 
     file: Path
     done: int

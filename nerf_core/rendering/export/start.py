@@ -6,12 +6,15 @@ from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method
 from nerf_core.rendering.export.film import FilmJob
 from nerf_core.rendering.export.jobs import Job
-from nerf_core.rendering.export.requests import ExportPath, ExportStill
+from nerf_core.rendering.export.models import export_for
+from nerf_core.rendering.export.requests import ExportModel, ExportPath, ExportRequest
 from nerf_core.rendering.export.still import StillJob
 
 
-def export_job(request: ExportPath | ExportStill, method: Method, scene: Scene) -> Job:
-    """The job for `request`. method: it is not trained on meanwhile. Raises UserError for a file that cannot be."""
+def export_job(request: ExportRequest, method: Method, scene: Scene) -> Job:
+    """The job for `request`; `method` is not trained on meanwhile. Raises UserError for what cannot be written."""
     if isinstance(request, ExportPath):
         return FilmJob(method, scene, request)
+    if isinstance(request, ExportModel):
+        return export_for(request.file)(method, scene, request.file)
     return StillJob(method, scene, request)

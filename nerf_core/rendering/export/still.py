@@ -11,7 +11,7 @@ from nerf_core.common.errors import UserError
 from nerf_core.common.files import write_atomically
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method
-from nerf_core.rendering.export.jobs import Job
+from nerf_core.rendering.export.jobs import Job, tile_count
 from nerf_core.rendering.export.requests import ExportStill
 from nerf_core.rendering.images import to_bytes
 from nerf_core.rendering.video import write_png
@@ -23,7 +23,7 @@ class StillJob(Job):
     def __init__(self, method: Method, scene: Scene, command: ExportStill) -> None:
         if command.file.suffix.lower() not in (".png", ".npy"):
             raise UserError(f"{command.file}: a picture is written as .png or .npy")
-        super().__init__(method, scene, command.file, (command.camera,))
+        super().__init__(method, scene, command.file, tile_count(method, command.camera))
         self._camera = command.camera
 
     def _pieces(self) -> Iterator[bool]:

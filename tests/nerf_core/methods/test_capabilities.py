@@ -36,6 +36,7 @@ class Plain(Defaults):
     """One colour for all pixels: the mean of the photos."""
 
     summary: ClassVar[str] = "One colour."
+    constants: ClassVar[type[PlainConfig]] = PlainConfig
     tile = 64
 
     def __init__(self, scene: Scene, config: PlainConfig, device: torch.device, seed: int) -> None:

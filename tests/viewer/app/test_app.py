@@ -31,12 +31,12 @@ from nerf_core.live.messages import (
 from nerf_core.probe import Verdict
 from nerf_core.rendering.export.requests import ExportPath
 from viewer.app.app import App
-from viewer.commands.perform import orbit_export
+from viewer.commands.perform import film_export
 from viewer.model.state import (
     Action,
     AppState,
+    FilmForm,
     GoToView,
-    OrbitForm,
     SaveScreenshot,
     SetPointDepth,
 )
@@ -308,7 +308,7 @@ def test_tab_leaves_the_tabs_as_they_were(start: Start) -> None:
 @pytest.mark.parametrize("hidden", [False, True])
 def test_ctrl_e_shows_where_the_export_can_be_watched(start: Start, hidden: bool) -> None:
     app, _ = start((1280, 800))
-    app.state.orbit.file = "turn"
+    app.state.film.file = "turn"
     assert "Export" not in app._host.in_front
     if hidden:
         app.hand.key(imgui.Key.tab)
@@ -330,7 +330,7 @@ def test_ctrl_o_finds_the_path_field_although_the_panels_are_hidden(start: Start
 @pytest.mark.parametrize("name", [".", "/", "~nobody-of-this-name/x.mp4"])
 def test_a_name_that_is_no_file_is_told(start: Start, name: str) -> None:
     app, worker = start()
-    app.state.orbit.file = name
+    app.state.film.file = name
     app.hand.key(imgui.Key.e, ctrl=True)
     app.settle()
     assert not worker.sent
@@ -398,7 +398,7 @@ def test_escape_closes_a_menu_before_the_ray(start: Start) -> None:
 def test_ctrl_s_and_ctrl_e_save_and_export(start: Start) -> None:
     app, worker = start()
     app.state.checkpoint_file = "kept.safetensors"
-    app.state.orbit.frames, app.state.orbit.file = 5, "turn.mp4"
+    app.state.film.frames, app.state.film.file = 5, "turn.mp4"
     app.hand.key(imgui.Key.s, ctrl=True)
     app.hand.key(imgui.Key.e, ctrl=True)
     save, export = worker.sent
@@ -496,7 +496,7 @@ def test_the_workers_notices_are_kept_with_their_time(start: Start) -> None:
 
 def test_an_impossible_orbit_is_a_notice(start: Start) -> None:
     app, worker = start()
-    app.state.orbit.file = " "
+    app.state.film.file = " "
     app.hand.key(imgui.Key.e, ctrl=True)
     assert not worker.sent
     assert app.state.notices[-1].notice == Notice("error", "the orbit has no file name: give one that ends in .mp4")
@@ -504,11 +504,16 @@ def test_an_impossible_orbit_is_a_notice(start: Start) -> None:
 
 @pytest.mark.parametrize(
     ("field", "value", "words"),
-    [("radius", -1.0, "radius of -1"), ("elevation_degrees", 100.0, "elevation of 100"), ("fps", 0.0, "0 frames")],
+    [
+        ("options", {"radius": -1.0}, "radius of -1"),
+        ("options", {"elevation": 100.0}, "elevation of 100"),
+        ("fps", 0.0, "0 frames"),
+        ("path", "loop", "unknown camera path 'loop'"),
+    ],
 )
-def test_export_forms_are_checked(field: str, value: float, words: str) -> None:
+def test_export_forms_are_checked(field: str, value: object, words: str) -> None:
     with pytest.raises(UserError, match=words):
-        orbit_export(scripted.make_scene(), replace(OrbitForm(), **{field: value}))
+        film_export(scripted.make_scene(), replace(FilmForm(), **{field: value}))
 
 
 def test_a_screenshot_that_cannot_be_written_is_a_notice(start: Start, tmp_path: Path) -> None:

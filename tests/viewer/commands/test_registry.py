@@ -14,7 +14,7 @@ from viewer.commands import actions
 from viewer.commands.keyboard import FLY, Chord
 from viewer.commands.overview import overview
 from viewer.commands.registry import COMMANDS, UserCommand, commands, run, with_keys
-from viewer.model.state import AppState, GoToView, SaveScreenshot, StartOrbitExport
+from viewer.model.state import AppState, GoToView, SaveScreenshot, StartFilmExport
 
 ROOT = Path(actions.__file__).parents[3]
 
@@ -67,7 +67,7 @@ def test_commands_that_need_a_scene_do_nothing_without_one() -> None:
         assert run(name, AppState()) == []
     state = make_state(make_snapshot())
     assert [type(action) for action in run("file.save", state)] == [SaveCheckpoint]
-    assert run("file.export", state) == [StartOrbitExport()]
+    assert run("file.export", state) == [StartFilmExport()]
     assert (state.show_panels, state.raise_panel) == (True, "Export")
     assert run("file.screenshot", AppState()) == [SaveScreenshot(Path("screenshot.png"))]
 

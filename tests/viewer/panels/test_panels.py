@@ -22,6 +22,7 @@ from panel_states import (
     states,
 )
 
+from nerf_core.common.configs import constants
 from nerf_core.datasets import LoadOptions
 from nerf_core.geometry.lens import Lens
 from nerf_core.geometry.photos import Photos
@@ -44,20 +45,21 @@ from nerf_core.live.messages import (
     UseMethod,
 )
 from nerf_core.methods import METHODS
+from nerf_core.methods.nerf.config import NerfConfig
 from nerf_core.probe import RayHistory, Witnesses
 from nerf_core.training.settings import RunSettings
 from viewer.model.state import (
     Action,
     AppState,
+    FilmForm,
     FocusOn,
     FrameScene,
     GoToView,
-    OrbitForm,
     ResetView,
     SampleRef,
     SetDisc,
     SetPointDepth,
-    StartOrbitExport,
+    StartFilmExport,
 )
 from viewer.ui.contract import PANELS, Panel
 from viewer.ui.text import duration, number, rate, triple, vector
@@ -315,23 +317,48 @@ def test_view_buttons(screen: Screen) -> None:
     np.testing.assert_array_equal(focus.point, state.snapshot.radiance.point)
 
 
+def test_the_constants_of_the_open_model_can_be_read(screen: Screen, monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    monkeypatch.setattr(imgui, "text_unformatted", said.append)
+    config = NerfConfig(width=128, learning_rate=1.5e-3)
+    panel, state = PANELS.get("scene")(), make_state(replace(make_snapshot(), config=config.to_json()))
+    screen.size = (360, 900)
+    screen.click(panel, state, "scene.constants")
+    said.clear()
+    screen.frame(panel, state)
+    assert {"128", "0.0015", "float32", "True"} <= set(said)
+    assert len(constants(NerfConfig)) <= len(said)
+
+
+def test_another_path_brings_its_own_fields(screen: Screen) -> None:
+    panel, state = PANELS.get("export")(), make_state(make_snapshot())
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    assert {"export.path", "export.elevation", "export.radius"} <= set(screen.widgets)
+    assert "export.model" not in screen.widgets  # no model export is installed
+    state.film.path = "spiral"
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    assert "export.elevation" not in screen.widgets
+
+
 def test_export_starts_and_cancels(screen: Screen) -> None:
     panel, found = PANELS.get("export")(), states()
-    assert screen.click(panel, found["training"], "export.start") == [StartOrbitExport()]
+    assert screen.click(panel, found["training"], "export.start") == [StartFilmExport()]
     assert screen.click(panel, found["export running"], "export.cancel") == [CancelExport()]
     assert "export.start" not in screen.widgets
     screen.click(panel, found["training"], "export.png")
-    assert found["training"].orbit.png_frames
+    assert found["training"].film.png_frames
 
 
 def test_the_export_tells_its_time_before_it_starts() -> None:
     from viewer.panels.export import OwnPath, estimate
 
-    form, own = OrbitForm(), OwnPath(200, 150, 4.0)
-    assert estimate(form, own, speed=9000.0, share=0.6) == (
+    form, own = FilmForm(), OwnPath(200, 150, 4.0)
+    assert estimate(form, own, speed=9000.0, share=0.2) == (
         "60 frames of 200 × 150, 2.0 s of video; takes about 3 min 20 s, while training up to 16 min 40 s"
     )
-    assert estimate(form, own, speed=0.0, share=0.6).endswith("not measured yet")
+    assert estimate(form, own, speed=0.0, share=0.2).endswith("not measured yet")
 
 
 # ---- the ray and its point --------------------------------------------------------------------------------------

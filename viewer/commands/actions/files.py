@@ -10,7 +10,7 @@ from pathlib import Path
 from nerf_core.live.messages import SaveCheckpoint
 from nerf_core.training.checkpoint import SUFFIX
 
-from ...model.state import Action, AppState, SaveScreenshot, StartOrbitExport
+from ...model.state import Action, AppState, SaveScreenshot, StartFilmExport
 from ..registry import command, scene_is_open
 
 SCREENSHOT = Path("screenshot.png")
@@ -38,7 +38,7 @@ def save(state: AppState) -> list[Action]:
 def export(state: AppState) -> list[Action]:
     """Export as the form says, and show its panel: it says how long the export takes, and can cancel it."""
     state.show_panels, state.raise_panel = True, "Export"
-    return [StartOrbitExport()]
+    return [StartFilmExport()]
 
 
 @command("file.screenshot", "Save screenshot", "File", 4, menu="File")

@@ -1,0 +1,60 @@
+"""Every constant declares its default, range and help in one place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+
+import pytest
+
+from nerf_core.common.configs import check_ranges, constant, constants
+from nerf_core.common.errors import UserError
+from nerf_core.methods import METHODS
+
+
+@dataclass(frozen=True)
+class Inner:
+    size: int = constant(3, "how large", least=1, most=9)
+
+
+@dataclass(frozen=True)
+class Outer:
+    share: float = constant(0.5, "how much", share="(0, 1]")
+    word: str = constant("a", "which", choices=("a", "b"))
+    yes: bool = constant(True, "whether")
+    inner: Inner = field(default_factory=Inner)
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+
+def test_nested_constants_have_both_names() -> None:
+    found = constants(Outer)
+    assert list(found) == ["share", "word", "yes", "inner.size"]
+    assert found["inner.size"] == (3, Inner.__dataclass_fields__["size"].metadata["constant"])
+    assert [found[name][1].range for name in found] == ["(0, 1]", "a or b", "", "from 1 to 9"]
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"share": 0.0}, r"share=0\.0: must lie in \(0, 1\]"),
+        ({"share": float("nan")}, "share=nan: must be at least 0"),
+        ({"share": float("inf")}, "share=inf: must be a"),
+        ({"word": "c"}, "word='c': choose a or b"),
+    ],
+)
+def test_values_outside_of_their_range_are_told(values: dict[str, object], words: str) -> None:
+    with pytest.raises(UserError, match=words):
+        Outer(**values)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("name", METHODS.names())
+def test_every_constant_of_a_method_is_described(name: str) -> None:
+    kind = METHODS.get(name).constants
+    known = constants(kind)
+    assert {f.name for f in fields(kind)} == {key.partition(".")[0] for key in known}
+    for key, (default, about) in known.items():
+        assert 5 < len(about.help) < 130, key
+        assert not about.help.endswith("."), key
+        if isinstance(default, (int, float)) and not isinstance(default, bool):
+            assert about.least <= default <= about.most, key

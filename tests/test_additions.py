@@ -1,0 +1,82 @@
+"""A new file in its folder is all that an addition takes: each registry finds it, and the program grows by it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pages
+import pytest
+
+ROOT = Path(__file__).parent.parent
+METHOD = "nerf_core/methods/grid/method.py"
+# Where each addition must show up. The program is started once, with folders beside its own that hold the new files.
+LOOK = """
+import contextlib, importlib, io, json, sys
+from pathlib import Path
+extra = Path(sys.argv[1])
+for folder in sorted({file.parent for file in extra.rglob("*.py")}):
+    name = ".".join(folder.relative_to(extra).parts)
+    if name != "nerf_core.methods.grid":
+        importlib.import_module(name).__path__.append(str(folder))
+importlib.import_module("nerf_core.methods").__path__.append(str(extra / "nerf_core" / "methods"))
+from nerf_core.cli import main
+def printed(*words):
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
+        main(words)
+    return out.getvalue()
+help, render = printed("--help"), printed("render", "--help")
+from nerf_core.datasets.capture import DATASETS
+from nerf_core.kernels.choice import VOXEL_KERNELS
+from nerf_core.live.shares import SHARES
+from nerf_core.methods import METHODS
+from nerf_core.probe.verdicts import VERDICTS
+from nerf_core.rendering.export.models import EXPORTS
+from nerf_core.rendering.modes import mode_names
+from viewer.commands.overview import overview
+from viewer.ui.contract import PANELS
+print(json.dumps({
+    "format": "csv" in DATASETS.names(), "method": "grid" in METHODS.names(), "mode": "opacity" in mode_names(),
+    "kernel": "checked" in VOXEL_KERNELS.names(), "share rule": "smooth" in SHARES.names(),
+    "verdict": "wrong colour" in VERDICTS.names(), "model export": "points" in EXPORTS.names(),
+    "panel": any("nearest_photo" in PANELS.get(name).__module__ for name in PANELS.names()),
+    "key": "Home" in str(overview()), "path": "approach" in render and "--left" in render,
+    "subcommand": "photos" in help, "export's subcommand": "export" in help,
+}))
+"""
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bool]:
+    extra = tmp_path_factory.mktemp("additions")
+    for path, text in pages.files().items():
+        (extra / path).parent.mkdir(parents=True, exist_ok=True)
+        (extra / path).write_text(text, encoding="utf-8")
+    (extra / METHOD).parent.mkdir(parents=True)
+    (extra / METHOD).with_name("__init__.py").write_text("", encoding="utf-8")
+    shutil.copy(ROOT / "examples" / "own_field_as_a_method.py", extra / METHOD)
+    done = subprocess.run(
+        [sys.executable, "-c", LOOK, str(extra)], capture_output=True, text=True, check=False, cwd=ROOT
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+KINDS = (
+    "format", "method", "mode", "kernel", "share rule", "verdict", "model export", "panel", "key", "path", "subcommand",
+    "export's subcommand",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_addition_is_one_new_file(found: dict[str, bool], kind: str) -> None:
+    assert found[kind]
+
+
+def test_every_kind_is_looked_for(found: dict[str, bool]) -> None:
+    assert set(found) == set(KINDS)
+    assert len(pages.files()) + 1 == len(KINDS) - 1  # the method is an example of its own, a subcommand comes by itself
