@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -12,6 +13,18 @@ import pytest
 CHECKED = ["nerf_core.volume.encodings", "nerf_core.volume.sampling", "nerf_core.volume.compositing"]
 assert not set(CHECKED) & set(sys.modules)
 jaxtyping.install_import_hook(CHECKED, "beartype.beartype")
+
+
+def pytest_configure() -> None:
+    """Give each of several workers a core of its own, where the system can: threads of two would wait for each other.
+
+    Processes that a test starts inherit it.
+    """
+    worker = os.environ.get("PYTEST_XDIST_WORKER", "")
+    if worker and hasattr(os, "sched_setaffinity"):
+        cores = sorted(os.sched_getaffinity(0))
+        count = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+        os.sched_setaffinity(0, set(cores[int(worker.removeprefix("gw")) % len(cores) :: max(count, 1)]))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
