@@ -109,13 +109,15 @@ class GridMethod(Defaults):
     def draw(self, step: int) -> Draw:
         return Draw(self.config.rays)
 
-    def train(self, rays: Rays, truth: Tensor, step: int, steps: int | None, pump: Callable[[], None]) -> float:
+    def train(
+        self, rays: Rays, truth: Tensor, step: int, steps: int | None, yield_callback: Callable[[], None]
+    ) -> float:
         offsets = torch.rand(len(rays), self.config.samples, generator=self.generator).to(self.device)
         self.optimizer.zero_grad(set_to_none=False)
         color = self._trace(rays.to(self.device), offsets).rendering.color
         loss = torch.nn.functional.mse_loss(color, truth.to(self.device))
         loss.backward()
-        pump()  # a preview may be drawn here; if it raises, the step is abandoned before it changes a weight
+        yield_callback()  # a preview may be drawn here; if it raises, the step is abandoned before it changes a weight
         self.optimizer.step()
         return loss.item()
 

@@ -8,7 +8,7 @@ from dataclasses import fields, replace
 
 from nerf_core.live.clock import RefreshClock
 from nerf_core.live.messages import Inspect, Pin
-from nerf_core.probe import Opened, Witnesses, open_pixel
+from nerf_core.probe import Opened, TrainingViews, open_pixel
 from nerf_core.probe.opened import pieces
 from nerf_core.training.trainer import Trainer
 
@@ -27,7 +27,7 @@ class OpenedRay:
         self.answered = 0
         self._asked: Inspect | None = None
         self._pieces: Iterator[None] | None = None
-        self._witnesses: Witnesses | None = None
+        self._training_views: TrainingViews | None = None
         self._clock = RefreshClock()
         self._one_step = False  # whether all of what is opened is of one step
 
@@ -70,11 +70,11 @@ class OpenedRay:
     def _look(self, asked: Inspect, trainer: Trainer) -> Iterator[None]:
         """The ray and all that is known of it, a piece at a time; training may go on between two of them."""
         step, self.opened_step = trainer.step_count, -1
-        if self._witnesses is None or self._witnesses.scene is not trainer.scene:
-            self._witnesses = Witnesses(trainer.scene)
+        if self._training_views is None or self._training_views.scene is not trainer.scene:
+            self._training_views = TrainingViews(trainer.scene)
         try:
             for opened in pieces(
-                trainer.method, self._witnesses, asked.camera, asked.pixel, step, asked.point_t, asked.around
+                trainer.method, self._training_views, asked.camera, asked.pixel, step, asked.point_t, asked.around
             ):
                 self.opened = opened if self.opened is None else _with_older(opened, self.opened)
                 yield

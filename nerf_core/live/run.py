@@ -227,16 +227,16 @@ class Run:
         if trainer.step_count >= end or trainer.seconds >= self._until_seconds:
             self.until = None
 
-    def step(self, pump: Callable[[], None]) -> Report | None:
+    def step(self, yield_callback: Callable[[], None]) -> Report | None:
         """One training step; None where the loss diverged and the last good weights are back.
 
-        Raises UserError when the device has no memory left, and what `pump` raises: the step has then not happened.
+        Raises UserError when the device has no memory left. What `yield_callback` raises abandons the step.
         """
         trainer = self.need_trainer()
         try:
             if torch.get_num_threads() != trainer.threads:  # sums depend on it, and another run may have its own
                 torch.set_num_threads(trainer.threads)
-            report = trainer.step(pump)
+            report = trainer.step(yield_callback)
             if self._good is not None and self._good.due():
                 self._good.remember(trainer)
         except Diverged as error:

@@ -197,7 +197,7 @@ class Worker:
     def _train_step(self, run: Run) -> None:
         self._at_work, self._accounted = run, time.perf_counter()
         self._mailbox.paint_seconds()  # before this step they took nothing from training
-        report = run.step(lambda: self._pump(run))
+        report = run.step(lambda: self._between_chunks(run))
         if report is None:
             self._at_work = None
             return
@@ -213,7 +213,7 @@ class Worker:
         self._scheduler.trained(run.number, max(0.0, seconds - painted), rays)
         self._scheduler.budget.showed(painted)
 
-    def _pump(self, trained: Run) -> None:
+    def _between_chunks(self, trained: Run) -> None:
         """Between two gradient chunks: obey, and serve the windows for as long as the budget allows.
 
         A step can take long. Commands that need it to end, to close the window or to pause, say, abandon it: it has

@@ -140,11 +140,13 @@ class Trainable(Protocol):
         """The pixels that training step `step` asks for; `train` is given pixels that were drawn like that."""
         ...
 
-    def train(self, rays: Rays, truth: Tensor, step: int, steps: int | None, pump: Callable[[], None]) -> float:
+    def train(
+        self, rays: Rays, truth: Tensor, step: int, steps: int | None, yield_callback: Callable[[], None]
+    ) -> float:
         """One optimiser step on R rays and their colours (R, 3); returns the mean squared error of the final colour.
 
-        `pump` is called between pieces of at most some 10 ms on a CPU, so that a preview can be served. What it
-        raises abandons the step; the trainer then restores `generators` and calls what `undo` returned.
+        `yield_callback` is called between pieces of at most some 10 ms on a CPU, so that a preview can be served.
+        What it raises abandons the step; the trainer then restores `generators` and calls what `undo` returned.
         """
         ...
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nerf_core.probe.directions import DISC_SIZE, SPHERE_COLUMNS, SPHERE_ROWS, RadianceProbe, disc_grid
-    from nerf_core.probe.evidence import Witnesses
+    from nerf_core.probe.evidence import TrainingViews
     from nerf_core.probe.layers import layers_of
     from nerf_core.probe.opened import open_pixel
     from nerf_core.probe.radiance import open_radiance, view_dependence
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 # The module of each public name. A name is imported when it is asked for, so that the records load without torch.
 _HOMES = {
     "directions": ("DISC_SIZE", "SPHERE_COLUMNS", "SPHERE_ROWS", "RadianceProbe", "disc_grid"),
-    "evidence": ("Witnesses",),
+    "evidence": ("TrainingViews",),
     "layers": ("layers_of",),
     "opened": ("open_pixel",),
     "radiance": ("open_radiance", "view_dependence"),
@@ -46,9 +46,9 @@ __all__ = [
     "RayProbe",
     "Sightings",
     "Standing",
+    "TrainingViews",
     "Truth",
     "Verdict",
-    "Witnesses",
     "check_format",
     "diffuse_of",
     "disc_grid",

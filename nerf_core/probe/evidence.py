@@ -34,7 +34,7 @@ def _spread(looks: np.ndarray, first: int, most: int) -> np.ndarray:
     return np.sort(taken)
 
 
-class Witnesses:
+class TrainingViews:
     """A scene's training photos, ready to be asked; made once a scene, for its cameras lie side by side."""
 
     def __init__(self, scene: Scene) -> None:

@@ -56,7 +56,7 @@ def arrays(opened: Opened) -> dict[str, Any]:
             "layers": [
                 {
                     **_plain(s.layer),
-                    "witnesses": s.witnesses,
+                    "witnesses": s.training_views,
                     "looked": s.looked,
                     "voters": s.voters,
                     "against": s.against,

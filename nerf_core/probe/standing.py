@@ -47,21 +47,24 @@ class Layer:
 
 @dataclass(frozen=True)
 class Standing:
-    """A layer before the photos. witnesses: how many see it from the ray's side, under ASIDE from its look; looked: how
-    many do from anywhere; voters: those of them that are asked, ASKED at most. against: how many voters contradict it,
-    as they would be matched better if it were not there, or as well by the bare background, where one is known;
-    missing: how many of the others would be matched worse; blank: how many of the rest do not show it, since it does
-    not count in their pixel. shown: in how many of the voters' pixels it counts.
+    """What the training photos say about a layer. Counts are numbers of photos.
 
-    error: median over those of the mean difference between their pixel and the model's; without, opaque: the same if
-    the layer were away, or if from it on no background showed; None where it is shown in none. reach: the world
-    distance behind its middle from which on it is away: that of REACHES at which it floats and most are against it, of
-    those alike the shortest.
+    training_views: those that see the layer from the ray's side, under ASIDE from its direction.
+    looked: those that see it from anywhere. voters: those of them that are asked, at most ASKED.
+    against: voters that contradict the layer. Their pixel is matched better without it, or as well by the bare
+        background where that is known.
+    missing: other voters whose pixel is matched worse without it.
+    blank: the remaining voters that do not show it, since its weight in their pixel is small.
+    shown: voters in whose pixel its weight counts.
+    error: median over those of the mean difference between their pixel and the model's; None if it is shown in none.
+    without: the same without the layer. opaque: the same if no background showed behind the layer's beginning.
+    reach: the world distance behind the layer's middle from which on it is taken away: of REACHES the one at which the
+        layer floats and most voters contradict it, the shortest of equals.
     """
 
     layer: Layer
     sightings: Sightings
-    witnesses: int
+    training_views: int
     looked: int
     voters: int
     against: int
@@ -94,7 +97,7 @@ class Standing:
     def inside(self, front: Standing) -> bool:
         """Whether this is what shows through a layer in front that is not quite opaque: the inside of it, as hardly a
         photo of those that see the front sees it from this side. Behind a true veil, a good part of them does."""
-        if front.witnesses < FEW or self.witnesses >= INSIDE * front.witnesses:
+        if front.training_views < FEW or self.training_views >= INSIDE * front.training_views:
             return False
         return front.layer.weight >= FRONT * (front.layer.weight + self.layer.weight)
 

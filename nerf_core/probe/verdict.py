@@ -16,7 +16,7 @@ import torch
 
 from nerf_core.geometry.rays import Rays
 from nerf_core.methods import Method, traced
-from nerf_core.probe.evidence import Witnesses
+from nerf_core.probe.evidence import TrainingViews
 from nerf_core.probe.layers import layers_of, pass_layers
 from nerf_core.probe.ray import passes_of
 from nerf_core.probe.records import RayProbe
@@ -29,45 +29,47 @@ REACHES = np.array([1.0, 3.0, 8.0, 20.0])  # grains behind a layer's end at whic
 MOST_LAYERS, MOST_HIDDEN = 4, 8
 
 
-def judge(method: Method, witnesses: Witnesses, ray: RayProbe) -> Verdict:
+def judge(method: Method, training_views: TrainingViews, ray: RayProbe) -> Verdict:
     """Open the ray's layers, ask the photos, and conclude."""
-    *_, verdict = judging(method, witnesses, ray)
+    *_, verdict = judging(method, training_views, ray)
     assert verdict is not None
     return verdict
 
 
-def judging(method: Method, witnesses: Witnesses, ray: RayProbe) -> Iterator[Verdict | None]:
+def judging(method: Method, training_views: TrainingViews, ray: RayProbe) -> Iterator[Verdict | None]:
     """`judge` in pieces, a layer at a time; the last is the verdict."""
-    found = layers_of(ray, witnesses.scene)
+    found = layers_of(ray, training_views.scene)
     standings = []
     for layer in sorted(sorted(found, key=lambda one: -one.weight)[:MOST_LAYERS], key=lambda one: one.t):
-        standings.append(stand(method, witnesses, ray, layer))
+        standings.append(stand(method, training_views, ray, layer))
         yield None
     verdict = conclude(ray, tuple(standings))
     if any(s.floats and s.layer.weight >= COUNTS for s in standings):
         last = max(s.layer.t for s in standings if s.floats and s.layer.weight >= COUNTS)
         # what photos know nothing of may well be the floater's inside
-        behind = [s.layer for s in outer(standings) if s.layer.t > last and s.witnesses >= FEW]
+        behind = [s.layer for s in outer(standings) if s.layer.t > last and s.training_views >= FEW]
         rest = max(behind, key=lambda layer: layer.weight, default=None)
-        t = rest.surface if rest is not None else _hidden_surface(method, witnesses, ray, verdict.standings)
+        t = rest.surface if rest is not None else _hidden_surface(method, training_views, ray, verdict.standings)
         verdict = replace(verdict, surface_t=t)
     yield verdict
 
 
-def stand(method: Method, witnesses: Witnesses, ray: RayProbe, layer: Layer) -> Standing:
+def stand(method: Method, training_views: TrainingViews, ray: RayProbe, layer: Layer) -> Standing:
     """What the photos say of a layer."""
     point = ray.origin.astype(np.float64) + layer.t * ray.direction.astype(np.float64)
     margin = layer.grain + min(layer.t - layer.begin, THICK * layer.grain)
-    sightings = witnesses.look(method, point, ray.direction.astype(np.float64), margin)
+    sightings = training_views.look(method, point, ray.direction.astype(np.float64), margin)
     counts = int((sightings.seen & (sightings.angle < ASIDE)).sum()), int(sightings.seen.sum())
     asked = sightings.at(np.flatnonzero(sightings.seen)[:ASKED])
     if not len(asked.views):
         return Standing(layer, sightings, *counts, 0, 0, 0, 0, 0, None, None, None, layer.end - layer.t)
     reaches = margin + REACHES * layer.grain
-    without, opaque, bare = witnesses.otherwise(method, asked, reaches)
+    without, opaque, bare = training_views.otherwise(method, asked, reaches)
     error, shown = _off(asked.predicted, asked.observed), asked.share >= COUNTS
     slack = tolerance(error)
-    needless = _off(bare, asked.observed) <= error + slack if witnesses.scene.synthetic else np.zeros(len(error), bool)
+    needless = (
+        _off(bare, asked.observed) <= error + slack if training_views.scene.synthetic else np.zeros(len(error), bool)
+    )
 
     def median(off: np.ndarray) -> float | None:
         return float(np.median(off[shown])) if shown.any() else None
@@ -85,23 +87,23 @@ def stand(method: Method, witnesses: Witnesses, ray: RayProbe, layer: Layer) -> 
 
 
 def _hidden_surface(
-    method: Method, witnesses: Witnesses, ray: RayProbe, standings: tuple[Standing, ...]
+    method: Method, training_views: TrainingViews, ray: RayProbe, standings: tuple[Standing, ...]
 ) -> float | None:
     """Where the first layer lies that photos know and that does not float, behind what lets no light through."""
-    scene = witnesses.scene
+    scene = training_views.scene
     begin = max(s.layer.t + s.reach for s in standings if s.floats and s.layer.weight >= COUNTS)
     for _ in range(MOST_HIDDEN):
         o, d, near, far = (torch.as_tensor(v, dtype=torch.float32)[None] for v in (
             ray.origin, ray.direction, ray.near, ray.far))  # fmt: skip
-        rays = witnesses.beginning(Rays(o, d, near, far), torch.tensor([begin]))
+        rays = training_views.beginning(Rays(o, d, near, far), torch.tensor([begin]))
         shift = float((rays.origins[0] - o[0]).norm())
         last = passes_of(scene, rays, traced(method, rays), 0)[-1]
         found = pass_layers(replace(last, t=last.t + shift, until=last.until + shift), ray.far, scene.radius)
         heavy = [layer for layer in found if layer.weight >= COUNTS]
         if not heavy:
             return None
-        behind = stand(method, witnesses, ray, heavy[0])
-        if not behind.floats and behind.witnesses >= FEW:
+        behind = stand(method, training_views, ray, heavy[0])
+        if not behind.floats and behind.training_views >= FEW:
             return heavy[0].surface
         begin = heavy[0].end  # its reach would not do: for photos that see it from behind, that is the whole floater
     return None

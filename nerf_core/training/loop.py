@@ -88,8 +88,8 @@ class _Session:
         finished = True
         try:
             while not self.goal.reached(self.trainer):
-                self._pump()
-                self._after(self.trainer.step(self._pump))
+                self._between_chunks()
+                self._after(self.trainer.step(self._between_chunks))
             self._good.remember(self.trainer)
         except _StoppedError:
             finished = False
@@ -109,7 +109,7 @@ class _Session:
         self._save()
         return finished
 
-    def _pump(self) -> None:
+    def _between_chunks(self) -> None:
         if self.stop():
             raise _StoppedError
 

@@ -22,7 +22,7 @@ from nerf_core.training.settings import RunSettings
 
 
 def nothing() -> None:
-    """The pump of whoever has nothing to do between gradient chunks."""
+    """The yield_callback of whoever has nothing to do between gradient chunks."""
 
 
 @dataclass(frozen=True)
@@ -101,20 +101,20 @@ class Trainer:
         """The method's configuration, as it now is."""
         return self.method.config
 
-    def step(self, pump: Callable[[], None] = nothing) -> Report:
-        """One optimiser step. `pump` runs between gradient chunks; its time is not counted as training.
+    def step(self, yield_callback: Callable[[], None] = nothing) -> Report:
+        """One optimiser step. `yield_callback` runs between gradient chunks; its time is not counted as training.
 
-        What `pump` raises abandons the step: the state is what it was before. The notes on which cells were seen are
-        an exception, since the same step takes them again later.
+        What `yield_callback` raises abandons the step: the state is what it was before. The notes on which cells were
+        seen are an exception, since the same step takes them again later.
         Out of device memory, the step is tried again in chunks of half the size, as often as they can be halved.
         Raises Diverged when the loss is not finite, torch.OutOfMemoryError when chunks cannot be smaller.
         """
         waited = 0.0
 
-        def timed_pump() -> None:
+        def timed_yield() -> None:
             nonlocal waited
             begin = time.perf_counter()
-            pump()
+            yield_callback()
             waited += time.perf_counter() - begin
 
         start, note = time.perf_counter(), ""
@@ -122,7 +122,7 @@ class Trainer:
             try:
                 with self.transaction():
                     rays, truth = self.batches.draw(self.method.draw(self.step_count))
-                    loss = self.method.train(rays, truth, self.step_count, self.steps or None, timed_pump)
+                    loss = self.method.train(rays, truth, self.step_count, self.steps or None, timed_yield)
                 break
             except torch.OutOfMemoryError:
                 if not self.method.halve():

@@ -22,7 +22,7 @@ import torch
 from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.geometry.cameras import camera_rays
 from nerf_core.geometry.rays import Rendering
-from nerf_core.probe import Witnesses
+from nerf_core.probe import TrainingViews
 from nerf_core.probe.opened import pieces
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
@@ -94,10 +94,10 @@ def microscope(trainer: Trainer, pixels: int = 24, seed: int = 0) -> dict[str, f
     rays = camera_rays(camera, scene.near, scene.far)
     t, normal, objects = demo_scene.hit(rays.origins.double().numpy(), rays.directions.double().numpy())
     shiny = np.flatnonzero(np.isfinite(t) & (objects == demo_scene.BALL))
-    witnesses, found = Witnesses(scene), []
+    training_views, found = TrainingViews(scene), []
     for flat in rng.choice(shiny, min(pixels, len(shiny)), replace=False).tolist():
         at = flat % camera.width, flat // camera.width
-        *_, opened = pieces(trainer.method, witnesses, camera, at, trainer.step_count, None, "viewer")
+        *_, opened = pieces(trainer.method, training_views, camera, at, trainer.step_count, None, "viewer")
         probe, evidence = opened.radiance, opened.evidence
         assert probe is not None
         assert evidence is not None

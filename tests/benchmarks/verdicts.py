@@ -32,7 +32,7 @@ from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method, traced
 from nerf_core.methods.voxels.method import Voxels
-from nerf_core.probe import Witnesses, judge, open_ray
+from nerf_core.probe import TrainingViews, judge, open_ray
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
 from nerf_core.volume.voxel_grid import DENSITY
@@ -288,10 +288,10 @@ def main() -> None:
         world = World.of(seed, args.darkest)
         closed_form = model_of(world.scene, *world.balls)
         for case in cases(world, seed, args.rays):
-            witnesses = Witnesses(case.scene)
+            training_views = TrainingViews(case.scene)
             for camera, pixel in case.rays:
                 ray = open_ray(case.method, case.scene, camera, pixel, 0)
-                verdict = judge(case.method, witnesses, ray)
+                verdict = judge(case.method, training_views, ray)
                 said[case.label, case.plant, verdict.kind] += 1
                 truth = open_ray(closed_form, world.scene, camera, pixel, 0).depth_median
                 if case.label == verdict.kind == "floater" and truth is not None:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from nerf_core.common.console import Display, duration
-from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.errors import UserError
 from nerf_core.geometry.camera_files import picked_camera
 from nerf_core.geometry.paths.steps import training_size
 from nerf_core.live.messages import (
@@ -32,79 +31,18 @@ from nerf_core.live.messages import (
 )
 from nerf_core.live.pins import spare_pins
 from nerf_core.live.worker import Worker
-from nerf_core.probe.report import FORMATS
 from nerf_core.rendering.export.requests import ExportStill
-from nerf_core.rendering.modes import COLOR, mode_names
-from nerf_core.training.checkpoint import describe
 from nerf_core.training.settings import RunSettings
 
 from ..app.app import App
 from ..model.state import StartFilmExport
+from .wishes import Wishes, coordinate
 
 FRAME_SECONDS = 0.25  # how often an offscreen interface is drawn while it waits: drawing takes time from training
 SHARPEN_SECONDS = 180.0  # how long a screenshot waits for the preview to reach full resolution
 UNWATCHED_SHARE = 0.95  # of the time goes to training where nobody watches the pictures
 SHORT_FRAMES, SHORT_FPS = 40, 20.0  # of an orbit that is to take only so long
 SLOWEST, SMALLEST = 100.0, 32  # rays a second, where none was timed; pixels: what is smaller shows nothing
-
-
-@dataclass(frozen=True)
-class Wishes:
-    """Files to write and things to do before it; see `viewer.cli.ViewerOptions`.
-
-    orbit_seconds: make the orbit's pictures small enough to take about so long; None: as large as the photos.
-    """
-
-    load: Path | None = None
-    steps: int | None = None
-    seconds: float | None = None
-    save: Path | None = None
-    camera: str = ""
-    mode: str = COLOR
-    pins: tuple[tuple[str, str], ...] = ()
-    clicks: tuple[tuple[str, str], ...] = ()
-    inspect: tuple[Path, ...] = ()
-    render: Path | None = None
-    orbit: Path | None = None
-    orbit_seconds: float | None = None
-    screenshot: Path | None = None
-
-    def any_file(self) -> bool:
-        return bool(self.files())
-
-    def files(self) -> tuple[Path, ...]:
-        found = (self.save, *self.inspect, self.render, self.orbit, self.screenshot)
-        return tuple(p for p in found if p is not None)
-
-    def check(self) -> None:
-        """Raises UserError for what cannot be done, before hours are spent on what goes before it."""
-        if self.mode not in mode_names():
-            raise UserError(f"--mode {shorten(self.mode)}: choose from {', '.join(mode_names())}")
-        if len(self.pins) > MOST_PINS:
-            raise UserError(
-                f"--pin: given {len(self.pins)} times; {MOST_PINS} rays at most can be pinned: leave some out"
-            )
-        for option, places in (("click", self.clicks), ("pin", self.pins)):
-            for place in places:
-                for text in place:
-                    _coordinate(option, text)
-        if self.load is not None:
-            describe(self.load)
-        if self.inspect and not self.clicks:
-            raise UserError(f"--inspect {self.inspect[0]}: of which ray? add --click X Y")
-        kinds = [
-            ("screenshot", self.screenshot, (".png",)),
-            ("render", self.render, (".png", ".npy")),
-            ("orbit", self.orbit, (".mp4",)),
-            *(("inspect", file, tuple(FORMATS)) for file in self.inspect),
-        ]
-        for option, file, suffixes in kinds:
-            if file is not None and file.suffix.lower() not in suffixes:
-                raise UserError(f"--{option} {file}: name a {' or '.join(suffixes)} file")
-        for file in self.files():
-            folder = next(parent for parent in file.absolute().parents if parent.exists())
-            if file.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
-                raise UserError(f"{file}: cannot be written: choose a file in a folder that you may write to")
 
 
 class Closed(Exception):
@@ -344,20 +282,9 @@ class Script:
                 raise UserError("the worker ended unexpectedly")
 
 
-def _coordinate(option: str, text: str) -> float:
-    """A coordinate of --click or --pin: a fraction of the viewport if it has a decimal point, else pixels."""
-    try:
-        value = float(text) if "." in text else int(text)
-    except ValueError:
-        raise UserError(f"--{option} {text}: expected a whole number of pixels, or a fraction such as 0.5") from None
-    if not 0 <= value <= (1 if "." in text else math.inf):  # not a number is not in between either
-        raise UserError(f"--{option} {text}: lies outside the viewport")
-    return value
-
-
 def _position(option: str, text: str, size: float) -> int:
     """The pixel that a coordinate means in a viewport of `size`. Raises UserError."""
-    value = _coordinate(option, text) * (size if "." in text else 1)
+    value = coordinate(option, text) * (size if "." in text else 1)
     if value > size:
         raise UserError(f"--{option} {text}: outside the viewport, which has {size:.0f} pixels here")
     return min(int(value), int(size) - 1)

@@ -24,7 +24,8 @@ from nerf_core.training.settings import RunSettings
 from ..app.app import App
 from ..model.state import unsaved_steps
 from ..window import Window
-from .script import Closed, Script, Wishes
+from .script import Closed, Script
+from .wishes import Wishes
 
 APP = "nerf-viewer"
 UNATTENDED_SECONDS = 60.0  # how long an offscreen run trains when nobody said how long

@@ -51,9 +51,11 @@ class MeanColour(Defaults):
     def draw(self, step: int) -> Draw:
         return Draw(self.config.rays)
 
-    def train(self, rays: Rays, truth: Tensor, step: int, steps: int | None, pump: Callable[[], None]) -> float:
+    def train(
+        self, rays: Rays, truth: Tensor, step: int, steps: int | None, yield_callback: Callable[[], None]
+    ) -> float:
         """Moves the colour to the mean of all rays so far; returns the mean squared error before."""
-        pump()  # what this raises abandons the step: nothing has changed yet
+        yield_callback()  # what this raises abandons the step: nothing has changed yet
         error = float((truth - self.color).square().mean())
         self.color = self.color + (truth.mean(0) - self.color) / (step + 1)
         return error

@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping
 from copy import copy
 from typing import ClassVar
 
-import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -23,9 +22,8 @@ from nerf_core.geometry.scene import Scene
 from nerf_core.kernels.choice import packed_kernels
 from nerf_core.methods import METHODS, Draw
 from nerf_core.methods.guided.config import GuidedConfig
-from nerf_core.methods.mlp.model import MlpModel, Parametrised
-from nerf_core.methods.stages import Marks, Stage, Stems, absorption_stage, field_stage, nothing_stage
-from nerf_core.methods.voxels.explain import explain as explain_voxels
+from nerf_core.methods.guided.explain import GuidedStages
+from nerf_core.methods.mlp.model import Parametrised
 from nerf_core.methods.voxels.model import VoxelModel
 from nerf_core.volume.packed import Packed, opened
 
@@ -39,7 +37,7 @@ BLOCK = 256  # rows in training are rounded up to a multiple: oneDNN compiles a 
 
 
 @METHODS.register("nerf-guided")
-class GuidedNerf(MlpModel):
+class GuidedNerf(GuidedStages):
     """See the module."""
 
     summary: ClassVar[str] = "The paper's network, its samples placed by a voxel grid trained first: minutes on a CPU."
@@ -120,10 +118,12 @@ class GuidedNerf(MlpModel):
     def draw(self, step: int) -> Draw:
         return Draw(self.config.rays) if self._ready else self.guide.draw(step)
 
-    def train(self, rays: Rays, truth: Tensor, step: int, steps: int | None, pump: Callable[[], None]) -> float:
+    def train(
+        self, rays: Rays, truth: Tensor, step: int, steps: int | None, yield_callback: Callable[[], None]
+    ) -> float:
         """First the guide's steps; then MSE of the network's colour, Adam under an exponential decay."""
         if not self._ready:
-            error = self.guide.train(rays, truth, step, None, pump)
+            error = self.guide.train(rays, truth, step, None, yield_callback)
             self.guided += 1
             if self._ready:
                 self.guide.finish()
@@ -136,7 +136,7 @@ class GuidedNerf(MlpModel):
             part = slice(start, start + piece)
             one, count = self._accumulate(rays[part], offsets[part], truth[part], 2 / truth.numel())
             error, found = error + one, found + count
-            pump()
+            yield_callback()
         self.optimizer.step()
         self.average = max(1.0, 0.9 * self.average + 0.1 * found / len(rays))
         return error / truth.numel()
@@ -189,34 +189,6 @@ class GuidedNerf(MlpModel):
 
     def density(self, points: Tensor) -> Tensor:
         return super().density(points) if self._ready else self.guide.density(points)
-
-    def explain(self, rays: Rays) -> tuple[Stage, ...]:
-        if not self._ready:
-            return explain_voxels(self.guide, rays)
-        guide, fine = self.trace(rays).passes
-        t, weights = (v[0].cpu().numpy() for v in (guide.t, guide.weights))
-        count = 0 if fine.count is None else int(fine.count[0])
-        found = (
-            Stage(
-                "The guide",
-                "A voxel grid that was trained first knows where the ray meets something: its samples' weights.",
-                (Stems("guide's w", t, weights),),
-            ),
-            Stage(
-                "Placed samples",
-                f"Those that weigh more than {self.config.least:g} are kept, {count} of {len(t)}: only they are put to "
-                "the network, where the paper's method would ask at 256.",
-                (Marks(fine.t[0, :count].cpu().numpy(), np.zeros(0, np.float32)),),
-            ),
-        )
-        if not count:
-            return (*found, nothing_stage())
-        return (
-            *found,
-            self.code_stage(rays, fine),
-            field_stage(fine, f"The paper's network is asked at each: how dense, and which colour {self.towards}?"),
-            absorption_stage(fine),
-        )
 
     # ---- state ------------------------------------------------------------------------------------------------------
 

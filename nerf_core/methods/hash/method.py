@@ -26,24 +26,16 @@ from nerf_core.kernels.packed_kernels import BETA1, BETA2, EPSILON, HashLevels, 
 from nerf_core.methods import METHODS, Defaults, Draw
 from nerf_core.methods.adam_state import adam_state, load_adam
 from nerf_core.methods.hash.config import HashConfig
+from nerf_core.methods.hash.explain import HashStages
 from nerf_core.methods.hash.field import HashField
 from nerf_core.methods.hash.fixed_step import FixedStep
-from nerf_core.methods.stages import (
-    BarCode,
-    Stage,
-    absorption_stage,
-    field_stage,
-    nothing_stage,
-    skipped_stage,
-)
 from nerf_core.volume.cells import Cells
-from nerf_core.volume.encodings import spherical_harmonics
 from nerf_core.volume.occupancy import Occupancy, softened
 from nerf_core.volume.packed import to_trace
 
 TILE = 2048  # rays drawn at once on a CPU: some 10 ms
 TILE_SAMPLES = 1 << 20  # drawn at once on a GPU: enough to keep it busy, under a gigabyte of activations
-PIECE = 1 << 13  # samples between two pumps on a CPU: some 10 ms
+PIECE = 1 << 13  # samples between two calls of the yield callback on a CPU: some 10 ms
 ROOM = 1.25  # times the samples asked for: so many a recorded step can hold
 FEWEST = 1 << 12  # samples a step that can still be halved
 AVERAGE_EVERY = 4  # steps: the table is large, and neighbouring steps differ little
@@ -53,7 +45,7 @@ STOP = 1e-3  # transmittance behind which no colour is looked up: it could not c
 
 
 @METHODS.register("hash")
-class Hash(Defaults):
+class Hash(Defaults, HashStages):
     """See the module."""
 
     summary: ClassVar[str] = "Instant-ngp (2022): a hash grid and two small MLPs; made for a GPU."
@@ -116,7 +108,9 @@ class Hash(Defaults):
             count = now if 0.4 * count <= now <= 1.1 * count else 2 ** int(math.log2(count))
         return Draw(count)
 
-    def train(self, rays: Rays, truth: Tensor, step: int, steps: int | None, pump: Callable[[], None]) -> float:
+    def train(
+        self, rays: Rays, truth: Tensor, step: int, steps: int | None, yield_callback: Callable[[], None]
+    ) -> float:
         """Mean squared error; Adam on the networks and on the table's touched rows."""
         rate = self.config.learning_rate / (1 + step / self.config.slowdown)
         self.numbers.copy_(adam_numbers(rate, self.updates + 1))
@@ -128,7 +122,7 @@ class Hash(Defaults):
         if self.kernels.fixed_shapes:
             error, found = self._fixed(len(rays))(self.occupancy.cells, self.space.rays(rays), offsets, truth)
         else:
-            error, found = self._pieces(rays, offsets, truth, pump)
+            error, found = self._pieces(rays, offsets, truth, yield_callback)
             self._update()
         self.updates += 1
         if self.updates % AVERAGE_EVERY == 0:
@@ -139,7 +133,9 @@ class Hash(Defaults):
             self.occupancy.update(self._tau, whole, self.generator)
         return error / truth.numel()
 
-    def _pieces(self, rays: Rays, offsets: Tensor, truth: Tensor, pump: Callable[[], None]) -> tuple[float, int]:
+    def _pieces(
+        self, rays: Rays, offsets: Tensor, truth: Tensor, yield_callback: Callable[[], None]
+    ) -> tuple[float, int]:
         """The gradient of all rays; returns the summed squared error and the number of samples."""
         error, found = 0.0, 0
         piece = max(1, int((PIECE if self.device.type == "cpu" else self.config.samples) / self.needed))
@@ -147,7 +143,7 @@ class Hash(Defaults):
             part = slice(start, start + piece)
             one, samples = self._accumulate(rays[part], offsets[part], truth[part], 2 / truth.numel())
             error, found = error + one, found + samples
-            pump()
+            yield_callback()
         return error, found
 
     def _fixed(self, rays: int) -> FixedStep:
@@ -251,39 +247,6 @@ class Hash(Defaults):
         cells = self.occupancy.cells
         low, sides = (torch.from_numpy(v).to(box) for v in (cells.origin, cells.voxel * np.array(cells.size)))
         return ((box - low) / sides).clamp(0, 1)
-
-    @torch.no_grad()
-    def explain(self, rays: Rays) -> tuple[Stage, ...]:
-        samples = self.trace(rays).passes[0]
-        skipped = skipped_stage(samples, self.occupancy.cells, self.step_cells)
-        if samples.count is not None and not int(samples.count[0]):
-            return skipped, nothing_stage()
-        strongest = int(samples.weights[0].argmax())
-        rays = rays.to(self.device)
-        point = rays.origins + samples.t[:, strongest, None] * rays.directions
-        features = self.shown.encode(self._unit(point))
-        _, geometry = self.shown.geometry(features)
-        resolutions = self.shown.levels.resolutions
-        levels = features[0].view(len(resolutions), -1).cpu().numpy()
-        vector, harmonics = geometry[0].cpu().numpy(), spherical_harmonics(rays.directions)[0].cpu().numpy()
-        peak = max(float(np.abs(vector).max()), float(np.abs(harmonics).max()))
-        return (
-            skipped,
-            Stage(
-                "Hash grid",
-                f"{len(levels)} grids, each finer than the last, hold {levels.shape[1]} numbers a corner; the finer "
-                "ones share their rows by a hash. The heaviest sample's are blended within its cell on each level.",
-                (BarCode(tuple(f"{r}³" for r in resolutions), tuple(levels), float(np.abs(levels).max())),),
-            ),
-            Stage(
-                "Networks",
-                "A small network turns them into 16 numbers, of which the first is the density's logarithm; a second "
-                "one turns those and the direction's spherical harmonics into colour.",
-                (BarCode(("geometry", "Y(d)"), (vector, harmonics), peak),),
-            ),
-            field_stage(samples, "The same at every sample that the occupancy grid let through."),
-            absorption_stage(samples),
-        )
 
     # ---- state ------------------------------------------------------------------------------------------------------
 

@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 from typing import ClassVar, NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -16,11 +14,11 @@ from torch.nn import functional
 from nerf_core.geometry.rays import Rays, Rendering, Samples, Trace
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import METHODS, Draw
-from nerf_core.methods.mlp.model import MlpModel, Parametrised
+from nerf_core.methods.mlp.model import Parametrised
 from nerf_core.methods.nerf.config import PRESETS, NerfConfig
-from nerf_core.methods.stages import Marks, Stage, Stems, Transfer, absorption_stage, field_stage
+from nerf_core.methods.nerf.explain import NerfStages
 from nerf_core.volume.compositing import absorb, composite, expected_depth
-from nerf_core.volume.sampling import cumulative, inverse_transform, spaced, stratified
+from nerf_core.volume.sampling import inverse_transform, spaced, stratified
 
 # A gradient is needed only where it is not zero. Behind ReLU, empty space has none: when less than this share of
 # samples is alive, evaluating everything without a graph and the living again with one is cheaper than one dense
@@ -46,7 +44,7 @@ class _Pass(NamedTuple):
 
 
 @METHODS.register("nerf")
-class Nerf(MlpModel):
+class Nerf(NerfStages):
     """The published method, complete; on a CPU its matrix products run in bfloat16 where that is fast."""
 
     summary: ClassVar[str] = (
@@ -122,18 +120,20 @@ class Nerf(MlpModel):
         c = self.config
         return Draw(c.rays, c.one_image, c.precrop if step < c.precrop_steps else 1.0)
 
-    def train(self, rays: Rays, truth: Tensor, step: int, steps: int | None, pump: Callable[[], None]) -> float:
+    def train(
+        self, rays: Rays, truth: Tensor, step: int, steps: int | None, yield_callback: Callable[[], None]
+    ) -> float:
         """Loss: MSE of the coarse colour plus MSE of the fine one; Adam under an exponential decay."""
         self.begin_step(step, steps)
         scale = 1 / truth.numel()
-        error, alive = self._gradients(rays, truth, scale, pump)
+        error, alive = self._gradients(rays, truth, scale, yield_callback)
         self.optimizer.step()
         for name, living in alive.items():
             self._alive[name] = living / (len(rays) * self._samples(name))
         return float(error * scale)
 
     def _gradients(
-        self, rays: Rays, truth: Tensor, scale: float, pump: Callable[[], None]
+        self, rays: Rays, truth: Tensor, scale: float, yield_callback: Callable[[], None]
     ) -> tuple[Tensor, dict[str, int]]:
         """Add up the gradient over all chunks; returns the summed squared error and how many samples were alive."""
         error = torch.zeros((), device=self.device)
@@ -147,7 +147,7 @@ class Nerf(MlpModel):
                     u = self._fine_u(u, weights, random=True)
                 weights, squared, living = self._supervise(name, p, u, truth[chunk], scale)
                 alive[name] += living
-                pump()
+                yield_callback()
             error = error + squared  # of the last network: the one that makes the picture
         return error, alive
 
@@ -219,50 +219,6 @@ class Nerf(MlpModel):
         if len(rays) > self.tile:
             raise ValueError(f"trace opens at most {self.tile} rays at a time, got {len(rays)}")
         return self._tile(rays, "fine")
-
-    def explain(self, rays: Rays) -> tuple[Stage, ...]:
-        passes = self.trace(rays).passes
-        p, world = self.parametrise(rays.to(self.device)), partial(self._world_t, rays.to(self.device))
-        u = self._coarse_u(p, random=False)
-        edges = torch.cat([u[:, :1], (u[:, 1:] + u[:, :-1]) / 2, u[:, -1:]], 1)
-        spacing = "1/t" if self.disparity and self.ndc is None else "t" if self.ndc is None else "disparity (NDC)"
-        stages = [
-            Stage(
-                "Stratified samples",
-                f"{u.shape[1]} depths, evenly spaced in {spacing}. In training each is drawn anew from its bin, so "
-                "that in the long run every depth is looked at; for a picture they stay where they are here.",
-                (Marks(world(u), world(edges)),),
-            ),
-            self.code_stage(rays, passes[0]),
-            field_stage(passes[0], "A network is asked at every sample: how dense is it there, and which colour "
-                          f"does it emit {self.towards}?"),
-            absorption_stage(passes[0]),
-        ]  # fmt: skip
-        if len(passes) > 1:
-            middle, weights = (u[:, 1:] + u[:, :-1]) / 2, passes[0].weights[:, 1:-1]
-            count, cdf = self.config.fine_samples, cumulative(weights)[0].cpu().numpy()
-            draws = inverse_transform(middle, weights, count, None)
-            levels = np.linspace(0, 1, count, dtype=np.float32)
-            stages += [
-                Stage(
-                    "Resampling",
-                    f"The coarse weights, made a PDF, say where {count} more samples are worth it: evenly spaced "
-                    "levels (random ones in training), sent through the inverse of its sum, fall where that climbs.",
-                    (
-                        Stems("PDF, a bin's share", world((middle[:, 1:] + middle[:, :-1]) / 2), np.diff(cdf)),
-                        Transfer(world(middle), cdf, levels, world(draws)),
-                    ),
-                ),
-                field_stage(
-                    passes[1], "The fine network is asked at all samples, old and new.", "Fine density, colour"
-                ),
-                absorption_stage(passes[1], "Fine α, T and w"),
-            ]
-        return tuple(stages)
-
-    def _world_t(self, rays: Rays, u: Tensor) -> np.ndarray:
-        t = u if self.ndc is None else self.ndc.world_t(rays.origins, rays.directions, u)
-        return t[0].cpu().numpy()
 
     # ---- state ----------------------------------------------------------------------------------------------------
 

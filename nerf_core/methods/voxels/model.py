@@ -36,8 +36,8 @@ from nerf_core.volume.cells import grow
 from nerf_core.volume.packed import to_trace
 from nerf_core.volume.voxel_grid import BRICK, DENSITY, ROWS, VoxelGrid, bricks_of
 
-PIECE = 4096  # rays between two pumps: some 5 ms on two cores
-BRICKS = 2048  # of a new grid between two pumps: some 10 ms on two cores
+PIECE = 4096  # rays between two calls of the yield callback: some 5 ms on two cores
+BRICKS = 2048  # of a new grid between two calls of the yield callback: some 10 ms on two cores
 TILE = 8192
 SHORTEST_LEVEL = 1.25  # a last level that is less finer than the one before is not worth a refinement
 SMALLEST = 1e-5  # a cell's side, as a share of the box: finer than any configuration allows
@@ -103,19 +103,21 @@ class VoxelModel(Defaults):
     def _level_at(self, step: int) -> int:
         return max(i for i, level in enumerate(self.levels) if level.begin <= step)
 
-    def train(self, rays: Rays, truth: Tensor, step: int, steps: int | None, pump: Callable[[], None]) -> float:
+    def train(
+        self, rays: Rays, truth: Tensor, step: int, steps: int | None, yield_callback: Callable[[], None]
+    ) -> float:
         """Mean squared error; its gradient is a ray's own, so that Adam's ε means the same for every batch."""
         rays, truth = rays.to(self.device), truth.to(self.device)
         c, error = self.config, 0.0
         while self.level < self._level_at(step):
-            self._refine(pump)
+            self._refine(yield_callback)
         offsets = torch.rand(len(rays), generator=self.generator)
         for start in range(0, len(rays), PIECE):
             part = slice(start, start + PIECE)
             march = self._march(offsets[part], c.smoothness, c.prune)
             boxed = self.space.rays(rays[part])
             error += self.kernels.accumulate(self.grid, boxed, truth[part], march)[0]
-            pump()
+            yield_callback()
         self.updates += 1
         since = max(0, step - self.levels[self.level].begin)
         slower = 1 / (1 + since / c.slowdown)
@@ -162,7 +164,7 @@ class VoxelModel(Defaults):
         x, y, z = self.grid.size
         return grow(self.grid.dense(self.kernels.seen(self.grid))[:x, :y, :z])
 
-    def _refine(self, pump: Callable[[], None]) -> None:
+    def _refine(self, yield_callback: Callable[[], None]) -> None:
         """The next level: a smaller box around what is there, divided into smaller cells."""
         old, level = self.grid, self.levels[self.level + 1]
         cells = self._filled() & old.occupied
@@ -185,7 +187,7 @@ class VoxelModel(Defaults):
         grid, shown = VoxelGrid.over(origin, voxel, occupied, old.contracted), self.shown
         ratio = float(np.prod(voxel / old.voxel) ** (1 / 3))
         for first in range(0, grid.bricks, BRICKS):
-            pump()
+            yield_callback()
             last = min(first + BRICKS, grid.bricks)
             self.kernels.resample(shown, grid, first, last)
             raw = grid.rows[ROWS * first : ROWS * last, DENSITY]

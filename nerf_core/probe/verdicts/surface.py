@@ -23,7 +23,7 @@ class Surface:
 
 
 def _inner_reason(s: Standing) -> str:
-    seen = {0: "no photo sees", 1: "one photo sees"}.get(s.witnesses, f"{s.witnesses} photos see")
+    seen = {0: "no photo sees", 1: "one photo sees"}.get(s.training_views, f"{s.training_views} photos see")
     return f"another {s.layer.weight:.0%} shines through it, from {s.layer.t:.3g}, where {seen} from this side"
 
 
@@ -33,5 +33,5 @@ def _surface_reason(s: Standing) -> str:
         error += ": there is something, but its colour is wrong"
     return (
         f"one layer at {s.layer.t:.3g}, {s.layer.thickness:.2g} thick, makes {s.layer.weight:.0%} of the pixel; "
-        f"{s.witnesses} training photos see it from this side{error}"
+        f"{s.training_views} training photos see it from this side{error}"
     )

@@ -16,16 +16,16 @@ class Unobserved:
     @staticmethod
     def reasons(facts: Facts) -> tuple[str, ...]:
         surface = facts.surface
-        if surface is None or min(surface.witnesses, max(surface.shown, surface.missing)) >= FEW:
+        if surface is None or min(surface.training_views, max(surface.shown, surface.missing)) >= FEW:
             return ()
         return (_unobserved_reason(surface),)
 
 
 def _unobserved_reason(s: Standing) -> str:
-    if s.witnesses >= FEW:
+    if s.training_views >= FEW:
         shown = "one shows it" if s.shown else "none shows it"
         return f"of {s.voters} training photos that see the point at {s.layer.t:.3g}, {shown}"
-    seen = {0: "no training photo sees", 1: "one training photo alone sees"}[s.witnesses]
+    seen = {0: "no training photo sees", 1: "one training photo alone sees"}[s.training_views]
     return (
         f"{seen} the point at {s.layer.t:.3g} from this side ({s.sightings.framed} of {s.sightings.asked} have it in "
         f"their frame, {s.looked} see it from anywhere)"

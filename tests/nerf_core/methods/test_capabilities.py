@@ -53,9 +53,11 @@ class Plain(Defaults):
     def draw(self, step: int) -> Draw:
         return Draw(16)
 
-    def train(self, rays: Rays, truth: Tensor, step: int, steps: int | None, pump: Callable[[], None]) -> float:
+    def train(
+        self, rays: Rays, truth: Tensor, step: int, steps: int | None, yield_callback: Callable[[], None]
+    ) -> float:
         error = float((truth - self.color).square().mean())
-        pump()
+        yield_callback()
         self.color = self.color + (truth.mean(0) - self.color) / (step + 1)
         return error
 

@@ -29,7 +29,7 @@ SMALL: dict[str, dict[str, str]] = {
     "hash": {"samples": "2000", "levels": "4", "log2_rows": "10", "cells": "16", "update_every": "2", "hidden": "16"},
     "voxels": {"start": "6", "growth": "1.5", "level_steps": "1", "pixels": "0.5"},
 }
-# Batches of some 77 rays, so that an abandoned step has few pumps.
+# Batches of some 77 rays, so that an abandoned step has few calls.
 FEW_RAYS = {
     "nerf": {"rays": "77"},
     "nerf-guided": {"rays": "77", "guide.first_rays": "77", "guide.rays": "77"},
@@ -240,25 +240,25 @@ def test_a_pixel_does_not_depend_on_its_neighbours_in_either_precision(scene: Sc
 
 @pytest.mark.parametrize("name", METHODS.names())
 def test_an_abandoned_step_leaves_the_state_as_it_was(name: str, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whichever of its pumps it is abandoned in."""
+    """Whichever of its calls it is abandoned in."""
     for module, piece in ((voxel_model, 30), (guided, 100), (hash_method, 2000)):
         monkeypatch.setattr(module, "PIECE", piece)
     monkeypatch.setattr(voxel_model, "BRICKS", 20)
     changes = SMALL.get(name, {}) | FEW_RAYS.get(name, {})
     trainer = Trainer(scene, RunSettings(method=name, changes=changes, device="cpu", threads=1))
-    pumps = 0  # that the step may still go through
+    calls = 0  # that the step may still go through
 
     def interrupt() -> None:
-        nonlocal pumps
-        pumps -= 1
-        if pumps < 0:
+        nonlocal calls
+        calls -= 1
+        if calls < 0:
             raise KeyboardInterrupt
 
     for _ in range(8):
         before = {name: value.clone() for name, value in trainer.state().items()}
         through = 0
         while True:
-            pumps = through
+            calls = through
             try:
                 trainer.step(interrupt)
                 break

@@ -13,7 +13,7 @@ from panel_states import make_scene
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.lens import Lens
 from nerf_core.geometry.scene import Scene
-from nerf_core.probe import Witnesses, diffuse_of
+from nerf_core.probe import TrainingViews, diffuse_of
 from nerf_core.probe.sightings import unseen
 
 BALL = Ball((0.0, 0.0, 0.0), 0.7, (0.5, 0.3, 0.2), gloss=0.2)
@@ -29,9 +29,9 @@ def test_photos_that_have_the_point_in_their_frame_are_told_from_the_others() ->
     """Against the cameras' own projection, lens and all; some look away from the point, one stands in it."""
     scene, rng = make_scene(), np.random.default_rng(3)
     bent = tuple(replace(view, camera=replace(view.camera, lens=Lens(k1=0.3, p1=0.02))) for view in scene.views)
-    witnesses = Witnesses(replace(scene, views=bent))
+    training_views = TrainingViews(replace(scene, views=bent))
     for point in [*rng.normal(scale=1.5, size=(20, 3)), bent[scene.split("train")[0]].camera.c2w[:, 3]]:
-        pixels, framed = witnesses.project(point)
+        pixels, framed = training_views.project(point)
         for k, i in enumerate(scene.split("train")):
             camera = bent[i].camera
             (pixel,), (depth,) = camera.project(point[None])
@@ -47,10 +47,10 @@ def test_of_very_many_photos_those_are_asked_that_look_from_everywhere(monkeypat
     monkeypatch.setattr("nerf_core.probe.evidence.MOST_VIEWS", 40)
     scene = ring_scene(BALL, count=120, size=8)
     look, air = -SIDE / np.linalg.norm(SIDE), np.array([0.0, 0.0, 0.9])  # above the ball: every photo sees that
-    asked = Witnesses(scene).look(model_of(scene, BALL), air, look, 0.05)
+    asked = TrainingViews(scene).look(model_of(scene, BALL), air, look, 0.05)
     assert (asked.framed, len(asked.views), len(np.unique(asked.views))) == (120, 40, 40)
     monkeypatch.setattr("nerf_core.probe.evidence.MOST_VIEWS", 120)
-    everybody = Witnesses(scene).look(model_of(scene, BALL), air, look, 0.05)
+    everybody = TrainingViews(scene).look(model_of(scene, BALL), air, look, 0.05)
     assert everybody.seen.all()
     assert set(everybody.views[np.argsort(everybody.angle)][:20]) <= set(asked.views)
     assert not unseen(everybody.directions, asked).any()
@@ -61,23 +61,23 @@ def test_what_a_lens_folds_into_the_frame_is_not_in_it() -> None:
     camera = Camera(800, 600, 600.0, 600.0, 400.0, 300.0, np.eye(4)[:3], Lens(k1=-0.28))
     scene = make_scene()
     views = (replace(scene.views[0], camera=camera),)
-    witnesses = Witnesses(replace(scene, views=views, photos=scene.photos.at([0]), splits={"train": (0,)}))
+    training_views = TrainingViews(replace(scene, views=views, photos=scene.photos.at([0]), splits={"train": (0,)}))
     for degrees, seen in ((10, True), (25, True), (62, False), (65, False), (80, False)):
         angle = np.radians(degrees)
         look = np.array([np.sin(angle), 0.0, -np.cos(angle)])
-        pixels, framed = witnesses.project(3 * look)
+        pixels, framed = training_views.project(3 * look)
         assert bool(framed[0]) == seen
         (alone,), (depth,) = camera.project(3 * look[None])
         assert (0 <= alone[0] < 800 and 0 <= alone[1] < 600) == seen
         assert depth > 0
-        ray = witnesses.rays(np.array([0]), np.clip(pixels, 0, (799, 599))).directions[0].numpy()
+        ray = training_views.rays(np.array([0]), np.clip(pixels, 0, (799, 599))).directions[0].numpy()
         assert not seen or ray @ look > np.cos(np.radians(0.1))
 
 
 def test_the_near_side_is_seen_from_the_near_side(scene: Scene) -> None:
     """Of a point of the ball just those cameras see it that stand above its tangent plane, but for grazing looks."""
     point, look = np.array([0.7, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0])
-    found = Witnesses(scene).look(model_of(scene, BALL), point, look, 0.05)
+    found = TrainingViews(scene).look(model_of(scene, BALL), point, look, 0.05)
     eyes = np.array([scene.views[i].camera.c2w[:, 3] for i in found.views])
     lean = (eyes - point)[:, 0] / np.linalg.norm(eyes - point, axis=1)
     assert found.asked == 24
@@ -94,11 +94,11 @@ def test_light_is_what_the_density_lets_through(scene: Scene) -> None:
     """exp(−∫σ) from the camera to the margin, integrated finely; the field is thin, so that all values occur."""
     thin = replace(BALL, density=2.0)
     point, method = np.array([0.0, 0.3, 0.2]), model_of(scene, thin)
-    found = Witnesses(scene).look(method, point, np.array([0.0, 1.0, 0.0]), 0.1)
+    found = TrainingViews(scene).look(method, point, np.array([0.0, 1.0, 0.0]), 0.1)
     field = Balls((thin,))
     for k in range(0, len(found.views), 5):
         camera = scene.views[found.views[k]].camera
-        rays = Witnesses(scene).rays(found.views[k : k + 1], found.pixels[k : k + 1])
+        rays = TrainingViews(scene).rays(found.views[k : k + 1], found.pixels[k : k + 1])
         np.testing.assert_allclose(rays.origins[0], camera.c2w[:, 3], atol=1e-6)
         t = torch.linspace(float(rays.near[0]), float(found.distance[k]) - 0.1, 20_000)
         sigma = torch.relu(field.geometry(rays.origins[0] + t[:, None] * rays.directions[0])[0])
@@ -107,7 +107,7 @@ def test_light_is_what_the_density_lets_through(scene: Scene) -> None:
 
 def test_colours_are_the_photos_the_models_and_the_points(scene: Scene) -> None:
     method = model_of(scene, BALL)
-    found = Witnesses(scene).look(method, SIDE, -SIDE / 0.7, 0.05)
+    found = TrainingViews(scene).look(method, SIDE, -SIDE / 0.7, 0.05)
     for k, view in enumerate(found.views):
         column, row = np.floor(found.pixels[k]).astype(int)
         np.testing.assert_allclose(found.observed[k], scene.images[view][row, column] / 65535, atol=1e-6)
@@ -118,7 +118,7 @@ def test_colours_are_the_photos_the_models_and_the_points(scene: Scene) -> None:
 
 def test_diffuse_is_what_every_photo_is_shown(scene: Scene) -> None:
     """Of a ball that shows every camera its colour less a share of the direction to it."""
-    found = Witnesses(scene).look(model_of(scene, BALL), SIDE, -SIDE / 0.7, 0.05)
+    found = TrainingViews(scene).look(model_of(scene, BALL), SIDE, -SIDE / 0.7, 0.05)
     diffuse = diffuse_of(found)
     assert diffuse is not None
     towards = np.array([scene.views[i].camera.c2w[:, 3] for i in found.views]) - SIDE
@@ -130,12 +130,12 @@ def test_diffuse_is_what_every_photo_is_shown(scene: Scene) -> None:
 
 def test_without_the_near_ball_the_far_one_is_seen(scene: Scene) -> None:
     near = Ball((1.6, 0.0, 0.4), 0.2, (0.1, 0.1, 0.9))
-    method, witnesses = model_of(scene, BALL, near), Witnesses(scene)
+    method, training_views = model_of(scene, BALL, near), TrainingViews(scene)
     point = np.array([1.8, 0.0, 0.4])
-    found = witnesses.look(method, point, np.array([-1.0, 0.0, 0.0]), 0.15)  # a rim is soft
+    found = training_views.look(method, point, np.array([-1.0, 0.0, 0.0]), 0.15)  # a rim is soft
     asked = found.at(found.seen & (found.share > 0.5))
     assert len(asked.views) >= 3
-    without, opaque, bare = witnesses.otherwise(method, asked, np.array([-0.15, 0.6]))
+    without, opaque, bare = training_views.otherwise(method, asked, np.array([-0.15, 0.6]))
     np.testing.assert_allclose(without[1], asked.observed, atol=0.03)  # the photos know of no near ball
     assert np.abs(without[0] - asked.observed).mean() > 0.2  # where nothing is taken out it is still there
     np.testing.assert_allclose(without[0], asked.predicted, atol=0.05)
@@ -146,20 +146,20 @@ def test_without_the_near_ball_the_far_one_is_seen(scene: Scene) -> None:
 def test_opaque_is_what_is_seen_when_no_background_shows(scene: Scene) -> None:
     """Of a hollow ball that lets half of the light through, its own colour, not half white."""
     thin = model_of(scene, replace(BALL, density=6.0, skin=0.05, gloss=0.0))
-    witnesses = Witnesses(scene)
-    found = witnesses.look(thin, np.array([0.75, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.1)
+    training_views = TrainingViews(scene)
+    found = training_views.look(thin, np.array([0.75, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.1)
     asked = found.at(found.seen & (found.share > 0.1) & (found.angle < 1.0))
     assert len(asked.views) >= 3
-    _, opaque, _ = witnesses.otherwise(thin, asked, np.array([0.2]))
+    _, opaque, _ = training_views.otherwise(thin, asked, np.array([0.2]))
     assert np.abs(asked.predicted - BALL.color).mean() > 0.08
     np.testing.assert_allclose(opaque, np.broadcast_to(BALL.color, opaque.shape), atol=0.02)
 
 
-def test_a_point_behind_all_cameras_has_no_witness(scene: Scene) -> None:
-    witnesses = Witnesses(scene)
-    found = witnesses.look(model_of(scene, BALL), np.array([0.0, 0.0, 50.0]), np.array([0.0, 0.0, 1.0]), 0.05)
+def test_no_training_photo_sees_a_point_behind_all_cameras(scene: Scene) -> None:
+    training_views = TrainingViews(scene)
+    found = training_views.look(model_of(scene, BALL), np.array([0.0, 0.0, 50.0]), np.array([0.0, 0.0, 1.0]), 0.05)
     assert (found.framed, len(found.views), found.asked) == (0, 0, 24)
-    without, opaque, bare = witnesses.otherwise(model_of(scene, BALL), found, np.array([1.0]))
+    without, opaque, bare = training_views.otherwise(model_of(scene, BALL), found, np.array([1.0]))
     assert (without.shape, opaque.shape, bare.shape) == ((1, 0, 3), (0, 3), (0, 3))
-    nobody = Witnesses(replace(scene, splits={}))
+    nobody = TrainingViews(replace(scene, splits={}))
     assert nobody.look(model_of(scene, BALL), SIDE, -SIDE / 0.7, 0.05).asked == 0

@@ -11,7 +11,7 @@ from balls import Ball, looking, model_of, ring_scene
 
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method
-from nerf_core.probe import Verdict, Witnesses, judge, open_pixel, open_ray
+from nerf_core.probe import TrainingViews, Verdict, judge, open_pixel, open_ray
 from nerf_core.probe.verdict import conclude
 
 RED = Ball((0.0, 0.0, 0.0), 0.7, (0.8, 0.2, 0.15))
@@ -26,7 +26,7 @@ def scene() -> Scene:
 
 
 def said(method: Method, scene: Scene, pixel: tuple[int, int] = MIDDLE) -> Verdict:
-    return judge(method, Witnesses(scene), open_ray(method, scene, CAMERA, pixel, 0))
+    return judge(method, TrainingViews(scene), open_ray(method, scene, CAMERA, pixel, 0))
 
 
 def front_of(ball: Ball) -> float:
@@ -42,7 +42,7 @@ def test_a_ball_is_a_surface(scene: Scene) -> None:
     assert verdict.kind == "surface"
     assert verdict.surface_t == pytest.approx(front_of(RED), abs=0.05)
     (standing,) = verdict.standings
-    assert standing.witnesses >= 8
+    assert standing.training_views >= 8
     assert standing.error is not None
     assert standing.error < 0.02
 

@@ -47,7 +47,7 @@ def test_a_given_up_step_has_not_happened(make_trainer: Make) -> None:
     given_up.step()
     calls = 0
 
-    def pump() -> None:
+    def yield_callback() -> None:
         nonlocal calls
         calls += 1
         if calls == 3:  # of 4: two chunks, two networks
@@ -55,7 +55,7 @@ def test_a_given_up_step_has_not_happened(make_trainer: Make) -> None:
 
     seconds = given_up.seconds
     with pytest.raises(InterruptedError):
-        given_up.step(pump)
+        given_up.step(yield_callback)
     assert (given_up.step_count, given_up.seconds) == (1, seconds)
     given_up.step()
     given_up.step()

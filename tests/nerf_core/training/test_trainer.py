@@ -36,9 +36,9 @@ def stored(trainer: Trainer) -> dict[str, Any]:
     return json.loads(json.dumps(trainer.describe()))
 
 
-def run(trainer: Trainer, steps: int, pump: Callable[[], None] = lambda: None) -> Trainer:
+def run(trainer: Trainer, steps: int, yield_callback: Callable[[], None] = lambda: None) -> Trainer:
     for _ in range(steps):
-        trainer.step(pump)
+        trainer.step(yield_callback)
     return trainer
 
 
@@ -101,11 +101,11 @@ def test_time_spent_by_the_pump_is_not_training(make_trainer: MakeTrainer, monke
     now = 0.0
     monkeypatch.setattr("time.perf_counter", lambda: now)
 
-    def pump() -> None:
+    def yield_callback() -> None:
         nonlocal now
         now += 7
 
-    assert make_trainer().step(pump).seconds == 0
+    assert make_trainer().step(yield_callback).seconds == 0
 
 
 def test_a_run_knows_its_length(make_trainer: MakeTrainer, scene: Scene, tiny: RunSettings) -> None:

@@ -46,7 +46,7 @@ from nerf_core.live.messages import (
 )
 from nerf_core.methods import METHODS
 from nerf_core.methods.nerf.config import NerfConfig
-from nerf_core.probe import RayHistory, Witnesses
+from nerf_core.probe import RayHistory, TrainingViews
 from nerf_core.training.settings import RunSettings
 from viewer.model.state import (
     Action,
@@ -567,15 +567,15 @@ def test_a_thumbnail_is_of_the_photo_around_the_point(
     views = tuple(replace(view, camera=replace(view.camera, lens=Lens(k1=-0.2))) for view in scene.views)
     photos = Photos.of([rng.integers(0, 65536, (150, 200, 3), np.uint16) for _ in views])
     scene = replace(scene, views=views, photos=photos)
-    witnesses = Witnesses(scene)
-    pixels, framed = witnesses.project(np.array(point))
+    training_views = TrainingViews(scene)
+    pixels, framed = training_views.project(np.array(point))
     index = rng.permutation(np.flatnonzero(framed))[:12]
     assert len(index) > 3
     snapshot = make_snapshot()
     assert snapshot.opened is not None
     assert snapshot.evidence is not None
     some = snapshot.evidence.at(np.arange(len(index)))
-    some = replace(some, point=np.array(point), views=witnesses.views[index], pixels=pixels[index])
+    some = replace(some, point=np.array(point), views=training_views.views[index], pixels=pixels[index])
     snapshot = replace(snapshot, scene=scene, opened=replace(snapshot.opened, evidence=some))
     parts: list[tuple[float, float]] = []
     draw = imgui.image

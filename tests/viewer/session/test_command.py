@@ -28,8 +28,8 @@ from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.cameras import camera_rays
 from nerf_core.live.messages import MOST_PINS
 from viewer.cli import main
-from viewer.session.script import Wishes
 from viewer.session.session import autosave_path
+from viewer.session.wishes import Wishes
 
 TINY = [
     "--method", "nerf", "--device", "cpu", "--threads", "1", "--downscale", "8", "--set", "rays=16",

@@ -1,0 +1,54 @@
+"""The stages of one ray through the guided method."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nerf_core.geometry.rays import Rays, Trace
+from nerf_core.methods.guided.config import GuidedConfig
+from nerf_core.methods.mlp.model import MlpModel
+from nerf_core.methods.stages import Marks, Stage, Stems, absorption_stage, field_stage, nothing_stage
+from nerf_core.methods.voxels.explain import explain as explain_voxels
+from nerf_core.methods.voxels.model import VoxelModel
+
+
+class GuidedStages(MlpModel):
+    """`Explainable` for the guided method."""
+
+    config: GuidedConfig
+    guide: VoxelModel
+
+    @property
+    def _ready(self) -> bool:
+        raise NotImplementedError
+
+    def trace(self, rays: Rays) -> Trace:
+        raise NotImplementedError
+
+    def explain(self, rays: Rays) -> tuple[Stage, ...]:
+        if not self._ready:
+            return explain_voxels(self.guide, rays)
+        guide, fine = self.trace(rays).passes
+        t, weights = (v[0].cpu().numpy() for v in (guide.t, guide.weights))
+        count = 0 if fine.count is None else int(fine.count[0])
+        found = (
+            Stage(
+                "The guide",
+                "A voxel grid that was trained first knows where the ray meets something: its samples' weights.",
+                (Stems("guide's w", t, weights),),
+            ),
+            Stage(
+                "Placed samples",
+                f"Those that weigh more than {self.config.least:g} are kept, {count} of {len(t)}: only they are put to "
+                "the network, where the paper's method would ask at 256.",
+                (Marks(fine.t[0, :count].cpu().numpy(), np.zeros(0, np.float32)),),
+            ),
+        )
+        if not count:
+            return (*found, nothing_stage())
+        return (
+            *found,
+            self.code_stage(rays, fine),
+            field_stage(fine, f"The paper's network is asked at each: how dense, and which colour {self.towards}?"),
+            absorption_stage(fine),
+        )
