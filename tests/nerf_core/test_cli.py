@@ -164,7 +164,7 @@ def test_wrong_arguments_are_one_line(
             "nerf-core: --t: cannot be read: 'x': a number is needed; nerf-core probe",
         ),
         (["fly"], "fly"),
-        ([], "{train, eval, render, probe}"),
+        ([], "{train, eval, render, probe, methods}"),
     ],
 )
 def test_what_cannot_be_parsed_is_one_line(arguments: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -221,7 +221,7 @@ def test_signals_save_and_exit(number: signal.Signals, status: int, capture: Pat
 def test_a_cancelled_render_leaves_no_file(capture: Path, tmp_path: Path) -> None:
     out, films = tmp_path / "run", tmp_path / "films"
     assert main(train(capture, out, "--steps", "1")) == 0
-    arguments = ["render", str(out), "--out", str(films / "a.mp4"), "--frames", "100000"]
+    arguments = ["render", str(out), "--out", str(films / "a.mp4"), "--frames", "3000"]
     process = subprocess.Popen(command(arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     while process.poll() is None and not (films.exists() and list(films.iterdir())):
         time.sleep(0.01)

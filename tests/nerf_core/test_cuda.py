@@ -15,7 +15,7 @@ from pretended_cuda import Graph, Rules, pretended_cuda, recorded
 from nerf_core.geometry.cameras import camera_rays
 from nerf_core.geometry.scene import Scene
 from nerf_core.kernels.implementations.on_triton import PackedOnTriton
-from nerf_core.live.messages import ExportRays, Inspect, LoadCheckpoint, PinRay, SaveCheckpoint, Train
+from nerf_core.live.messages import ExportRays, Inspect, LoadCheckpoint, PinRay, SaveCheckpoint, StopInspecting, Train
 from nerf_core.live.worker import Worker
 from nerf_core.methods import METHODS, traced
 from nerf_core.probe import open_pixel
@@ -82,7 +82,8 @@ def test_a_window_gets_pictures_rays_and_files(cuda: None, tiny: RunSettings, ca
         desk.until(lambda _: (tmp_path / "rays.npz").exists())
         desk.send(Train(1), LoadCheckpoint(tmp_path / "run.safetensors"))
         desk.until_told("loaded run.safetensors: step 6")
-        desk.until(lambda s: s.step == 6 and s.opened_step == 6 and s.status != "training")
+        desk.send(StopInspecting())
+        desk.until(lambda s: s.step == 6 and s.opened is None and s.status != "training")
         desk.trained(1)
         assert not [notice for notice in desk.heard if notice.level == "error"]
     finally:
