@@ -1,4 +1,4 @@
-"""What the worker draws for the window: the preview of the newest view, and opened rays."""
+"""What the worker draws of a run: the preview of the newest view, the opened ray and the pinned ones."""
 
 from __future__ import annotations
 
@@ -13,16 +13,14 @@ from nerf_core.methods import Method, traced
 from nerf_core.rendering.modes import COLOR, shaded
 from nerf_core.training.trainer import Trainer
 
-MOVING_SECONDS = (
-    0.05  # the first pixels of a moving camera may cost so much: three frames, well under the eye's patience
-)
-RESTING_SECONDS = 0.3  # and of one that has come to rest
-WHOLE_SECONDS = 0.04  # a level that takes no longer is drawn in one go: copying the weights would take as long
+MOVING_SECONDS = 0.05  # the most that the first pixels of a moving camera may take: three frames
+RESTING_SECONDS = 0.3  # the same of a camera at rest
+WHOLE_SECONDS = 0.04  # a level that takes no longer is drawn between two steps: copying the weights takes as long
 GUESSED_RATE = 4000.0  # rays a second, until a tile has been timed
 
 
 class Artist:
-    """Does one small piece of drawing at a time; remembers what is half done. Owned by the worker thread."""
+    """Draws a piece at a time and remembers what is half done. Owned by the worker thread."""
 
     def __init__(self) -> None:
         self.ray, self.pins = OpenedRay(), Pins()
@@ -39,7 +37,7 @@ class Artist:
         self._level = 0, 0.0  # cells of the level under way that are drawn, and the seconds they took
 
     def forget_pictures(self) -> None:
-        """The model was exchanged: everything is to be drawn again."""
+        """Draw everything again: the model was exchanged."""
         self._picture = self._model = self._copy = self._ready = self._shown = None
         self.ray.forget()
         self.pins.forget()
@@ -60,8 +58,7 @@ class Artist:
         return self._rates.get((quality, COLOR), 0.0)
 
     def urgent(self, view: ViewRequest | None) -> bool:
-        """Whether `view` has nothing to show yet, or a level that is drawn whole is half done: these come before
-        training."""
+        """Whether drawing comes before training: `view` has no picture, or a level between two steps is half done."""
         picture = self._picture
         if view is None:
             return False
@@ -113,7 +110,7 @@ class Artist:
         return True
 
     def _note_rate(self, picture: Refinement, cells: int, seconds: float) -> None:
-        """Rays a second over whole levels: at its rim a picture is emptier, and faster, than in its middle."""
+        """Measure rays per second over whole levels: the rim of a picture is emptier, and faster, than its middle."""
         assert self._model is not None
         self._level = self._level[0] + cells, self._level[1] + seconds
         kind = picture.quality, picture.mode
@@ -123,16 +120,16 @@ class Artist:
             self._rates[kind] = rate if known is None else 0.5 * known + 0.5 * rate
 
     def _frozen(self, trainer: Trainer) -> Method:
-        """The model of now, which stays as it is while training goes on."""
+        """A copy of the current model, which does not change while training goes on."""
         if self._copy is None or self._copy_step != trainer.step_count:
             self._copy, self._copy_step = trainer.frozen_method(), trainer.step_count
         return self._copy
 
     def _current(self, view: ViewRequest, born: int) -> Refinement:
-        """The picture to work on: the newest view's, but a moving camera's few pixels are finished first.
+        """The picture to work on: that of the newest view.
 
-        Otherwise a hand that never rests would see no new pixel at all. Where other weights draw it by now, all begins
-        anew.
+        The first level of a moving camera is finished before: otherwise a camera that never rests would show no new
+        pixel. Where another network draws the picture by now, everything begins again.
         """
         picture = self._picture
         finish = picture is not None and self._moving and not picture.first_level_done

@@ -1,11 +1,12 @@
 """What to compute next of a picture that is wanted at once: pure logic, no clock, no torch.
 
-A picture starts as a coarse grid of pixels (stride 32, say) and is refined by halving the stride. Every grid contains
-the coarser one: its pixels are kept if the weights are still those that drew them. Within a level, pixels come from the
-centre outwards. All of a level is to be drawn with the weights of its beginning, whatever training does meanwhile:
-where half of the pixels are one step older than the others, one sees the seam. Young weights are others before a fine
-level is done, and nobody wants to look at an old picture for long: while training goes on, the picture stays at a level
-that can be drawn in time, or goes back to one.
+A picture starts as a coarse grid of pixels (stride 32, say). Each level halves the stride, and its grid contains the
+coarser one: those pixels are kept if the weights have not changed since. Within a level, pixels are computed from the
+centre outwards.
+
+A level is drawn with the weights of its beginning, whatever training does meanwhile: a picture whose pixels are of two
+steps shows a seam. Young weights change before a fine level is done. While training goes on, the picture therefore
+stays at the finest level that can be drawn in time, or returns to it.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ from nerf_core.rendering.images import to_bytes
 from nerf_core.rendering.modes import COLOR
 
 COARSEST = 64
-YOUNG = 0.75  # weights of this share of today's steps still tell what the model looks like
-FRESH_SECONDS = 5.0  # which a level may take to draw while training goes on
-PATIENCE = 2  # times what a level may take are waited before it is given up: it was only an estimate
+YOUNG = 0.75  # a picture is up to date if its weights have this share of the current steps
+FRESH_SECONDS = 5.0  # the longest that a level may take while training goes on
+PATIENCE = 2  # abandon a level after twice its time limit: the limit is an estimate
 
 
 def first_stride(width: int, height: int, affordable: float) -> int:
@@ -52,11 +53,12 @@ class Refinement:
         self._took: float | None = None  # seconds it took
 
     def advance(self, step: int, training: bool = False, now: float = 0.0) -> bool:
-        """When a level is complete: go to the next if that can be drawn in time, else draw it again; where that takes
-        too long, or has done so by `now` (seconds of any clock), go back to one that does not. False: all done.
+        """Choose what to draw next; False if nothing is left to do. now: seconds on any clock.
 
-        The next has four times the pixels: four times as many steps will pass as did during this one. The first level
-        is drawn in one go, so while `training` it is drawn once more to see how many those are.
+        A complete level is followed by the next finer one if that can be drawn in time, otherwise by itself. A level
+        that takes too long is abandoned for a coarser one.
+        The next level has four times the pixels, so four times as many steps will pass. The first level is drawn
+        between two steps; while `training`, it is drawn once more to count the steps.
         """
         if self.begins:
             self._begun, self._took = (step, now), None
@@ -84,12 +86,12 @@ class Refinement:
         return self.advance(step, training, now)  # a picture of one texel gains none by halving
 
     def _in_time(self, step: int, steps: float, seconds: float) -> bool:
-        """Whether the weights of `step` still tell what the model looks like so much later."""
+        """Whether a picture of the weights at `step` is still up to date after `steps` more steps and `seconds`."""
         age = step - self.born
         return age >= YOUNG * (age + steps) and seconds <= FRESH_SECONDS
 
     def begin_again(self) -> None:
-        """Draw all of this level anew."""
+        """Draw the whole level again."""
         self._drawn_again = True
         self._queue = _ordered(np.ones_like(self._known))
         self._next = 0
@@ -103,12 +105,12 @@ class Refinement:
         return len(self._queue) - self._next
 
     def coherent(self) -> bool:
-        """Whether all its pixels show the same weights."""
+        """Whether all pixels are of the same training step."""
         return int(self._step.min()) == int(self._step.max())
 
     @property
     def begins(self) -> bool:
-        """Whether nothing of the level has been drawn yet."""
+        """Whether no pixel of the level has been drawn yet."""
         return self._next == 0
 
     def take(self, count: int) -> np.ndarray:
@@ -137,12 +139,12 @@ class Refinement:
         self._depth = np.repeat(np.repeat(self._depth, 2, 0), 2, 1)[: shape[0], : shape[1]]
         self._step = np.repeat(np.repeat(self._step, 2, 0), 2, 1)[: shape[0], : shape[1]]
         self._known, self.stride = known, stride
-        # Older texels between newer ones would show as a grid of dots: while training goes on all are drawn again.
+        # Old texels between new ones show as a grid of dots, so texels of earlier steps are drawn again.
         self._queue = _ordered(~known | (self._step < step))
         self._next = 0
 
     def _coarsen(self, step: int, steps: float, seconds: float) -> None:
-        """Back to a level that can be drawn in time, if this one takes so many; never behind the first."""
+        """Return to a level that can be drawn in time; at the coarsest, to the first."""
         skip = 1
         while self.stride < self._first_stride and not self._in_time(step, steps, seconds):
             self.stride, skip, steps, seconds = 2 * self.stride, 2 * skip, steps / 4, seconds / 4

@@ -22,7 +22,7 @@ from nerf_core.training.settings import RunSettings
 
 
 def nothing() -> None:
-    """The yield_callback of whoever has nothing to do between gradient chunks."""
+    """The default yield callback."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,7 @@ class Trainer:
         return {f"{part}.{key}": value for part, tensors in parts.items() for key, value in tensors.items()}
 
     def notes(self, description: Mapping[str, Any]) -> tuple[str, ...]:
-        """What is to be told of a run resumed from `describe()`."""
+        """Warnings about a run that was resumed from `describe()`."""
         if self.threads == description["threads"] or self.device.type != "cpu":
             return ()
         return (
@@ -188,7 +188,7 @@ class Trainer:
         )
 
     def go_to(self, description: Mapping[str, Any], state: Mapping[str, Tensor]) -> None:
-        """Be where `describe()` and `state()` were taken."""
+        """Return to the step at which `describe()` and `state()` were taken."""
         parts = {
             part: {key.removeprefix(part): v for key, v in state.items() if key.startswith(part)}
             for part in ("method.", "batches.", "history.")

@@ -114,10 +114,10 @@ class Actions:
 def film_export(scene: Scene, form: FilmForm) -> ExportPath:
     """The command that the export form describes. Raises UserError for values that give no film."""
     if not (math.isfinite(form.fps) and form.fps > 0):
-        raise UserError(f"an orbit of {form.fps:g} frames a second is none: take a positive number")
+        raise UserError(f"a film of {form.fps:g} frames per second: the number must be greater than 0")
     file = own_path(Path(form.file.strip()))
     if not file.name:
-        raise UserError("the orbit has no file name: give one that ends in .mp4")
+        raise UserError("the film has no file name: give one that ends in .mp4")
     kind = PATHS.get(form.path)
     options = {name: form.options[name] for name in kind.options if name in form.options}
     cameras: tuple[Camera, ...] = kind.cameras(scene, form.frames, form.width or None, form.height or None, **options)

@@ -52,7 +52,7 @@ class Orbit:
             raise UserError(f"an orbit's elevation of {elevation:g}° does not exist: take one from -90 to 90")
         if radius is not None and not 0 < radius <= 1e6:  # beyond, float32 has no digits left for the scene
             raise UserError(
-                f"an orbit's radius of {radius:g} is none: take a number of scene units from 0 to a million"
+                f"an orbit's radius of {radius:g}: it must be greater than 0 and at most a million scene units"
             )
         if scene.ndc is not None:
             return PATHS.get("spiral").cameras(scene, frames, width, height, fov_y_degrees=fov_y_degrees)

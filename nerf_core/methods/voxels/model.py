@@ -41,7 +41,7 @@ BRICKS = 2048  # of a new grid between two calls of the yield callback: some 10 
 TILE = 8192
 SHORTEST_LEVEL = 1.25  # a last level that is less finer than the one before is not worth a refinement
 SMALLEST = 1e-5  # a cell's side, as a share of the box: finer than any configuration allows
-YOUNG = 4.0  # in a level's step k the average is over some k/YOUNG steps: at first each makes all those before it old
+YOUNG = 4.0  # early in a level, at its step k, average only the last k/YOUNG steps: older rows are outdated
 SH = (0.28209479, 0.48860251)  # 1/√4π, √(3/4π): real spherical harmonics of degree 0 and 1
 
 
@@ -134,7 +134,7 @@ class VoxelModel(Defaults):
     def _drop_cells(self, since: int) -> None:
         """After so many steps of a level. Nothing abandons it half done."""
         if self._half_way(since):
-            self._look_anew()  # in a level's first half much is still fog: it shall not count
+            self._look_anew()  # ignore the first half of a level: it is mostly fog
         elif self.level == len(self.levels) - 1 and since % self.config.prune_every == 0:
             cells = self._filled() & self.grid.occupied
             if cells.any():  # a picture of nothing but background must still be able to change

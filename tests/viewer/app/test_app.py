@@ -499,7 +499,7 @@ def test_an_impossible_orbit_is_a_notice(start: Start) -> None:
     app.state.film.file = " "
     app.hand.key(imgui.Key.e, ctrl=True)
     assert not worker.sent
-    assert app.state.notices[-1].notice == Notice("error", "the orbit has no file name: give one that ends in .mp4")
+    assert app.state.notices[-1].notice == Notice("error", "the film has no file name: give one that ends in .mp4")
 
 
 @pytest.mark.parametrize(
@@ -507,7 +507,7 @@ def test_an_impossible_orbit_is_a_notice(start: Start) -> None:
     [
         ("options", {"radius": -1.0}, "radius of -1"),
         ("options", {"elevation": 100.0}, "elevation of 100"),
-        ("fps", 0.0, "0 frames"),
+        ("fps", 0.0, "a film of 0 frames per second"),
         ("path", "loop", "unknown camera path 'loop'"),
     ],
 )
