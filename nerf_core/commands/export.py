@@ -32,6 +32,7 @@ class Export:
     def run(self, signals: Signals) -> int:
         kind = export_for(self.file)
         trainer = restored(RunFolder(self.run_folder), self.data, self.device)
+        signals.be_polite()
         finished(kind(trainer.method, trainer.scene, self.file), signals, "exporting", kind.label)
         print(f"wrote {self.file}")
         return 0

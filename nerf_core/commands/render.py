@@ -80,6 +80,7 @@ class Render(PathOptions):
                 raise UserError(f"{names} belong to --path {owner}, not to {self.path}: leave them out")
         trainer = restored(RunFolder(self.run_folder), self.data, self.device)
         cameras = kind.cameras(trainer.scene, self.frames, self.width, self.height, **chosen)
+        signals.be_polite()
         job = FilmJob(trainer.method, trainer.scene, ExportPath(cameras, self.fps, self.out, self.png_frames))
         finished(job, signals, "rendering", f"{len(cameras)} frames")
         print(f"wrote {self.out}: {len(cameras)} frames")

@@ -32,8 +32,10 @@ def restored(run: RunFolder, data: Path | None, device: str) -> Trainer:
 
 
 def finished(job: Job, signals: Signals, label: str, text: str) -> None:
-    """Do all of a job's work and show how far it is. A signal cancels it and leaves no half-written file."""
-    signals.be_polite()
+    """Do all of a job's work and show how far it is. A signal cancels it and leaves no half-written file.
+
+    Call `signals.be_polite()` before the job is made: it opens its file at once.
+    """
     try:
         with Display(label) as display:
             while job.advance():
