@@ -27,6 +27,16 @@ def pytest_configure(config: pytest.Config) -> None:
         os.sched_setaffinity(0, set(cores[int(worker.removeprefix("gw")) % len(cores) :: max(count, 1)]))
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The thorough tests begin with the longest, so that several workers end at about the same time."""
+
+    def seconds(item: pytest.Item) -> float:
+        mark = item.get_closest_marker("thorough")
+        return mark.args[0] if mark else 0
+
+    items.sort(key=seconds, reverse=True)
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     text = "folder of real scenes (lego, fox, fern, can) to test on as well"
     parser.addoption("--scenes", type=Path, default=None, help=text)

@@ -32,7 +32,7 @@ def test_the_citation_has_the_version() -> None:
     assert f"\nversion: {nerf_core.__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
 
 
-@pytest.mark.thorough
+@pytest.mark.thorough(3)
 def test_the_wheel_has_both_packages_and_the_assets(tmp_path: Path) -> None:
     try:
         version = int(importlib.metadata.version("setuptools").partition(".")[0])

@@ -9,7 +9,9 @@ from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
 
-LONG = (pytest.mark.thorough, pytest.mark.timeout(3600))
+
+def long(seconds: int) -> tuple[pytest.MarkDecorator, ...]:
+    return pytest.mark.thorough(seconds), pytest.mark.timeout(3600)
 
 
 # nearer: how many times the depth's error must shrink: a grid begins as an even fog, whose mean depth is not far off,
@@ -18,8 +20,8 @@ LONG = (pytest.mark.thorough, pytest.mark.timeout(3600))
     ("method", "preset", "downscale", "steps", "nearer", "looked"),
     [
         pytest.param("voxels", "auto", 8, 60, 2, (1, 60, 6), id="voxels-briefly"),
-        pytest.param("voxels", "auto", 4, 400, 3, (2, 400, 24), id="voxels", marks=LONG),
-        pytest.param("nerf", "quick", 4, 800, 5, (2, 400, 24), id="nerf", marks=LONG),
+        pytest.param("voxels", "auto", 4, 400, 3, (2, 400, 24), id="voxels", marks=long(80)),
+        pytest.param("nerf", "quick", 4, 800, 5, (2, 400, 24), id="nerf", marks=long(270)),
     ],
 )
 def test_training_approaches_the_truth(

@@ -257,6 +257,10 @@ class App:
         """Do what a panel could have asked for; the number of the command that was sent to the worker, 0 if none."""
         return self._actions.perform(action)
 
+    def tell(self, notice: Notice) -> None:
+        """Show a notice."""
+        self._actions.tell(notice)
+
     def pixels(self) -> np.ndarray:
         """Draw a frame and read the whole window: uint8 (H, W, 3)."""
         self.frame(force=True)  # takes what is waiting

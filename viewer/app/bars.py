@@ -9,7 +9,7 @@ from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.live.messages import Reset
 
-from ..commands.registry import COMMANDS, MENUS, Menu, UserCommand, commands, run, with_keys
+from ..commands.registry import COMMANDS, MENUS, Menu, UserCommand, commands, invoke, run, with_keys
 from ..model.state import Action, AppState
 from ..ui.text import duration, rate
 from ..ui.theme import CLEAR
@@ -47,7 +47,7 @@ def _item(ui: PanelUi, state: AppState, command: UserCommand, keys: bool = True)
     pressed, _ = imgui.menu_item(command.title, shown, checked, command.enabled(state))
     ui.mark(f"menu.{command.title}")
     if pressed:
-        yield from command.run(state)
+        yield from invoke(command, state)
 
 
 def _training(ui: PanelUi, state: AppState) -> Iterator[Action]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from imgui_bundle import imgui
 
 from ..model.state import Action, AppState
-from .registry import UserCommand, commands
+from .registry import UserCommand, commands, invoke
 
 NAMED = {
     "Space": "space", "Tab": "tab", "Esc": "escape", "Enter": "enter", "Backspace": "backspace", "Delete": "delete",
@@ -62,7 +62,7 @@ class Keyboard:
         ctrl = self._ctrl or before
         if not ctrl and imgui.is_key_pressed(imgui.Key.escape, False) and _close_what_is_over(state):
             return [], False
-        actions = [action for command in self._asked(state, ctrl) for action in command.run(state)]
+        actions = [action for command in self._asked(state, ctrl) for action in invoke(command, state)]
         return actions, not ctrl and _fly(state, seconds)
 
     def _asked(self, state: AppState, ctrl: bool) -> list[UserCommand]:

@@ -5,13 +5,15 @@ A command is a function in a file of viewer/commands/actions/. A new file there 
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 from nerf_core.common.registry import Registry
+from nerf_core.live.messages import Notice
 
-from ..model.state import Action, AppState
+from ..model.state import Action, AppState, ShownNotice
 
 Section = Literal["Camera", "Ray", "Plots", "Picture", "Training", "File", "Show or hide", "Window"]
 Menu = Literal["File", "View"]
@@ -87,6 +89,17 @@ def run(id: str, state: AppState) -> list[Action]:
     """Run a command by its id; nothing while it is not enabled."""
     found = COMMANDS.get(id)
     return found.run(state) if found.enabled(state) else []
+
+
+def invoke(found: UserCommand, state: AppState) -> list[Action]:
+    """Run a command for the user. If it fails, a notice says so, and the window goes on."""
+    try:
+        return found.run(state)
+    except Exception as error:
+        text = f"the command {found.title} failed ({type(error).__name__}: {error}); the rest goes on"
+        notice = Notice("error", text, detail=traceback.format_exc())
+        state.notices.append(ShownNotice(notice, state.time))
+        return []
 
 
 def with_keys(text: str, id: str) -> str:

@@ -7,7 +7,7 @@ from typing import Literal
 
 from imgui_bundle import ImVec2, imgui
 
-from ..commands.registry import UserCommand, commands
+from ..commands.registry import UserCommand, commands, invoke
 from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import faded, hint, mono
@@ -52,7 +52,7 @@ class Palette:
             state.show_palette = False
         imgui.end_popup()
         if command is not None:
-            yield from command.run(state)
+            yield from invoke(command, state)
 
     def _content(self, ui: Ui, state: AppState) -> UserCommand | None:
         """The field and the list; the command that is to run."""

@@ -16,9 +16,11 @@ import platformdirs
 
 from nerf_core.common.errors import UserError
 from nerf_core.common.signals import Signals
+from nerf_core.datasets.capture import DATASETS
 from nerf_core.geometry.scene import Scene
-from nerf_core.live.messages import CancelExport, SaveCheckpoint, Train
+from nerf_core.live.messages import CancelExport, Notice, SaveCheckpoint, Train
 from nerf_core.live.worker import Worker
+from nerf_core.methods import METHODS
 from nerf_core.training.settings import RunSettings
 
 from ..app.app import App
@@ -75,6 +77,8 @@ class Session:
 
     def _attend(self, wishes: Wishes) -> None:
         """Start training, and follow the user's hand until the window closes."""
+        for problem in (*METHODS.problems, *DATASETS.problems):
+            self.app.tell(Notice("warning", problem))
         left = None if wishes.steps is None else wishes.steps - self.worker.snapshot().step
         if left is None or left > 0:
             self.worker.send(Train(left, wishes.seconds))

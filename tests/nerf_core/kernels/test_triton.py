@@ -44,10 +44,13 @@ def test_the_interpreted_kernels_pass_what_the_others_pass(checks: Path, words: 
     assert interpreted(words, checks) >= fewest
 
 
-@pytest.mark.thorough
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize(
-    ("checks", "words", "fewest"), [(PACKED, "triton and (leaps or far_away)", 5), (FIXED_STEP, "triton", 5)]
+    ("checks", "words", "fewest"),
+    [
+        pytest.param(PACKED, "triton and (leaps or far_away)", 5, marks=pytest.mark.thorough(180)),
+        pytest.param(FIXED_STEP, "triton", 5, marks=pytest.mark.thorough(100)),
+    ],
 )
 def test_the_interpreted_kernels_pass_the_longest_checks(checks: Path, words: str, fewest: int) -> None:
     assert interpreted(words, checks) >= fewest

@@ -60,6 +60,14 @@ def render(w: dict[str, Tensor], c: NerfConfig, rays: Rays, t: Tensor, draws: to
     return (weights[..., None] * rgb).sum(1) + 1 - weights.sum(-1, keepdim=True), weights
 
 
+def _inverse(bounds: list[float], cdf: list[float], u: float) -> float:
+    """Where the distribution that is constant between the bounds has reached the share u (inverse transform)."""
+    k = 0
+    while k < len(cdf) - 2 and cdf[k + 1] <= u:
+        k += 1
+    return bounds[k] + (u - cdf[k]) / (cdf[k + 1] - cdf[k]) * (bounds[k + 1] - bounds[k])
+
+
 def paper_loss(
     nets: dict[str, dict[str, Tensor]], c: NerfConfig, rays: Rays, truth: Tensor, draws: torch.Generator
 ) -> tuple[Tensor, Tensor]:
@@ -74,14 +82,12 @@ def paper_loss(
     mass = weights[:, 1:-1].detach() + 1e-5
     cdf = torch.cat([torch.zeros(len(t), 1), (mass / mass.sum(-1, keepdim=True)).cumsum(-1)], -1)
     u = torch.rand(len(t), c.fine_samples, generator=draws)
-    fine_t = torch.empty_like(u)
-    for ray in range(len(t)):
-        for i in range(c.fine_samples):
-            k = 0
-            while k < cdf.shape[1] - 2 and cdf[ray, k + 1] <= u[ray, i]:
-                k += 1
-            share = (u[ray, i] - cdf[ray, k]) / (cdf[ray, k + 1] - cdf[ray, k])
-            fine_t[ray, i] = middle[ray, k] + share * (middle[ray, k + 1] - middle[ray, k])
+    fine_t = torch.tensor(
+        [
+            [_inverse(bounds, edges, x) for x in draw]
+            for bounds, edges, draw in zip(middle.tolist(), cdf.tolist(), u.tolist(), strict=True)
+        ]
+    )
     fine, _ = render(nets["fine"], c, rays, torch.cat([t, fine_t], -1).sort(-1).values, draws)
     return (coarse - truth).square().sum(), (fine - truth).square().sum()
 

@@ -151,6 +151,10 @@ from viewer.commands.registry import command
 def level(state):
     state.rays_file = "level"
     return []
+
+@command("extra.fails", "Fail at once", "Camera", 10, keys=("Ctrl+Y",), menu="View")
+def fails(state):
+    return [1 / 0]
 """
 
 
@@ -166,20 +170,41 @@ def new_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     del sys.modules["viewer.commands.actions.extra"]
 
 
+def ask_for(app: App, how: str, key: imgui.Key, title: str) -> None:
+    if how == "key":
+        app.hand.key(key, ctrl=True)
+    elif how == "menu":
+        app.hand.click(60, 10)
+        app.settle()
+        click(app, f"menu.{title}")
+    else:
+        open_palette(app)
+        app.hand.type_text(title)
+        app.hand.key(imgui.Key.enter)
+        app.settle()
+
+
 @pytest.mark.usefixtures("new_file")
 @pytest.mark.parametrize("how", ["key", "menu", "palette"])
 def test_a_command_is_one_new_file(offscreen: Offscreen, how: str) -> None:
     app, _ = open_app(offscreen)
-    if how == "key":
-        app.hand.key(imgui.Key.l, ctrl=True)
-    elif how == "menu":
-        app.hand.click(60, 10)
-        app.settle()
-        click(app, "menu.Level the horizon")
-    else:
-        open_palette(app)
-        app.hand.type_text("horizon")
-        app.hand.key(imgui.Key.enter)
-        app.settle()
+    ask_for(app, how, imgui.Key.l, "Level the horizon")
     assert app.state.rays_file == "level"
+    assert not app.state.notices
+    app.close()
+
+
+@pytest.mark.usefixtures("new_file")
+@pytest.mark.parametrize("how", ["key", "menu", "palette"])
+def test_a_command_that_fails_becomes_a_notice(offscreen: Offscreen, how: str) -> None:
+    app, worker = open_app(offscreen)
+    ask_for(app, how, imgui.Key.y, "Fail at once")
+    (shown,) = app.state.notices
+    assert shown.notice.text == (
+        "the command Fail at once failed (ZeroDivisionError: division by zero); the rest goes on"
+    )
+    assert "in fails" in shown.notice.detail
+    assert not app.state.show_palette
+    app.hand.key(imgui.Key.space)
+    assert worker.sent == [Train()]
     app.close()
