@@ -222,7 +222,7 @@ def test_a_double_click_focuses_the_surface_under_it(start: Start) -> None:
     distance, _ = scripted.trace(camera.c2w[:, 3], directions)
     app.hand.double_click(x, y)
     app.settle(30)  # the jump eases
-    expected = camera.c2w[:, 3] + distance[0] * directions[0]
+    expected = camera.c2w[:, 3] + distance[0] * directions[:, 0]
     np.testing.assert_allclose(app.state.camera.pivot, expected, atol=1e-4)
     assert sum(isinstance(command, Inspect) for command in worker.sent) == 1  # the second click is part of the first
 
