@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import shutil
 import subprocess
@@ -31,11 +32,12 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": os.pathsep.join([str(target), str(ROOT)])}
 
 
-def core(environment: dict[str, str], *words: str, cwd: Path) -> str:
-    command = [sys.executable, "-m", "nerf_core.cli", *words]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment, cwd=cwd)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+COMMANDS = """
+import json, sys
+from nerf_core.cli import main
+for words in json.loads(sys.argv[1]):
+    assert main(words) == 0, words
+"""
 
 
 def test_what_another_package_brings_is_listed_and_used(environment: dict[str, str], tmp_path: Path) -> None:
@@ -47,11 +49,15 @@ def test_what_another_package_brings_is_listed_and_used(environment: dict[str, s
         lines.append(" ".join([f"{k}.png", f"{view.camera.fx!r}", *map(repr, view.camera.c2w.ravel().tolist())]))
     (photos / "poses.txt").write_text("\n".join(lines).replace("np.float64(", "").replace(")", ""), encoding="utf-8")
 
-    assert "mean-colour  One colour for all pixels" in core(environment, "methods", cwd=tmp_path)
-    run = tmp_path / "run"
-    told = core(
-        environment, "train", str(photos), "--method", "mean-colour", "--steps", "2", "--out", str(run), cwd=tmp_path
-    )
-    assert "training mean-colour on photos (7 photos)" in told
-    assert "finished: step 2" in told
-    assert "PSNR" in core(environment, "eval", str(run), cwd=tmp_path)
+    commands = [
+        ["methods"],
+        ["train", str(photos), "--method", "mean-colour", "--steps", "2", "--out", "run"],
+        ["eval", "run"],
+    ]
+    command = [sys.executable, "-c", COMMANDS, json.dumps(commands)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "mean-colour  One colour for all pixels" in done.stdout
+    assert "training mean-colour on photos (7 photos)" in done.stdout
+    assert "finished: step 2" in done.stdout
+    assert "PSNR" in done.stdout.partition("finished: step 2")[2]

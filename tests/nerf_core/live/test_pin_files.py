@@ -33,7 +33,6 @@ from nerf_core.training import checkpoint
 from nerf_core.training.settings import RunSettings
 
 OpenDesk = Callable[..., Desk]
-pytestmark = pytest.mark.xdist_group("pin files")  # one worker trains what they all load
 
 
 def history_of(snapshot: Snapshot, number: int = 1) -> RayHistory:

@@ -63,9 +63,6 @@ def process(*arguments: str, cwd: Path | None = None, env: dict[str, str] | None
     )
 
 
-share_a_run = pytest.mark.xdist_group("one run that asks for everything")
-
-
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One run that asks for everything at once."""
@@ -80,7 +77,6 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-@share_a_run
 def test_everything_asked_for_is_written(written: Path) -> None:
     assert iio.imread(written / "shot.png").shape == (400, 640, 3)
     film = str(written / "orbit.mp4")
@@ -91,7 +87,6 @@ def test_everything_asked_for_is_written(written: Path) -> None:
     assert not list(written.glob("*.part"))
 
 
-@share_a_run
 def test_the_inspected_ray_is_the_rendered_pixel(written: Path) -> None:
     ray = json.loads((written / "ray.json").read_text())
     picture = np.load(written / "picture.npy")
@@ -103,7 +98,6 @@ def test_the_inspected_ray_is_the_rendered_pixel(written: Path) -> None:
     assert np.abs(np.array(ray["rendered_color"]) - ray["color"]).max() < 1e-5
 
 
-@share_a_run
 def test_the_inspected_ray_obeys_the_equations(written: Path) -> None:
     ray = json.loads((written / "ray.json").read_text())
     assert [one["name"] for one in ray["passes"]] == ["coarse", "fine"]
@@ -123,7 +117,6 @@ def test_the_inspected_ray_obeys_the_equations(written: Path) -> None:
     assert ray["depth_median"] == (pytest.approx(t[half[0]]) if len(half) else None)
 
 
-@share_a_run
 def test_the_radiance_covers_the_sphere_around_the_point(written: Path) -> None:
     ray = json.loads((written / "ray.json").read_text())
     directions, rgb = np.array(ray["radiance"]["directions"]), np.array(ray["radiance"]["rgb"])
@@ -135,7 +128,6 @@ def test_the_radiance_covers_the_sphere_around_the_point(written: Path) -> None:
     assert np.allclose(along / np.linalg.norm(along), ray["direction"], atol=1e-5)
 
 
-@share_a_run
 def test_a_checkpoint_gives_the_same_picture_again(written: Path, tmp_path: Path) -> None:
     done = viewer(
         *TINY, "--headless", "--load", str(written / "model.safetensors"), "--render", str(tmp_path / "again.npy")
@@ -144,7 +136,6 @@ def test_a_checkpoint_gives_the_same_picture_again(written: Path, tmp_path: Path
     assert np.array_equal(np.load(tmp_path / "again.npy"), np.load(written / "picture.npy"))
 
 
-@share_a_run
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
