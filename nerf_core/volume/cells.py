@@ -1,4 +1,4 @@
-"""Space divided into cells of which few may hold something: what a march steps through, and what it leaps over."""
+"""A grid of cells, each occupied or empty. A march along a ray steps through occupied cells and leaps over empty ones."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 BLOCK = 4  # cells a side of a block, the unit of leaps
-FARTHEST = 12  # blocks: longer leaps than so many save nothing
+FARTHEST = 12  # blocks of the longest leap: longer ones save no time
 
 
 class CellArrays(NamedTuple):
-    """What a march on a CPU reads: numpy views of `Cells`."""
+    """Numpy views of `Cells`, for a march on a CPU."""
 
     origin: np.ndarray
     scale: np.ndarray
@@ -26,11 +26,14 @@ class CellArrays(NamedTuple):
 
 @dataclass(frozen=True)
 class Cells:
-    """size: cells a side (x, y, z). origin, voxel: (3,) float64, the lower corner and a cell's sides, box coordinates.
+    """A box of cells, and how far a march may leap from each block of them.
 
-    contracted: whether box coordinates are those of `nerf_core.geometry.spaces.contract`. occupied: (x, y, z) bool.
-    leap: blocks of cells, uint8, 0 where a block has an occupied cell, else the distance in blocks to the nearest
-    that has.
+    size: number of cells along x, y and z.
+    origin: (3,) float64, the box's lower corner. voxel: (3,) float64, a cell's sides. Both in box coordinates.
+    contracted: whether box coordinates are those of `nerf_core.geometry.spaces.contract`.
+    occupied: (x, y, z) bool.
+    leap: uint8 for each block of BLOCK³ cells, the distance in blocks to the nearest block with an occupied cell; 0 if
+        the block has one itself.
     """
 
     size: tuple[int, int, int]
@@ -42,17 +45,23 @@ class Cells:
 
     @staticmethod
     def of(origin: np.ndarray, voxel: np.ndarray, occupied: Tensor, contracted: bool) -> Cells:
+        """Cells with the leaps that `occupied` allows; for the arguments see the class."""
         x, y, z = occupied.shape
         return Cells((x, y, z), origin, voxel, contracted, occupied, leaps(occupied))
 
     def cell_arrays(self) -> CellArrays:
+        """The arrays that the CPU kernels read."""
         return CellArrays(
             self.origin.astype(np.float32), (1 / self.voxel).astype(np.float32), np.array(self.size, np.int64),
             self.leap.numpy().ravel(), self.occupied.view(torch.uint8).numpy().ravel(), self.contracted,
         )  # fmt: skip
 
     def cells_of(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Box coordinates (P, 3) → cell (P, 3) int64 and position within it (P, 3) in [0, 1]; outside: the border's."""
+        """Find the cells of points.
+
+        x: (P, 3) box coordinates. A point outside of the box gets the nearest cell at the border.
+        Returns the cells (P, 3) int64, and the positions within them (P, 3) in [0, 1].
+        """
         origin = torch.from_numpy(self.origin).to(x)
         at = (x - origin) / torch.from_numpy(self.voxel).to(x)
         cell = at.floor().long().clamp(min=0).minimum(torch.tensor(self.size, device=x.device) - 1)
@@ -60,7 +69,10 @@ class Cells:
 
 
 def leaps(occupied: Tensor) -> Tensor:
-    """Cells (x, y, z) bool → per block of 4³ cells how many blocks away the nearest occupied one is, uint8."""
+    """The distance in blocks from each block of 4³ cells to the nearest occupied one.
+
+    occupied: (x, y, z) bool. Returns uint8 of one value a block, at most FARTHEST.
+    """
     padded = torch.zeros([BLOCK * -(-n // BLOCK) for n in occupied.shape], dtype=torch.bool, device=occupied.device)
     padded[: occupied.shape[0], : occupied.shape[1], : occupied.shape[2]] = occupied
     reached = blocks(padded)
@@ -73,7 +85,7 @@ def leaps(occupied: Tensor) -> Tensor:
 
 
 def grow(cells: Tensor) -> Tensor:
-    """Cells (x, y, z) bool and their neighbours, those at the edges and corners too."""
+    """Add the 26 neighbours of each cell that is set: (x, y, z) bool → (x, y, z) bool."""
     for axis in range(3):
         grown = cells.clone()
         n = cells.shape[axis]
@@ -84,6 +96,6 @@ def grow(cells: Tensor) -> Tensor:
 
 
 def blocks(whole: Tensor) -> Tensor:
-    """(4x, 4y, 4z) bool → (x, y, z): whether anything is in the block."""
+    """Whether any cell of a block is set: (4x, 4y, 4z) bool → (x, y, z) bool."""
     x, y, z = (n // BLOCK for n in whole.shape)
     return whole.view(x, BLOCK, y, BLOCK, z, BLOCK).any(5).any(3).any(1)

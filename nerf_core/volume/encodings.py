@@ -1,4 +1,4 @@
-"""γ: what a network is given instead of bare coordinates."""
+"""Encodings of positions and directions, which a network receives in place of the bare coordinates."""
 
 from __future__ import annotations
 
@@ -10,18 +10,21 @@ from torch import Tensor
 
 
 def frequency_width(frequencies: int, include_input: bool = True) -> int:
-    """Outputs a coordinate triple is turned into: 3·2·L, and 3 more for the raw input."""
+    """Number of outputs of `frequency` for a point: 3·2·L, and 3 more with the raw input."""
     return 3 * (2 * frequencies + (1 if include_input or frequencies == 0 else 0))
 
 
 def frequency(
     p: Float[Tensor, "P 3"], frequencies: int, include_input: bool = True, pi: bool = False
 ) -> Float[Tensor, "P width"]:
-    """γ(p) = (p, sin 2⁰p, cos 2⁰p, …, sin 2^{L−1}p, cos 2^{L−1}p): p (P, 3) → (P, frequency_width), float32.
+    """Positional encoding γ(p) = (p, sin 2⁰p, cos 2⁰p, …, sin 2^{L−1}p, cos 2^{L−1}p).
 
-    NeRF Eq. 4 (arXiv:2003.08934) has 2^k π p and no raw input; the official code, from which the published numbers
-    come, drops π and appends p (63 and 27 outputs for L = 10 and 4). `pi` and `include_input` choose.
-    No frequencies: p itself, whatever `include_input` says, since a network needs some input.
+    p: points (P, 3). frequencies: L. include_input: whether p itself is part of the output. pi: multiply p by π.
+    Returns (P, frequency_width(L, include_input)) float32.
+
+    NeRF Eq. 4 (arXiv:2003.08934) uses 2^k π p and no raw input. The official code, from which the published numbers
+    come, drops π and adds p: 63 outputs for L = 10, 27 for L = 4.
+    With L = 0 the output is p, whatever `include_input` says, because a network needs some input.
     """
     if frequencies == 0:
         return p
@@ -32,10 +35,11 @@ def frequency(
 
 
 def spherical_harmonics(d: Float[Tensor, "P 3"]) -> Float[Tensor, "P 16"]:
-    """The 16 real spherical harmonics of degree 0 … 3 at unit directions (P, 3), orthonormal over the sphere.
+    """The 16 real spherical harmonics of degree 0 … 3, orthonormal over the sphere.
 
-    Ordered by degree l, then order m = −l … l, with the sign convention without the Condon–Shortley phase; the
-    constants are √((2l + 1)/4π · (l − |m|)!/(l + |m|)!), times √2 where m ≠ 0.
+    d: unit directions (P, 3). Returns (P, 16), ordered by degree l, then by order m = −l … l.
+    The signs are those without the Condon–Shortley phase. The constants are
+    √((2l + 1)/4π · (l − |m|)!/(l + |m|)!), times √2 where m ≠ 0.
     """
     x, y, z = d.unbind(-1)
     xx, yy, zz = x * x, y * y, z * z

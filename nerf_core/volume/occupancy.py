@@ -1,4 +1,4 @@
-"""Which cells may hold something, learnt from the density that a field has had in them."""
+"""Learn which cells are occupied from the density that a field has in them."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from torch.nn import functional
 
 from nerf_core.volume.cells import Cells, leaps
 
-FEW = 1 << 15  # cells looked at once, where not all are
+FEW = 1 << 15  # cells in one update, unless all are updated
 
 
 class Occupancy:
-    """absorbed: (x, y, z) the optical depth that one sample would have in a cell, as last seen, decaying.
+    """An estimate of the optical depth in every cell, and the cells that it makes occupied.
 
-    A cell is taken for occupied when that is above `empty`, or above the mean of all: of a fog in which nothing stands
-    out yet the denser half stays (instant-ngp, appendix C, arXiv:2201.05989).
+    absorbed: (x, y, z), the largest optical depth that one sample had in a cell, multiplied by `decay` at each update.
+    A cell is occupied if its value is above `empty` or above the mean of all cells, whichever is lower. The mean keeps
+    the denser cells while the whole field is still thin fog (instant-ngp, appendix C, arXiv:2201.05989).
     """
 
     def __init__(self, cells: Cells, empty: float, decay: float) -> None:
@@ -25,9 +26,11 @@ class Occupancy:
         self.absorbed = torch.zeros(cells.size, device=cells.occupied.device)
 
     def update(self, tau: Callable[[Tensor], Tensor], everywhere: bool, generator: torch.Generator) -> None:
-        """Look at a random point in each cell, or of FEW random ones, half of them occupied.
+        """Sample the field at a random point of each chosen cell, and decide anew which cells are occupied.
 
         tau: points (P, 3) in [0, 1] → optical depth (P,) of one sample there.
+        everywhere: choose all cells. Otherwise FEW are drawn, half of them among the occupied ones.
+        generator: the source of the random numbers.
         """
         total = self.absorbed.numel()
         if everywhere or total <= FEW:
@@ -49,7 +52,7 @@ class Occupancy:
         self.apply()
 
     def apply(self) -> None:
-        """Cells from what they have absorbed."""
+        """Decide which cells are occupied, from `absorbed`."""
         occupied = self.absorbed > torch.clamp(self.absorbed.mean(), max=self.empty)
         if not bool(occupied.any()):
             occupied = torch.ones_like(occupied)
@@ -58,5 +61,8 @@ class Occupancy:
 
 
 def softened(raw: Tensor) -> Tensor:
-    """e^raw, a density, whose exponent stops growing at 11: beyond, a sample is opaque whatever its length."""
+    """trunc_exp: the density e^raw, with raw limited to [−15, 11].
+
+    e¹¹ ≈ 60,000 makes a sample opaque whatever its length, so that larger values would change nothing.
+    """
     return torch.exp(functional.hardtanh(raw, -15.0, 11.0))

@@ -1,4 +1,4 @@
-"""Samples packed ray after ray, as the fast methods have them, since rays need different numbers of them."""
+"""Samples stored ray after ray in one array, because the fast methods place a different number on each ray."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from torch import Tensor
 from nerf_core.geometry.rays import Rays, Samples, Trace
 from nerf_core.geometry.spaces import Space
 
-OPAQUE = 800.0  # optical depth behind which e^−τ is 0 in 64 bits
+OPAQUE = 800.0  # optical depth from which e^−τ is 0 in 64 bits
 
 
 @dataclass(frozen=True)
 class Packed:
-    """M samples, ray after ray, front to back. ends: (R + 1,) int64, where each ray's samples begin, and M.
+    """M samples of R rays, ray after ray, each ray's from front to back.
 
-    t, width: (M,) of the box rays' parameter.
+    ends: (R + 1,) int64, the row offsets: ray r has the samples ends[r] … ends[r + 1] − 1.
+    t, width: (M,), position and length of each sample, in the parameter of the box rays.
     """
 
     ends: Tensor
@@ -26,14 +27,15 @@ class Packed:
 
     @property
     def ray(self) -> Tensor:
-        """(M,) the ray of each sample."""
+        """The ray of each sample, (M,)."""
         counts = self.ends.diff()
         return torch.repeat_interleave(torch.arange(len(counts), device=counts.device), counts)
 
     def before(self, tau: Tensor) -> Tensor:
-        """Optical depth (M,) float64 in front of each sample: a running sum, less what it was where the ray began.
+        """The optical depth in front of each sample: (M,) → (M,) float64.
 
-        A sample counts as OPAQUE at most: in a sum with 10¹² nothing would be left of the others.
+        It is the running sum over all samples, minus its value where the ray begins. A sample counts as OPAQUE at
+        most, because a sum that contains 10¹² would lose the small values of the other rays.
         """
         tau = tau.double().clamp(max=OPAQUE)
         running = tau.cumsum(0) - tau
@@ -43,10 +45,11 @@ class Packed:
 
 
 def opened(name: str, space: Space, rays: Rays, packed: Packed, tau: Tensor, rgb: Tensor) -> Samples:
-    """Optical depths (M,) and colours (M, 3) of packed samples as the same number of samples on every ray.
+    """Convert packed samples to `Samples`, which have the same number of samples on every ray.
 
-    Shorter rays are filled up behind their last sample: there t and δ repeat, and nothing absorbs. A ray without any
-    has stand-ins where the box begins.
+    tau: optical depths (M,). rgb: colours (M, 3).
+    Rays with fewer samples are padded behind their last one: t and δ repeat, and the optical depth is 0. The padding
+    of a ray without samples lies where the box begins.
     """
     counts = packed.ends.diff()
     most = max(1, int(counts.max())) if len(counts) else 1
@@ -65,11 +68,11 @@ def opened(name: str, space: Space, rays: Rays, packed: Packed, tau: Tensor, rgb
     t = torch.where(some, t, boxed.near[:, None])
     delta = torch.where(some, delta, 1.0) * stretch[:, None]
     alpha = -torch.expm1(-depth)
-    # exclusive: what is in front of a sample without end must not be told from its infinite depth
+    # The sum excludes the sample itself, whose optical depth is infinite if it has no end.
     light = torch.exp(-torch.cat([torch.zeros_like(depth[:, :1]), depth[:, :-1].cumsum(-1)], -1))
     return Samples(name, space.world_t(rays, t), delta, depth / delta, alpha, light, alpha * light, color, counts)
 
 
 def to_trace(name: str, space: Space, rays: Rays, packed: Packed, tau: Tensor, rgb: Tensor, pixel: Tensor) -> Trace:
-    """The one pass that made pixels (R, 5), opened up."""
+    """The trace of rays with one pass: their samples, and the pixels (R, 5) that they composited to."""
     return Trace(space.rendering(rays, pixel), (opened(name, space, rays, packed, tau, rgb),))

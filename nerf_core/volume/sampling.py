@@ -1,4 +1,4 @@
-"""Where along a ray to look: stratified depths, and draws from a piecewise-constant density."""
+"""Place samples along rays: stratified, or drawn from a piecewise-constant distribution."""
 
 from __future__ import annotations
 
@@ -6,14 +6,18 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-# Official constant: keeps a bin of zero weight reachable, and the PDF defined on a ray that hits nothing.
+# The official code's constant. It keeps bins of zero weight reachable, and the PDF defined on a ray that hits nothing.
 PDF_FLOOR = 1e-5
 
 
 def spaced(
     near: Float[Tensor, " R"], far: Float[Tensor, " R"], count: int, disparity: bool
 ) -> Float[Tensor, "R count"]:
-    """`count` depths from near to far, ends included, (R,) → (R, count); linear in t, or in 1/t."""
+    """Evenly spaced depths from near to far, both included.
+
+    near, far: (R,). count: depths a ray. disparity: space them evenly in 1/t in place of t.
+    Returns (R, count).
+    """
     u = torch.linspace(0, 1, count, device=near.device, dtype=near.dtype)
     near, far = near[:, None], far[:, None]
     if disparity:
@@ -22,9 +26,11 @@ def spaced(
 
 
 def stratified(t: Float[Tensor, "R S"], generator: torch.Generator) -> Float[Tensor, "R S"]:
-    """Each depth (R, S) drawn anew, uniformly between the midpoints to its neighbours (half as wide at the ends).
+    """Move each depth to a uniformly random place between the midpoints to its neighbours.
 
-    The official code's form of NeRF Eq. 2, whose bins are equal.
+    t: depths (R, S), ascending. generator: the source of the random numbers. Returns (R, S), ascending.
+    This is the official code's form of NeRF Eq. 2. The equation's bins are equal; here the first and the last are half
+    as wide.
     """
     middle = (t[:, 1:] + t[:, :-1]) / 2
     lower = torch.cat([t[:, :1], middle], 1)
@@ -33,7 +39,7 @@ def stratified(t: Float[Tensor, "R S"], generator: torch.Generator) -> Float[Ten
 
 
 def cumulative(weights: Float[Tensor, "R bins"]) -> Float[Tensor, "R edges"]:
-    """The CDF (R, B + 1) at the edges of bins of such weights (R, B), from 0 to 1."""
+    """The CDF at the edges of bins, from 0 to 1: weights (R, B) → (R, B + 1)."""
     weights = weights + PDF_FLOOR
     pdf = weights / weights.sum(-1, keepdim=True)
     return torch.cat([torch.zeros_like(pdf[:, :1]), pdf.cumsum(-1)], -1)
@@ -42,20 +48,20 @@ def cumulative(weights: Float[Tensor, "R bins"]) -> Float[Tensor, "R edges"]:
 def inverse_transform(
     edges: Float[Tensor, "R edges"], weights: Float[Tensor, "R bins"], count: int, generator: torch.Generator | None
 ) -> Float[Tensor, "R count"]:
-    """`count` draws from the density that is constant within bins: NeRF, section 5.2.
+    """Draw depths from the distribution that is constant within bins, by inverting its CDF: NeRF, section 5.2.
 
-    edges: (R, B + 1) ascending; weights: (R, B) ≥ 0, their sum at most 1 but for rounding, as of compositing.
-    Uniform random draws with a generator, else evenly spaced quantiles 0 … 1. Returns (R, count), ascending without
-    a generator, unsorted with one.
+    edges: (R, B + 1), ascending. weights: (R, B) ≥ 0, such as those of compositing; a ray's sum is at most 1.
+    count: draws a ray. generator: the source of the random numbers; None: evenly spaced quantiles 0 … 1.
+    Returns (R, count): unsorted with a generator, ascending without one.
     """
     cdf = cumulative(weights)
     if generator is None:
         u = torch.linspace(0, 1, count, device=cdf.device, dtype=cdf.dtype).expand(len(cdf), count).contiguous()
     else:
         u = torch.rand(len(cdf), count, generator=generator, device=cdf.device, dtype=cdf.dtype)
-    # cdf[-1] can round to just under 1, so the bin index is clamped to the last one
+    # cdf[-1] can round to just under 1: the bin's index is limited to the last bin.
     bins = (torch.searchsorted(cdf, u, right=True) - 1).clamp(0, weights.shape[-1] - 1)
     low, high = cdf.gather(-1, bins), cdf.gather(-1, bins + 1)
     left, right = edges.gather(-1, bins), edges.gather(-1, bins + 1)
-    width = high - low  # at least PDF_FLOOR / (1 + B · PDF_FLOOR) > 0: the floor above is what makes this division safe
+    width = high - low  # at least PDF_FLOOR / (1 + B · PDF_FLOOR) > 0, so that the division is safe
     return left + (right - left) * ((u - low) / width).clamp(0, 1)

@@ -1,7 +1,7 @@
-"""Rows of parameters at the vertices of the cells that may hold something; empty space has none.
+"""A sparse grid of parameters: one row for each vertex of an occupied cell, none in empty space.
 
-Vertices are stored in bricks of 4 × 4 × 4, z fastest, one row of 16 float32 each: 3 × 4 spherical-harmonic coefficients
-of colour, the raw density, and padding to one cache line. `table` says which brick is stored where.
+Vertices are stored in bricks of 4 × 4 × 4, z fastest. A row has 16 float32: 3 × 4 spherical-harmonic coefficients of
+colour, the raw density, and padding to one cache line. `table` says where each brick is stored.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ DENSITY = 12  # where a row's raw density lies
 
 
 class GridArrays(NamedTuple):
-    """What the kernels read: numpy views of a `VoxelGrid`; the fields of `CellArrays`, and `table`."""
+    """Numpy views of a `VoxelGrid`, for the kernels: the fields of `CellArrays`, and `table`."""
 
     origin: np.ndarray
     scale: np.ndarray
@@ -36,14 +36,18 @@ class GridArrays(NamedTuple):
 
 @dataclass(frozen=True)
 class VoxelGrid(Cells):
-    """table: bricks of vertices (bx, by, bz) int32, −1 where none is stored. rows: (M, 16) float32."""
+    """Cells with parameters at their vertices.
+
+    table: (bx, by, bz) int32, the number of each brick in `rows`, −1 where none is stored.
+    rows: (64 · bricks, 16) float32, brick after brick.
+    """
 
     table: Tensor
     rows: Tensor
 
     @staticmethod
     def over(origin: np.ndarray, voxel: np.ndarray, occupied: Tensor, contracted: bool) -> VoxelGrid:
-        """A grid of zeros for these cells."""
+        """A grid of zeros with bricks for all occupied cells; for the arguments see `Cells`."""
         bricks = bricks_of(occupied)
         table = torch.full(bricks.shape, -1, dtype=torch.int32, device=occupied.device)
         count = int(bricks.sum())
@@ -53,18 +57,20 @@ class VoxelGrid(Cells):
         return VoxelGrid((x, y, z), origin, voxel, contracted, occupied, leaps(occupied), table, rows)
 
     def arrays(self) -> GridArrays:
+        """The arrays that the CPU kernels read."""
         return GridArrays(*self.cell_arrays(), self.table.numpy().ravel())
 
     @property
     def bricks(self) -> int:
+        """Number of bricks that are stored."""
         return len(self.rows) // ROWS
 
     def with_cells(self, occupied: Tensor) -> VoxelGrid:
-        """The same rows with some cells fewer."""
+        """The same rows, with fewer occupied cells."""
         return replace(self, occupied=occupied, leap=leaps(occupied))
 
     def dense(self, values: Tensor) -> Tensor:
-        """One value a row (M,) → one a vertex (x + 1, y + 1, z + 1), zero where none is stored."""
+        """Spread one value a row (M,) over the whole grid: (x + 1, y + 1, z + 1), zero where no row is stored."""
         bricks = torch.zeros(*self.table.shape, ROWS, dtype=values.dtype, device=values.device)
         bricks[self.table >= 0] = values.view(-1, ROWS)
         shape = [BRICK * n for n in self.table.shape]
@@ -73,11 +79,11 @@ class VoxelGrid(Cells):
         return whole[: x + 1, : y + 1, : z + 1]
 
     def places(self) -> Tensor:
-        """(M / 64, 3) int64: where in the table the bricks lie, in the order of their rows."""
-        return (self.table >= 0).nonzero().contiguous()  # torch gives it column by column
+        """Where the bricks lie in the table, in the order of their rows: (bricks, 3) int64."""
+        return (self.table >= 0).nonzero().contiguous()  # nonzero returns it column by column
 
     def row_of(self, vertex: Tensor) -> Tensor:
-        """(P, 3) vertices → rows (P,), −1 where none is stored or outside."""
+        """The rows of vertices: (P, 3) int64 → (P,) int64, −1 outside of the grid and where no row is stored."""
         most = BRICK * torch.tensor(self.table.shape, device=vertex.device)
         inside = ((vertex >= 0) & (vertex < most)).all(-1)
         v = torch.where(inside[:, None], vertex, 0)
@@ -88,7 +94,10 @@ class VoxelGrid(Cells):
         return torch.where(inside & (brick >= 0), row, -1)
 
     def interpolate(self, cell: Tensor, within: Tensor) -> Tensor:
-        """Trilinear rows (P, 16) in cells (P, 3) at `within` (P, 3); vertices that are not stored count as zero."""
+        """Interpolate rows trilinearly. Vertices without a row count as zero.
+
+        cell: (P, 3) int64. within: (P, 3) in [0, 1], the position in the cell. Returns (P, 16).
+        """
         corners = torch.cartesian_prod(*[torch.arange(2, device=cell.device)] * 3)
         weight = torch.where(corners == 1, within[:, None], 1 - within[:, None]).prod(-1)
         row = self.row_of((cell[:, None] + corners).view(-1, 3)).view(-1, len(corners))
@@ -96,16 +105,20 @@ class VoxelGrid(Cells):
         return torch.einsum("pc,pcw->pw", weight, self.rows[row.clamp(min=0)])
 
     def vertices(self, first: int = 0, last: int | None = None) -> Tensor:
-        """(64 · bricks, 3) int64: the vertex of each row of bricks first ≤ b < last."""
+        """The vertex of each row of the bricks first ≤ b < last: (64 · bricks, 3) int64."""
         brick = self.places()[first:last]
         inside = torch.cartesian_prod(*[torch.arange(BRICK, device=brick.device)] * 3)
         return (BRICK * brick[:, None] + inside).reshape(-1, 3)
 
     def at_vertex(self, other: VoxelGrid) -> tuple[np.ndarray, np.ndarray]:
-        """(first, step), each (3,): in cells of this grid, vertex v of the `other` lies at first + v · step."""
+        """Where the vertices of the `other` grid lie in this one.
+
+        Returns first and step, each (3,): in cells of this grid, vertex v of the other lies at first + v · step.
+        """
         return (other.origin - self.origin) / self.voxel, other.voxel / self.voxel
 
     def state(self) -> dict[str, Tensor]:
+        """The tensors of a checkpoint."""
         return {
             "origin": torch.from_numpy(self.origin), "voxel": torch.from_numpy(self.voxel),
             "occupied": self.occupied, "bricks": self.table >= 0, "rows": self.rows,
@@ -113,7 +126,10 @@ class VoxelGrid(Cells):
 
     @staticmethod
     def restored(state: Mapping[str, Tensor], contracted: bool) -> VoxelGrid:
-        """The grid of `state()`. Raises ValueError where it is not whole: kernels trust table and cells blindly."""
+        """The grid that `state()` described.
+
+        Raises ValueError if the tensors do not fit each other: the kernels check neither table nor cells.
+        """
         occupied, bricks, rows = state["occupied"], state["bricks"], state["rows"]
         origin, voxel = (state[name].cpu().numpy().astype(np.float64) for name in ("origin", "voxel"))
         sound = (
@@ -132,12 +148,12 @@ class VoxelGrid(Cells):
         table = torch.full(bricks.shape, -1, dtype=torch.int32, device=rows.device)
         table[bricks] = torch.arange(count, dtype=torch.int32, device=rows.device)
         x, y, z = occupied.shape
-        own = torch.empty_like(rows).copy_(rows)  # aligned as kernels need it, and not the caller's
+        own = torch.empty_like(rows).copy_(rows)  # a copy: kernels change it in place, and need its alignment
         return VoxelGrid((x, y, z), origin, voxel, contracted, occupied.clone(), leaps(occupied), table, own)
 
 
 def bricks_of(occupied: Tensor) -> Tensor:
-    """Cells (x, y, z) bool → the bricks (bx, by, bz) bool that hold their vertices."""
+    """The bricks that hold the vertices of cells: (x, y, z) bool → (bx, by, bz) bool."""
     x, y, z = occupied.shape
     vertices = torch.zeros([BRICK * (n // BRICK + 1) for n in (x, y, z)], dtype=torch.bool, device=occupied.device)
     for a in (0, 1):
