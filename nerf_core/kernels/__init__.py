@@ -1,1 +1,1 @@
-"""The hot loops behind one interface, in torch, numba and Triton."""
+"""The hot loops of the fast methods behind two interfaces, implemented in torch, numba and Triton."""

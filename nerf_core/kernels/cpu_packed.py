@@ -1,7 +1,7 @@
-"""Packed samples and the hash grid on a CPU: numba's loops over a fixed number of shards.
+"""Packed samples and the hash grid on a CPU: numba's loops, run over shards in threads.
 
-Rays, points and levels are shared out by position, and no two shards write to one place: results do not depend on
-timing, nor on how many shards there are.
+Rays, points and levels are divided into shards by position, and no two shards write to the same place. So the results
+depend neither on timing nor on the number of shards.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ class CpuPacked:
 
     def __init__(self, shards: int) -> None:
         self.shards = shards
-        self._average = 32.0  # samples a ray: how much room the next march is given, at first
+        self._average = 32.0  # samples a ray, from which the next march's capacity is chosen; at first a guess
 
-    def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor, room: int = 0) -> Samples:
+    def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor, capacity: int = 0) -> Samples:
         arrays, given = cells.cell_arrays(), ray_arrays(rays, offsets)
         longest = int(1.5 * sum(cells.size) / step) + 8  # as in `cpu_voxels`
         counts = torch.zeros(len(rays), dtype=torch.long)
@@ -42,23 +42,23 @@ class CpuPacked:
         def work(s: int) -> None:
             first, last = split(len(rays), shards, s)
             notes = torch.empty(longest * NOTES).numpy()
-            room = int(2 * self._average * (last - first)) + longest
+            capacity = int(2 * self._average * (last - first)) + longest
             while True:
-                x, t, width = torch.empty(room, 3), torch.empty(room), torch.empty(room)
+                x, t, width = torch.empty(capacity, 3), torch.empty(capacity), torch.empty(capacity)
                 found = loops.march_all(
                     arrays, given, first, last, np.float32(step), notes, x.numpy(), t.numpy(), width.numpy(),
                     counts.numpy(),
                 )  # fmt: skip
-                if found < room:
+                if found < capacity:
                     break
-                room *= 2
+                capacity *= 2
             parts[s] = x[:found], t[:found], width[:found]
 
         each_shard(shards, work)
         x, t, width = (torch.cat(v) for v in zip(*parts, strict=True))
         self._average = max(1.0, len(t) / max(1, len(rays)))
         samples = Samples(torch.cat([counts.new_zeros(1), counts.cumsum(0)]), t, width, x)
-        return samples.fitted(room) if room else samples
+        return samples.fitted(capacity) if capacity else samples
 
     def encode(self, table: Tensor, levels: HashLevels, x: Tensor) -> Tensor:
         features = torch.empty(len(x), table.shape[0] * table.shape[2])
@@ -73,9 +73,9 @@ class CpuPacked:
         each_shard(self.shards, lambda s: loops.encode_gradient(*given, *split(count, self.shards, s), out))
 
     def composite(self, tau: Tensor, rgb: Tensor, samples: Packed, background: Tensor) -> Tensor:
-        count = len(samples.ends) - 1
+        count = len(samples.row_offsets) - 1
         pixel = torch.empty(count, 5)
-        given = [v.contiguous().numpy() for v in (tau, rgb, samples.t, samples.ends, background)]
+        given = [v.contiguous().numpy() for v in (tau, rgb, samples.t, samples.row_offsets, background)]
         out, shards = pixel.numpy(), shards_of(count, self.shards)
         each_shard(shards, lambda s: loops.composite(*given, *split(count, shards, s), out))
         return pixel
@@ -83,9 +83,9 @@ class CpuPacked:
     def composite_gradient(
         self, gradient: Tensor, tau: Tensor, rgb: Tensor, samples: Packed, background: Tensor
     ) -> tuple[Tensor, Tensor]:
-        count = len(samples.ends) - 1
+        count = len(samples.row_offsets) - 1
         by_tau, by_rgb = torch.zeros_like(tau), torch.zeros_like(rgb)  # samples behind the last ray have no gradient
-        given = [v.contiguous().numpy() for v in (gradient, tau, rgb, samples.ends, background)]
+        given = [v.contiguous().numpy() for v in (gradient, tau, rgb, samples.row_offsets, background)]
         out = by_tau.numpy(), by_rgb.numpy()
         each_shard(self.shards, lambda s: loops.composite_gradient(*given, *split(count, self.shards, s), *out))
         return by_tau, by_rgb
@@ -99,7 +99,7 @@ class CpuPacked:
 
 @cache
 def compile_loops() -> None:
-    """Have every loop compiled, or read from numba's cache, before anything waits for it."""
+    """Compile every loop, or read it from numba's cache, so that no step has to wait for it later."""
     cells = Cells.of(np.zeros(3), np.ones(3), torch.ones(2, 2, 2, dtype=torch.bool), contracted=False)
     one = torch.ones(1, 3) / 3**0.5
     rays = BoxRays(-one, one, one, torch.zeros(1), torch.full((1,), 9.0))

@@ -1,4 +1,4 @@
-"""Rays as numba's loops take them."""
+"""Rays in the form that numba's loops read."""
 
 from __future__ import annotations
 
@@ -20,6 +20,6 @@ class RayArrays(NamedTuple):
 
 
 def ray_arrays(rays: BoxRays, offsets: Tensor) -> RayArrays:
-    """offsets: (R,) where each ray's first sample lies in its step."""
+    """Numpy views of rays. offsets: (R,), where each ray's first sample lies in its step, 0 … 1."""
     given = rays.origins, rays.directions, rays.views, rays.near, rays.far, offsets
     return RayArrays(*(v.contiguous().numpy() for v in given))

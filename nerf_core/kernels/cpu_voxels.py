@@ -1,7 +1,7 @@
-"""The voxel grid on a CPU: numba's loops over a fixed number of shards, each with gradients of its own.
+"""The voxel grid on a CPU: numba's loops, run over shards in threads. Each shard has its own gradients.
 
-Rays are shared out by position and gradients added up in the order of the shards: the same seed and thread count give
-the same weights, bit for bit.
+Rays are divided into shards by position, and gradients are summed in the order of the shards. So the same seed and
+thread count give the same weights, bit for bit.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from nerf_core.kernels.cpu_rays import ray_arrays
 from nerf_core.kernels.voxel_kernels import Adam, March, Traced
 from nerf_core.volume.voxel_grid import ROWS, WIDTH, VoxelGrid
 
-ROOM = 24  # samples a ray that a trace first makes room for
+FIRST_CAPACITY = 24  # samples a ray that a trace allocates first
 
 
 class _Scratch(NamedTuple):
@@ -43,7 +43,7 @@ class CpuVoxels:
 
     def _begin(self, shards: int) -> None:
         self.shards = shards
-        self._grid: VoxelGrid | None = None  # what the buffers below fit
+        self._grid: VoxelGrid | None = None  # the grid that the buffers below have the size of
         self._gradient = np.zeros((shards, 0), np.float32)
         self._touched = np.zeros((shards, 0), np.uint64)
         self._visible = self._touched
@@ -75,24 +75,24 @@ class CpuVoxels:
 
         def work(s: int) -> None:
             first, last = split(len(rays), shards, s)
-            room = ROOM * (last - first) + longest
+            capacity = FIRST_CAPACITY * (last - first) + longest
             while True:
-                kept = torch.empty(room, note.NOTES)
+                kept = torch.empty(capacity, note.NOTES)
                 found = loops.trace(
                     arrays, given, first, last, np.float32(how.step), np.float32(how.bias), rows, background,
                     scratch[s], pixel.numpy(), kept.numpy(), counts.numpy(),
                 )  # fmt: skip
-                if found <= room:
+                if found <= capacity:
                     break
-                room = found
+                capacity = found
             parts[s] = kept[:found]
 
         each_shard(shards, work)
         notes = torch.cat(parts)
         return Traced(
-            ends=torch.cat([counts.new_zeros(1), counts.cumsum(0)]), t=notes[:, note.DISTANCE],
+            row_offsets=torch.cat([counts.new_zeros(1), counts.cumsum(0)]), t=notes[:, note.DISTANCE],
             width=notes[:, note.WIDTH], raw=notes[:, note.RAW], alpha=notes[:, note.ALPHA],
-            light=notes[:, note.LIGHT], rgb=notes[:, note.RED : note.RED + 3], pixel=pixel,
+            transmittance=notes[:, note.TRANSMITTANCE], rgb=notes[:, note.RED : note.RED + 3], pixel=pixel,
         )  # fmt: skip
 
     def resample(self, old: VoxelGrid, new: VoxelGrid, first: int, last: int) -> None:
@@ -142,13 +142,13 @@ class CpuVoxels:
         self._visible[:] = 0
         self._visible[0] = np.packbits(seen.numpy(), bitorder="little").view(np.uint64)
 
-    def update(self, grid: VoxelGrid, moments: Tensor, average: Tensor, adam: Adam) -> None:
+    def update(self, grid: VoxelGrid, moments: Tensor, ema: Tensor, adam: Adam) -> None:
         self._fit(grid)
-        rows, slots, means = (v.numpy().ravel() for v in (grid.rows, moments, average))
+        rows, slots, emas = (v.numpy().ravel() for v in (grid.rows, moments, ema))
 
         def work(s: int) -> None:
             first, last = split(grid.bricks, self.shards, s)
-            loops.adam(first, last, rows, slots, means, self._gradient, self._touched, *(np.float32(v) for v in adam))
+            loops.adam(first, last, rows, slots, emas, self._gradient, self._touched, *(np.float32(v) for v in adam))
 
         each_shard(self.shards, work)
 
@@ -160,8 +160,8 @@ class CpuVoxels:
         self._grid = grid
 
     def _buffers(self, grid: VoxelGrid, how: March) -> list[_Scratch]:
-        # a ray crosses at most as many cells as the box has along its three sides together; a bent one may take
-        # a little longer
+        # A straight ray crosses at most as many cells as the box has along its three sides together. A ray that is
+        # bent by contraction may cross a few more.
         capacity = int(1.5 * sum(grid.size) / how.step) + 8
         if not self._scratch or len(self._scratch[0].corners) < 8 * capacity:
             self._scratch = [_scratch(capacity) for _ in range(self.shards)]
@@ -169,7 +169,7 @@ class CpuVoxels:
 
 
 def _scratch(samples: int) -> _Scratch:
-    """Torch's tensors begin at a cache line, as the loops' vectors must."""
+    """Buffers for so many samples. They are made by torch, whose tensors begin at a cache line, as vectors must."""
     return _Scratch(
         torch.empty(8 * samples, dtype=torch.int64).numpy(), torch.empty(8 * samples).numpy(), torch.zeros(64).numpy(),
         torch.empty(note.NOTES * samples).numpy(),
@@ -178,7 +178,7 @@ def _scratch(samples: int) -> _Scratch:
 
 @cache
 def _compile() -> None:
-    """Have every loop compiled, or read from numba's cache, before anything waits for it."""
+    """Compile every loop, or read it from numba's cache, so that no step has to wait for it later."""
     grid = VoxelGrid.over(np.zeros(3), np.ones(3), torch.ones(2, 2, 2, dtype=torch.bool), contracted=False)
     one = torch.ones(1, 3) / 3**0.5
     rays = BoxRays(-one, one, one, torch.zeros(1), torch.full((1,), 9.0))

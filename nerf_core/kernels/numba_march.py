@@ -1,7 +1,7 @@
-"""How a ray finds its samples on a CPU: steps of equal length through occupied cells, leaps over empty blocks.
+"""March along a ray on a CPU: steps of equal length through occupied cells, leaps over empty blocks.
 
-`cells` is `nerf_core.volume.cells.CellArrays`. `nerf_core.kernels.torch_march` is the plain reference. All is
-float32: an integer among the operands would silently make it float64.
+`nerf_core.kernels.torch_march` is the plain reference. `cells` is `nerf_core.volume.cells.CellArrays`.
+All arithmetic is float32. An integer among the operands would silently make it float64.
 """
 
 from __future__ import annotations
@@ -15,25 +15,25 @@ from nerf_core.common.jit.vectors import jit
 
 F = np.float32
 NEVER = F(1e30)
-STEPPED = F(2**-22)  # of t: two of float32's; a shorter step might leave t where it is, and the march would never end
-STRAIGHT = F(0.1)  # of its distance from the centre: so far a contracted ray counts as straight when it leaps
-NEARING = F(0.25)  # of the same: the longest step of one that comes nearer; far outside one step would cross the scene
-# What a ray keeps of each sample, in one row of `notes`. Its cell and the place in it make way for what is found there.
-# The cell is kept, not found again: a point that is rounded once more on its way through memory might by then lie in
-# the empty neighbour.
-ALPHA, LIGHT, RED, GREEN, BLUE, RAW, DISTANCE, WIDTH, NOTES = 0, 1, 2, 3, 4, 5, 6, 7, 8
-CELL_X, CELL_Y, CELL_Z, X, Y, Z = ALPHA, LIGHT, RAW, RED, GREEN, BLUE
+STEPPED = F(2**-22)  # shortest step, relative to t: two float32 spacings. A shorter one might not change t at all.
+STRAIGHT = F(0.1)  # longest leap of a contracted ray, relative to its distance from the centre: it curves
+NEARING = F(0.25)  # longest step towards the centre, relative to the same: far outside one would cross the scene
+# The columns of `notes`, one row a sample. The cell and the position in it are overwritten by the results there.
+# The cell is stored rather than computed again from the position: after one more rounding the position might lie in
+# the neighbouring cell, which may be empty.
+ALPHA, TRANSMITTANCE, RED, GREEN, BLUE, RAW, DISTANCE, WIDTH, NOTES = 0, 1, 2, 3, 4, 5, 6, 7, 8
+CELL_X, CELL_Y, CELL_Z, X, Y, Z = ALPHA, TRANSMITTANCE, RAW, RED, GREEN, BLUE
 
 
 @jit
 def _gap(x: Any, v: Any, low: Any, high: Any) -> Any:
-    """After how much t a point at x with velocity v leaves [low, high]; never, where it moves along it."""
+    """The t until a point at x with velocity v leaves [low, high]; NEVER for v = 0."""
     return NEVER if v == 0 else max((low - x) / v, (high - x) / v)
 
 
 @jit
 def _clipped(x: Any, v: Any, side: Any, first: Any, last: Any) -> Any:
-    """[first, last] of t cut to where x + t v lies in [0, side]; empty where it never does."""
+    """The part of [first, last] in which x + t v lies in [0, side]; empty if there is none."""
     if v == 0:
         return (first, last) if 0 <= x <= side else (first, F(-1))
     a, b = -x / v, (side - x) / v
@@ -42,7 +42,7 @@ def _clipped(x: Any, v: Any, side: Any, first: Any, last: Any) -> Any:
 
 @jit
 def _bent(wx: Any, wy: Any, wz: Any, dx: Any, dy: Any, dz: Any) -> Any:
-    """Under contraction x → f x with f = (2 − s) s, s = 1/‖x‖∞, its velocity is f d + f′ x: returns f, f′ and ‖x‖∞."""
+    """f, f′ and ‖x‖∞ of a contracted point x → f x, f = (2 − s) s, s = 1/‖x‖∞. Its velocity is f d + f′ x."""
     ax, ay, az = abs(wx), abs(wy), abs(wz)
     norm = max(ax, ay, az)
     if norm <= 1:
@@ -59,14 +59,17 @@ def _bent(wx: Any, wy: Any, wz: Any, dx: Any, dy: Any, dz: Any) -> Any:
 
 @jit
 def march(cells: Any, rays: Any, r: Any, step: Any, notes: Any) -> Any:  # noqa: PLR0915  one loop, with all that it needs in registers
-    """Samples of ray r in occupied cells, front to back: their cell, place in it, t and Δt; returns how many."""
+    """Find the samples of ray r in occupied cells, front to back.
+
+    Writes each one's cell, position in it, t and Δt to `notes`. Returns how many there are.
+    """
     nx, ny, nz = cells.size[0], cells.size[1], cells.size[2]
     blocks_y, blocks_z = (ny + 3) >> 2, (nz + 3) >> 2
     sx, sy, sz = cells.scale[0], cells.scale[1], cells.scale[2]
     bx, by, bz = cells.origin[0], cells.origin[1], cells.origin[2]
     ox, oy, oz = rays.origins[r, 0], rays.origins[r, 1], rays.origins[r, 2]
     dx, dy, dz = rays.directions[r, 0], rays.directions[r, 1], rays.directions[r, 2]
-    # position and velocity in cells, where space is not contracted
+    # position and velocity in cells, as they are without contraction
     gx, gy, gz = (ox - bx) * sx, (oy - by) * sy, (oz - bz) * sz
     vx, vy, vz = dx * sx, dy * sy, dz * sz
     ux, uy, uz = vx, vy, vz
@@ -75,9 +78,9 @@ def march(cells: Any, rays: Any, r: Any, step: Any, notes: Any) -> Any:  # noqa:
         t, last = _clipped(gx, vx, F(nx), t, last)
         t, last = _clipped(gy, vy, F(ny), t, last)
         t, last = _clipped(gz, vz, F(nz), t, last)
-    length = math.sqrt(dx * dx + dy * dy + dz * dz)  # in box coordinates, as the norm is, of a unit of t
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)  # of a unit of t, in box coordinates like the norm
     straight = step / math.sqrt(vx * vx + vy * vy + vz * vz)
-    if not (straight > 0 and F(0) * (ox + oy + oz) == 0):  # not a ray: something in it is no number
+    if not (straight > 0 and F(0) * (ox + oy + oz) == 0):  # NaN or infinity in the ray: it has no samples
         return 0
     t += rays.offsets[r] * straight
     capacity = notes.shape[0] // NOTES
@@ -96,13 +99,13 @@ def march(cells: Any, rays: Any, r: Any, step: Any, notes: Any) -> Any:  # noqa:
                 if slope > 0:
                     dt = min(dt, NEARING * norm / length)
         dt = max(dt, t * STEPPED)
-        # outside by rounding, on the border; or no number at all, of which a cell's index must not be made
+        # Outside by rounding at the border; or NaN, which must not become the index of a cell.
         if not (px >= 0 and py >= 0 and pz >= 0 and px < F(nx) and py < F(ny) and pz < F(nz)):
             t += dt
             continue
         i, j, k = int(px), int(py), int(pz)
         leap = cells.leap[np.uint64(((i >> 2) * blocks_y + (j >> 2)) * blocks_z + (k >> 2))]
-        if leap > 0:  # nothing within leap − 1 blocks of this one: to the far side of that cube
+        if leap > 0:  # the blocks up to leap − 1 away are empty: go to the far side of the cube that they form
             reach = 4 * (np.int64(leap) - 1)
             x, y, z = F((i & ~3) - reach), F((j & ~3) - reach), F((k & ~3) - reach)
             side = F(4 + 2 * reach)

@@ -1,4 +1,4 @@
-"""The hash grid's and packed samples' hot loops for a CPU; `nerf_core.kernels.torch_packed` says the same plainly."""
+"""The hot loops of packed samples and the hash grid for a CPU. Reference: `nerf_core.kernels.torch_packed`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ P1, P2 = np.uint32(2654435761), np.uint32(805459861)
 def march_all(
     cells: Any, rays: Any, first: Any, last: Any, step: Any, notes: Any, x: Any, t: Any, width: Any, counts: Any
 ) -> Any:
-    """Samples of rays first ≤ r < last, one ray after another; returns how many. Stops early where x is full."""
+    """Find the samples of rays first ≤ r < last, ray after ray; returns how many. Stops early when x is full."""
     nx, ny, nz = F(cells.size[0]), F(cells.size[1]), F(cells.size[2])
     at = 0
     for r in range(first, last):
@@ -75,7 +75,7 @@ def _corners(x: Any, m: Any, n: Any, mask: Any, dense: Any, rows: Any, weights: 
 
 @jit
 def encode(table: Any, resolutions: Any, x: Any, first: Any, last: Any, features: Any) -> None:
-    """Writes the features of points first ≤ m < last, level by level: one level's table stays in the cache."""
+    """Write the features of points first ≤ m < last, level by level, so that one level's table stays in the cache."""
     levels, size, width = table.shape
     mask = np.uint32(size - 1)
     rows, weights = np.empty(8, np.int64), np.empty(8, np.float32)
@@ -105,7 +105,7 @@ def encode(table: Any, resolutions: Any, x: Any, first: Any, last: Any, features
 
 @jit
 def encode_gradient(gradient: Any, resolutions: Any, x: Any, first: Any, last: Any, into: Any) -> None:
-    """Adds to the gradient of the levels first ≤ l < last: each level belongs to one shard, so that nothing races."""
+    """Add to the gradient of the levels first ≤ l < last. Each level belongs to one shard, so that there is no race."""
     _, size, width = into.shape
     mask = np.uint32(size - 1)
     rows, weights = np.empty(8, np.int64), np.empty(8, np.float32)
@@ -130,51 +130,62 @@ def encode_gradient(gradient: Any, resolutions: Any, x: Any, first: Any, last: A
 
 
 @jit
-def composite(tau: Any, rgb: Any, t: Any, ends: Any, background: Any, first: Any, last: Any, pixel: Any) -> None:
+def composite(tau: Any, rgb: Any, t: Any, row_offsets: Any, background: Any, first: Any, last: Any, pixel: Any) -> None:
     for r in range(first, last):
-        light, red, green, blue, far = F(1), F(0), F(0), F(0), F(0)
-        for s in range(ends[r], ends[r + 1]):
+        transmittance, red, green, blue, far = F(1), F(0), F(0), F(0), F(0)
+        for s in range(row_offsets[r], row_offsets[r + 1]):
             left = exp(-tau[s])
-            w = light * (F(1) - left)
+            w = transmittance * (F(1) - left)
             red += w * rgb[s, 0]
             green += w * rgb[s, 1]
             blue += w * rgb[s, 2]
             far += w * t[s]
-            light *= left
-        pixel[r, 0] = red + light * background[0]
-        pixel[r, 1] = green + light * background[1]
-        pixel[r, 2] = blue + light * background[2]
-        pixel[r, 3] = F(1) - light
+            transmittance *= left
+        pixel[r, 0] = red + transmittance * background[0]
+        pixel[r, 1] = green + transmittance * background[1]
+        pixel[r, 2] = blue + transmittance * background[2]
+        pixel[r, 3] = F(1) - transmittance
         pixel[r, 4] = far
 
 
 @jit
 def composite_gradient(
-    gradient: Any, tau: Any, rgb: Any, ends: Any, background: Any, first: Any, last: Any, by_tau: Any, by_rgb: Any
+    gradient: Any,
+    tau: Any,
+    rgb: Any,
+    row_offsets: Any,
+    background: Any,
+    first: Any,
+    last: Any,
+    by_tau: Any,
+    by_rgb: Any,
 ) -> None:
-    """∂C/∂τ_i = T_{i+1} c_i − S_i with S_i = Σ_{j>i} w_j c_j + T_end · background: once there for T, and back for S."""
+    """∂C/∂τ_i = T_{i+1} c_i − S_i with S_i = Σ_{j>i} w_j c_j + T_end · background.
+
+    One pass from the front computes T, one from the back S.
+    """
     for r in range(first, last):
         gr, gg, gb = gradient[r, 0], gradient[r, 1], gradient[r, 2]
-        light = F(1)
-        for s in range(ends[r], ends[r + 1]):
+        transmittance = F(1)
+        for s in range(row_offsets[r], row_offsets[r + 1]):
             left = exp(-tau[s])
-            w = light * (F(1) - left)
+            w = transmittance * (F(1) - left)
             by_rgb[s, 0], by_rgb[s, 1], by_rgb[s, 2] = w * gr, w * gg, w * gb
-            light *= left
-            by_tau[s] = light  # T_{i+1}, until the way back
-        behind = light * (background[0] * gr + background[1] * gg + background[2] * gb)
-        for q in range(ends[r + 1] - ends[r]):
-            s = ends[r + 1] - 1 - q
+            transmittance *= left
+            by_tau[s] = transmittance  # T_{i+1}, for the pass from the back
+        behind = transmittance * (background[0] * gr + background[1] * gg + background[2] * gb)
+        for q in range(row_offsets[r + 1] - row_offsets[r]):
+            s = row_offsets[r + 1] - 1 - q
             by_tau[s] = by_tau[s] * (rgb[s, 0] * gr + rgb[s, 1] * gg + rgb[s, 2] * gb) - behind
             behind += by_rgb[s, 0] * rgb[s, 0] + by_rgb[s, 1] * rgb[s, 1] + by_rgb[s, 2] * rgb[s, 2]
 
 
 @jit
 def adam(
-    table: Any, gradient: Any, mean: Any, square: Any, first: Any, last: Any, rate: Any, warm: Any, warm_square: Any,
-    beta1: Any, beta2: Any, epsilon: Any,
+    table: Any, gradient: Any, mean: Any, square: Any, first: Any, last: Any, rate: Any, correction1: Any,
+    correction2: Any, beta1: Any, beta2: Any, epsilon: Any,
 ) -> None:  # fmt: skip
-    """On rows first ≤ r < last of (rows, F) arrays that have a gradient, which is cleared."""
+    """One step of Adam on the rows first ≤ r < last that have a gradient; the gradient is then cleared."""
     width = table.shape[1]
     for r in range(first, last):
         some = F(0)
@@ -187,5 +198,5 @@ def adam(
             m = beta1 * mean[r, f] + (F(1) - beta1) * g
             v = beta2 * square[r, f] + (F(1) - beta2) * g * g
             mean[r, f], square[r, f] = m, v
-            table[r, f] -= rate * (m * warm) / (math.sqrt(v * warm_square) + epsilon)
+            table[r, f] -= rate * (m * correction1) / (math.sqrt(v * correction2) + epsilon)
             gradient[r, f] = F(0)

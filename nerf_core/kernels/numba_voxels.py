@@ -1,6 +1,6 @@
-"""The voxel grid's hot loops for a CPU: march, interpolate, composite and their backward pass in one function.
+"""The hot loops of the voxel grid for a CPU: march, interpolate, composite, and the backward pass, in one function.
 
-What they compute is written down plainly in `nerf_core.kernels.torch_voxels`; `grid` is `VoxelGrid.arrays()`.
+The plain reference is `nerf_core.kernels.torch_voxels`. `grid` is what `VoxelGrid.arrays()` returns.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from nerf_core.kernels.numba_march import (
     CELL_Z,
     DISTANCE,
     GREEN,
-    LIGHT,
     NOTES,
     RAW,
     RED,
+    TRANSMITTANCE,
     X,
     Y,
     Z,
@@ -30,13 +30,13 @@ from nerf_core.kernels.numba_march import (
 )  # fmt: skip
 
 F = np.float32
-STOP = F(1e-3)  # transmittance at which nothing behind can still change an 8-bit pixel by one step
+STOP = F(1e-3)  # transmittance below which the rest of a ray changes an 8-bit pixel by less than one level
 SH0, SH1 = F(0.28209479), F(0.48860251)  # 1/√4π, √(3/4π)
 
 
 @jit
 def _corners(i: Any, j: Any, k: Any, ny: Any, nz: Any, table: Any, corners: Any, at: Any) -> None:
-    """Offsets of the 8 vertices' rows of cell (i, j, k), z fastest; ny, nz: bricks a side."""
+    """The offsets in `rows` of the 8 vertices of cell (i, j, k), z fastest. ny, nz: bricks along y and z."""
     li, lj, lk = i & 3, j & 3, k & 3
     if li < 3 and lj < 3 and lk < 3:  # all in one brick
         base = np.int64(table[np.uint64(((i >> 2) * ny + (j >> 2)) * nz + (k >> 2))])
@@ -72,7 +72,7 @@ def _weigh(fx: Any, fy: Any, fz: Any, weights: Any, at: Any) -> None:
 
 @jit
 def _place(grid: Any, n: Any, rows: Any, corners: Any, weights: Any, notes: Any) -> None:
-    """Corners and weights of n samples; asks the memory for their rows."""
+    """Compute the corners and weights of n samples, and prefetch their rows."""
     bricks_y, bricks_z = (grid.size[1] >> 2) + 1, (grid.size[2] >> 2) + 1
     for s in range(n):
         at = s * NOTES
@@ -87,8 +87,11 @@ def _composite(
     n: Any, basis: Any, step: Any, bias: Any, rows: Any, corners: Any, weights: Any, values: Any, notes: Any,
     gradient: Any, train: Any, pixel: Any, r: Any, background: Any,
 ) -> Any:  # fmt: skip
-    """Evaluate n samples until the light is gone; writes colour, opacity, Σwt of pixel r; returns how many counted."""
-    light = F(1)
+    """Composite up to n samples, until the transmittance is below STOP.
+
+    Writes colour, opacity and Σ w t of pixel r. Returns how many samples it used.
+    """
+    transmittance = F(1)
     red, green, blue, far = F(0), F(0), F(0), F(0)
     y0, y1, y2, y3 = basis[0], basis[1], basis[2], basis[3]
     used = n
@@ -102,27 +105,27 @@ def _composite(
         g0 = y0 * values[4] + y1 * values[5] + y2 * values[6] + y3 * values[7]
         b0 = y0 * values[8] + y1 * values[9] + y2 * values[10] + y3 * values[11]
         r1, g1, b1 = F(1) / (F(1) + exp(-r0)), F(1) / (F(1) + exp(-g0)), F(1) / (F(1) + exp(-b0))
-        w = light * (F(1) - left)
+        w = transmittance * (F(1) - left)
         red += w * r1
         green += w * g1
         blue += w * b1
         far += w * notes[at + DISTANCE]
         notes[at + ALPHA] = F(1) - left
-        notes[at + LIGHT] = light
+        notes[at + TRANSMITTANCE] = transmittance
         notes[at + RED] = r1
         notes[at + GREEN] = g1
         notes[at + BLUE] = b1
         notes[at + RAW] = raw
         if train:
             prefetch(gradient, corners, at)
-        light *= left
-        if light < STOP:
+        transmittance *= left
+        if transmittance < STOP:
             used = s + 1
             break
-    pixel[r, 0] = red + light * background[0]
-    pixel[r, 1] = green + light * background[1]
-    pixel[r, 2] = blue + light * background[2]
-    pixel[r, 3] = F(1) - light
+    pixel[r, 0] = red + transmittance * background[0]
+    pixel[r, 1] = green + transmittance * background[1]
+    pixel[r, 2] = blue + transmittance * background[2]
+    pixel[r, 3] = F(1) - transmittance
     pixel[r, 4] = far
     return used
 
@@ -140,7 +143,7 @@ def render(
     grid: Any, rays: Any, first: Any, last: Any, step: Any, bias: Any, rows: Any, background: Any, scratch: Any,
     pixel: Any,
 ) -> None:  # fmt: skip
-    """pixel[r] = (colour, opacity, Σwt) for first ≤ r < last."""
+    """Write pixel[r] = (colour, opacity, Σ w t) for first ≤ r < last."""
     basis = scratch.values[48:52]
     for r in range(first, last):
         n = march(grid, rays, r, step, scratch.notes)
@@ -157,7 +160,7 @@ def trace(
     grid: Any, rays: Any, first: Any, last: Any, step: Any, bias: Any, rows: Any, background: Any, scratch: Any,
     pixel: Any, kept: Any, counts: Any,
 ) -> Any:  # fmt: skip
-    """`render` that keeps the notes of its samples, as far as there is room; returns how many there are."""
+    """Render, and copy the notes of the samples to `kept` up to its capacity; returns how many samples there are."""
     basis = scratch.values[48:52]
     total = 0
     for r in range(first, last):
@@ -181,7 +184,9 @@ def gradients(
     grid: Any, rays: Any, truth: Any, first: Any, last: Any, step: Any, bias: Any, rows: Any, background: Any,
     scratch: Any, pixel: Any, gradient: Any, touched: Any, visible: Any, threshold: Any, smoothness: Any,
 ) -> Any:  # fmt: skip
-    """Add ∂(½ Σ squared error)/∂rows of rays first ≤ r < last to `gradient`; returns the squared error and samples.
+    """Add ∂(½ Σ squared error)/∂rows of rays first ≤ r < last to `gradient`.
+
+    Returns the sum of squared errors, and the number of samples.
 
     With S_i = Σ_{j>i} w_j c_j + T_end · background, ∂C/∂σ_i = δ_i (T_{i+1} c_i − S_i): NeRF Eq. 3, differentiated.
     """
@@ -205,12 +210,12 @@ def gradients(
         for q in range(n):
             at = (n - 1 - q) * 8
             r1, g1, b1 = notes[at + RED], notes[at + GREEN], notes[at + BLUE]
-            light, alpha = notes[at + LIGHT], notes[at + ALPHA]
-            w, along = light * alpha, r1 * er + g1 * eg + b1 * eb
-            if w > threshold:  # told at the cell's lowest vertex
+            transmittance, alpha = notes[at + TRANSMITTANCE], notes[at + ALPHA]
+            w, along = transmittance * alpha, r1 * er + g1 * eg + b1 * eb
+            if w > threshold:  # marked at the cell's lowest vertex
                 row = np.uint64(corners[at] >> 4)
                 visible[row >> np.uint64(6)] |= np.uint64(1) << (row & np.uint64(63))
-            by_sigma = step * (light * (F(1) - alpha) * along - behind)
+            by_sigma = step * (transmittance * (F(1) - alpha) * along - behind)
             behind += w * along
             gr, gg, gb = w * er * r1 * (F(1) - r1), w * eg * g1 * (F(1) - g1), w * eb * b1 * (F(1) - b1)
             for c in range(4):
@@ -231,7 +236,10 @@ def gradients(
 def resample(
     grid: Any, rows: Any, begin: Any, step: Any, places: Any, first: Any, last: Any, scratch: Any, out: Any
 ) -> None:  # fmt: skip
-    """Rows of bricks first ≤ b < last, which lie at `places`; vertex v is at begin + v · step, in cells of `grid`."""
+    """Interpolate the rows of bricks first ≤ b < last, which lie at `places` in their table.
+
+    Vertex v lies at begin + v · step, in cells of `grid`.
+    """
     corners, weights, values = scratch.corners, scratch.weights, scratch.values
     bricks_y, bricks_z = (grid.size[1] >> 2) + 1, (grid.size[2] >> 2) + 1
     for b in range(first, last):
@@ -256,14 +264,14 @@ def resample(
 
 @jit
 def adam(
-    first: Any, last: Any, rows: Any, moments: Any, average: Any, gradient: Any, touched: Any,
-    rate_color: Any, rate_density: Any, keep: Any, keep_square: Any, warm: Any, warm_square: Any, epsilon: Any,
-    follow: Any,
+    first: Any, last: Any, rows: Any, moments: Any, ema: Any, gradient: Any, touched: Any,
+    rate_color: Any, rate_density: Any, beta1: Any, beta2: Any, correction1: Any, correction2: Any, epsilon: Any,
+    ema_rate: Any,
 ) -> None:  # fmt: skip
-    """Adam on the touched rows of bricks first ≤ b < last; gradients, one array a shard, are added up and cleared.
+    """One step of Adam on the touched rows of bricks first ≤ b < last, and of the rows' EMA.
 
-    A row shares one second moment among its colour coefficients; it lies, with density's, in the moments' padding:
-    half the memory, and half the traffic, of a moment for each. Their average follows them by a share of the way.
+    Gradients, one array a shard, are summed and cleared. The colour coefficients of a row share one second moment. It
+    is stored in the padding of the first moments, as density's is: this halves memory and memory traffic.
     """
     shards = touched.shape[0]
     for b in range(first, last):
@@ -286,18 +294,18 @@ def adam(
             square = F(0)
             for c in range(12):
                 square += g[c] * g[c]
-            v_color = keep_square * m[14] + (F(1) - keep_square) * square * F(1 / 12)
-            v_density = keep_square * m[15] + (F(1) - keep_square) * g[12] * g[12]
-            by_color = rate_color * warm / (math.sqrt(v_color * warm_square) + epsilon)
-            by_density = rate_density * warm / (math.sqrt(v_density * warm_square) + epsilon)
+            v_color = beta2 * m[14] + (F(1) - beta2) * square * F(1 / 12)
+            v_density = beta2 * m[15] + (F(1) - beta2) * g[12] * g[12]
+            by_color = rate_color * correction1 / (math.sqrt(v_color * correction2) + epsilon)
+            by_density = rate_density * correction1 / (math.sqrt(v_density * correction2) + epsilon)
             for c in range(13):
-                m[c] = keep * m[c] + (F(1) - keep) * g[c]
+                m[c] = beta1 * m[c] + (F(1) - beta1) * g[c]
             for c in range(12):
                 p[c] -= by_color * m[c]
             p[12] -= by_density * m[12]
             m[14], m[15] = v_color, v_density
-            a = average[at : at + 16]
+            a = ema[at : at + 16]
             for c in range(13):
-                a[c] += follow * (p[c] - a[c])
+                a[c] += ema_rate * (p[c] - a[c])
             for c in range(16):
                 g[c] = 0

@@ -1,4 +1,4 @@
-"""What a device must be able to do with packed samples and a hash grid: one interface, several implementations."""
+"""The interface of the kernels for packed samples and a hash grid. Every device has an implementation of it."""
 
 from __future__ import annotations
 
@@ -13,71 +13,89 @@ from nerf_core.geometry.spaces import BoxRays
 from nerf_core.volume.cells import Cells
 from nerf_core.volume.packed import Packed
 
-PRIMES = (1, 2654435761, 805459861)  # of the spatial hash: instant-ngp, Eq. 4 (arXiv:2201.05989)
+PRIMES = (1, 2654435761, 805459861)  # factors of the spatial hash: instant-ngp, Eq. 4 (arXiv:2201.05989)
 
 
 @dataclass(frozen=True)
 class Samples(Packed):
-    """x: (M, 3) in [0, 1], within the cells' box."""
+    """Packed samples with their positions. x: (M, 3) in [0, 1], relative to the cells' box."""
 
     x: Tensor
 
     def at(self, index: Tensor) -> Samples:
-        """Those of an ascending index (K,)."""
-        ends = torch.searchsorted(index, self.ends)
-        return Samples(ends, self.t[index], self.width[index], self.x[index])
+        """The samples at an ascending index (K,)."""
+        row_offsets = torch.searchsorted(index, self.row_offsets)
+        return Samples(row_offsets, self.t[index], self.width[index], self.x[index])
 
-    def fitted(self, room: int) -> Samples:
-        """Exactly `room` samples: what does not fit is cut off, what is missing lies behind the last ray, all zero."""
-        missing = room - len(self.t)  # negative: cut off
-        ends = self.ends.clamp(max=room)
+    def fitted(self, capacity: int) -> Samples:
+        """Exactly `capacity` samples. Surplus samples are cut off; missing ones are zeros behind the last ray."""
+        missing = capacity - len(self.t)  # negative: cut off
+        row_offsets = self.row_offsets.clamp(max=capacity)
         t, width = (functional.pad(v, (0, missing)) for v in (self.t, self.width))
-        return Samples(ends, t, width, functional.pad(self.x, (0, 0, 0, missing)))
+        return Samples(row_offsets, t, width, functional.pad(self.x, (0, 0, 0, missing)))
 
 
 class HashLevels(NamedTuple):
-    """resolutions: cells a side of each of L levels; a level with more vertices than the table has rows is hashed."""
+    """The levels of a hash grid.
+
+    resolutions: cells a side of each of the L levels. A level with more vertices than the table has rows is hashed.
+    """
 
     resolutions: tuple[int, ...]
 
     def dense(self, level: int, rows: int) -> bool:
+        """Whether each vertex of a level has its own row in a table of so many rows."""
         return (self.resolutions[level] + 1) ** 3 <= rows
 
 
 class PackedKernels(Protocol):
-    """name: of the implementation. fixed_shapes: training is fastest if the number of rays and samples in a step never
-    changes, because the step is then recorded once and replayed (CUDA graphs)."""
+    """The operations. Arrays are on the device of the implementation.
+
+    name: the implementation's. fixed_shapes: training is fastest if the number of rays and samples in a step never
+    changes, because the step is then recorded once and replayed (CUDA graphs).
+    """
 
     name: str
     fixed_shapes: bool
 
-    def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor, room: int = 0) -> Samples:
-        """Samples `step` cells apart in occupied cells; offsets (R,): where the first lies in its step.
+    def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor, capacity: int = 0) -> Samples:
+        """Place samples `step` cells apart in the occupied cells.
 
-        room: give `Samples.fitted` to so many, so that shapes never change.
+        offsets: (R,), where each ray's first sample lies in its step, 0 … 1.
+        capacity: fit the samples to this number, so that shapes never change (`Samples.fitted`); 0: do not.
         """
         ...
 
     def encode(self, table: Tensor, levels: HashLevels, x: Tensor) -> Tensor:
-        """Table (L, T, F), x (M, 3) in [0, 1] → trilinear features (M, L · F): instant-ngp, section 3."""
+        """Interpolate features trilinearly on every level: instant-ngp, section 3.
+
+        table: (L, T, F). x: (M, 3) in [0, 1]. Returns (M, L · F).
+        """
         ...
 
     def encode_gradient(self, gradient: Tensor, levels: HashLevels, x: Tensor, into: Tensor) -> None:
-        """Add the gradient (M, L · F) of the features to that of the table, `into` (L, T, F)."""
+        """Add the gradient that the features' gradient (M, L · F) causes to the table's, `into` (L, T, F)."""
         ...
 
     def composite(self, tau: Tensor, rgb: Tensor, samples: Packed, background: Tensor) -> Tensor:
-        """Optical depths (M,), colours (M, 3) → (R, 5) colour over the background, opacity, Σ w t: NeRF Eq. 3."""
+        """Composite packed samples: NeRF Eq. 3.
+
+        tau: optical depths (M,). rgb: (M, 3). background: (3,).
+        Returns (R, 5): colour over the background, opacity, Σ w t.
+        """
         ...
 
     def composite_gradient(
         self, gradient: Tensor, tau: Tensor, rgb: Tensor, samples: Packed, background: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """The gradient (R, 3) of the colours → those of tau (M,) and rgb (M, 3)."""
+        """The gradients of tau (M,) and rgb (M, 3), from the gradient (R, 3) of the pixels' colours."""
         ...
 
     def adam(self, table: Tensor, gradient: Tensor, moments: tuple[Tensor, Tensor], numbers: Tensor) -> None:
-        """Adam on the rows whose gradient is not zero, which is then cleared; numbers: see `adam_numbers`."""
+        """One step of Adam on the rows that have a gradient; the gradient is then cleared.
+
+        numbers: what `adam_numbers` returns. moments: first and second, each (L, T, F).
+        """
         ...
 
 
@@ -85,5 +103,5 @@ BETA1, BETA2, EPSILON = 0.9, 0.99, 1e-15  # instant-ngp's, section 4
 
 
 def adam_numbers(rate: float, step: int) -> Tensor:
-    """(3,) learning rate, 1/(1 − β₁ᵗ), 1/(1 − β₂ᵗ)."""
+    """What changes from step to step: (3,) learning rate, 1/(1 − β₁ᵗ), 1/(1 − β₂ᵗ) with t = step."""
     return torch.tensor([rate, 1 / (1 - BETA1**step), 1 / (1 - BETA2**step)])

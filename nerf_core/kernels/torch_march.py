@@ -1,6 +1,6 @@
-"""How rays find their samples, written plainly: all rays take a step at a time.
+"""March along rays with torch operations: all rays take one step at a time.
 
-What `nerf_core.kernels.numba_march` is held to, and what runs where it cannot.
+This is the plain reference for `nerf_core.kernels.numba_march`, and the fallback where numba cannot run.
 """
 
 from __future__ import annotations
@@ -13,13 +13,16 @@ from torch import Tensor
 from nerf_core.geometry.spaces import BoxRays
 from nerf_core.volume.cells import BLOCK, Cells
 
-STEPPED = 2**-22  # of t: two of float32's; a shorter step might leave t where it is, and the march would never end
-STRAIGHT = 0.1  # of its distance from the centre: so far a contracted ray counts as straight when it leaps
-NEARING = 0.25  # of the same: the longest step of one that comes nearer; far outside one step would cross the scene
+STEPPED = 2**-22  # shortest step, relative to t: two float32 spacings. A shorter one might not change t at all.
+STRAIGHT = 0.1  # longest leap of a contracted ray, relative to its distance from the centre: it curves
+NEARING = 0.25  # longest step towards the centre, relative to the same: far outside one would cross the scene
 
 
 class Marched(NamedTuple):
-    """M samples, ray after ray, front to back: their ray (M,), t and width (M,), cell (M, 3), place in it (M, 3)."""
+    """M samples, ray after ray, front to back.
+
+    ray: (M,). t, width: (M,). cell: (M, 3). within: (M, 3), the position in the cell, in [0, 1].
+    """
 
     ray: Tensor
     t: Tensor
@@ -29,7 +32,7 @@ class Marched(NamedTuple):
 
 
 class _Where(NamedTuple):
-    """Position and velocity in cells, ‖x‖∞, and whether that shrinks, at one t of each ray."""
+    """Position and velocity in cells, ‖x‖∞, and whether ‖x‖∞ decreases, at one t of each ray."""
 
     position: Tensor
     velocity: Tensor
@@ -38,7 +41,7 @@ class _Where(NamedTuple):
 
 
 def _at(cells: Cells, rays: BoxRays, index: Tensor, t: Tensor) -> _Where:
-    """Under contraction x → f x with f = (2 − s) s, s = 1/‖x‖∞; hence dx′ = f d + f′ x with f′ = (2s − 2) s² d‖x‖∞."""
+    """Contraction x → f x, f = (2 − s) s, s = 1/‖x‖∞, has the velocity f d + f′ x with f′ = (2s − 2) s² d‖x‖∞/dt."""
     origin, voxel = (torch.from_numpy(v).to(rays.origins) for v in (cells.origin, cells.voxel))
     d = rays.directions[index]
     x = rays.origins[index] + t[:, None] * d
@@ -55,7 +58,10 @@ def _at(cells: Cells, rays: BoxRays, index: Tensor, t: Tensor) -> _Where:
 
 
 def march(cells: Cells, rays: BoxRays, step: float, offsets: Tensor) -> Marched:
-    """Samples `step` cells apart in the occupied cells; empty blocks are leapt over."""
+    """Place samples `step` cells apart in the occupied cells, leaping over empty blocks.
+
+    offsets: (R,), where each ray's first sample lies in its step, 0 … 1.
+    """
     voxel, size = torch.from_numpy(cells.voxel).to(rays.origins), torch.tensor(cells.size, device=rays.origins.device)
     everyone = torch.arange(len(rays), device=rays.origins.device)
     straight = step / (rays.directions / voxel).norm(dim=-1)
@@ -71,7 +77,7 @@ def march(cells: Cells, rays: BoxRays, step: float, offsets: Tensor) -> Marched:
         t, last = torch.maximum(t, low), torch.where(beside, -torch.inf, torch.minimum(last, high))
     t = t + offsets * straight
     found: list[tuple[Tensor, ...]] = []
-    alive = everyone[(straight > 0) & rays.origins.isfinite().all(-1)]  # else something in it is no number
+    alive = everyone[(straight > 0) & rays.origins.isfinite().all(-1)]  # a ray with NaN or infinity has no samples
     while True:
         alive = alive[t[alive] < last[alive]]
         if not len(alive):

@@ -1,4 +1,4 @@
-"""Packed samples and the hash grid, written plainly: what the fast kernels are held to, on any device."""
+"""Packed samples and the hash grid with torch operations: the plain reference for the fast kernels, on any device."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ class TorchPacked:
     name = "torch"
     fixed_shapes = False
 
-    def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor, room: int = 0) -> Samples:
+    def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor, capacity: int = 0) -> Samples:
         found = march(cells, rays, step, offsets)
         counts = torch.bincount(found.ray, minlength=len(rays))
-        ends = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
-        x = (found.cell + found.within) / torch.tensor(cells.size, device=ends.device)
-        samples = Samples(ends, found.t, found.width, x.clamp(0, 1))
-        return samples.fitted(room) if room else samples
+        row_offsets = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
+        x = (found.cell + found.within) / torch.tensor(cells.size, device=row_offsets.device)
+        samples = Samples(row_offsets, found.t, found.width, x.clamp(0, 1))
+        return samples.fitted(capacity) if capacity else samples
 
     def encode(self, table: Tensor, levels: HashLevels, x: Tensor) -> Tensor:
         features = []
@@ -41,9 +41,9 @@ class TorchPacked:
             into[level].index_add_(0, rows.flatten(), part.reshape(-1, width))
 
     def composite(self, tau: Tensor, rgb: Tensor, samples: Packed, background: Tensor) -> Tensor:
-        ray, count = samples.ray, len(samples.ends) - 1
-        light = torch.exp(-samples.before(tau)).to(tau.dtype)
-        weight = light * -torch.expm1(-tau)
+        ray, count = samples.ray, len(samples.row_offsets) - 1
+        transmittance = torch.exp(-samples.before(tau)).to(tau.dtype)
+        weight = transmittance * -torch.expm1(-tau)
         color = rgb.new_zeros(count, 3).index_add(0, ray, weight[:, None] * rgb)
         far = tau.new_zeros(count).index_add(0, ray, weight * samples.t)
         left = torch.exp(-tau.new_zeros(count).index_add(0, ray, tau))
@@ -59,18 +59,22 @@ class TorchPacked:
         return by_tau, by_rgb
 
     def adam(self, table: Tensor, gradient: Tensor, moments: tuple[Tensor, Tensor], numbers: Tensor) -> None:
-        rate, warm, warm_square = numbers
+        rate, correction1, correction2 = numbers
         touched = (gradient != 0).any(-1)
         g = gradient[touched]
         mean, square = (m[touched] for m in moments)
         mean, square = BETA1 * mean + (1 - BETA1) * g, BETA2 * square + (1 - BETA2) * g * g
         moments[0][touched], moments[1][touched] = mean, square
-        table[touched] -= rate * (mean * warm) / ((square * warm_square).sqrt() + EPSILON)
+        table[touched] -= rate * (mean * correction1) / ((square * correction2).sqrt() + EPSILON)
         gradient.zero_()
 
 
 def corners(levels: HashLevels, level: int, rows: int, x: Tensor) -> tuple[Tensor, Tensor]:
-    """Rows (M, 8) of the level's table and trilinear weights (M, 8) of points x (M, 3) in [0, 1]."""
+    """The 8 vertices around points on a level.
+
+    rows: of the level's table. x: points (M, 3) in [0, 1].
+    Returns their rows in the table (M, 8), and their trilinear weights (M, 8).
+    """
     n = levels.resolutions[level]
     at = x * n
     cell = at.floor().long().clamp(0, n - 1)

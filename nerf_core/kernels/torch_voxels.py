@@ -1,6 +1,6 @@
-"""The voxel grid's maths written plainly: what the fast kernels are held to, and what runs where they cannot.
+"""The voxel grid with torch operations: the plain reference for the fast kernels, and the fallback without them.
 
-Rays march together, one step of all of them at a time; the gradient is autograd's.
+All rays march together, one step at a time. Autograd computes the gradient.
 """
 
 from __future__ import annotations
@@ -16,11 +16,15 @@ from nerf_core.kernels.torch_march import march
 from nerf_core.kernels.voxel_kernels import Adam, March, Traced
 from nerf_core.volume.voxel_grid import DENSITY, ROWS, WIDTH, VoxelGrid
 
-STOP = 1e-3  # transmittance at which nothing behind can still change an 8-bit pixel by one step
+STOP = 1e-3  # transmittance below which the rest of a ray changes an 8-bit pixel by less than one level
 
 
 class Packed(NamedTuple):
-    """M samples, ray after ray, front to back: their ray (M,), t and width (M,), rows (M, 8) and weights (M, 8)."""
+    """M samples, ray after ray, front to back.
+
+    ray: (M,). t, width: (M,). rows, weights: (M, 8), the rows of the cell's corners, z fastest, and their trilinear
+    weights.
+    """
 
     ray: Tensor
     t: Tensor
@@ -30,7 +34,7 @@ class Packed(NamedTuple):
 
 
 def packed(grid: VoxelGrid, rays: BoxRays, how: March) -> Packed:
-    """The samples of a march with the rows of their cells' corners, z fastest, and trilinear weights."""
+    """March, and find the rows and weights of the samples' corners."""
     ray, t, width, cell, within = march(grid, rays, how.step, how.offsets)
     corners = torch.cartesian_prod(*[torch.arange(2, device=ray.device)] * 3)
     rows = grid.row_of((cell[:, None] + corners).reshape(-1, 3)).view(-1, 8)
@@ -40,21 +44,21 @@ def packed(grid: VoxelGrid, rays: BoxRays, how: March) -> Packed:
 
 class Composited(NamedTuple):
     pixel: Tensor  # (R, 5)
-    used: Tensor  # (M,) bool: samples before the light was gone
+    used: Tensor  # (M,) bool: whether the transmittance in front of the sample is at least STOP
     raw: Tensor
     alpha: Tensor
-    light: Tensor
+    transmittance: Tensor
     rgb: Tensor
 
 
 def composite(rows: Tensor, samples: Packed, views: Tensor, step: float, bias: float, background: Tensor) -> Composited:
-    """NeRF Eq. 3 over packed samples; `rows` (M, 16) are the grid's."""
+    """Composite packed samples: NeRF Eq. 3. rows: (64 · bricks, 16), the grid's. views: unit directions (R, 3)."""
     values = (samples.weights[..., None] * rows[samples.rows]).sum(1)
     raw = values[:, DENSITY] + bias
     d = views[samples.ray]
     basis = torch.stack([torch.full_like(raw, 0.28209479), *(0.48860251 * d[:, a] for a in (1, 2, 0))], -1)
     rgb = torch.sigmoid((values[:, :DENSITY].view(-1, 3, 4) * basis[:, None]).sum(-1))
-    tau = (functional.softplus(raw) * step).double()  # sums over all rays' samples, taken apart again: in 64 bits
+    tau = (functional.softplus(raw) * step).double()  # in 64 bits: ray by ray differences of one running sum
     total = tau.cumsum(0)
     begins = torch.cat([torch.ones_like(samples.ray[:1], dtype=torch.bool), samples.ray[1:] != samples.ray[:-1]])
     first = (
@@ -63,14 +67,14 @@ def composite(rows: Tensor, samples: Packed, views: Tensor, step: float, bias: f
     before = (total - tau) - (total - tau)[first]
     used = torch.exp(-before) >= STOP
     tau = torch.where(used, tau, 0)
-    alpha, light = -torch.expm1(-tau).float(), torch.exp(-before).float()
-    w = torch.where(used, alpha * light, 0)
+    alpha, transmittance = -torch.expm1(-tau).float(), torch.exp(-before).float()
+    w = torch.where(used, alpha * transmittance, 0)
     count = len(views)
     color = torch.zeros(count, 3, device=w.device).index_add(0, samples.ray, w[:, None] * rgb)
     far = torch.zeros(count, device=w.device).index_add(0, samples.ray, w * samples.t)
     left = torch.exp(-torch.zeros(count, dtype=torch.float64, device=w.device).index_add(0, samples.ray, tau)).float()
     pixel = torch.cat([color + left[:, None] * background, (1 - left)[:, None], far[:, None]], -1)
-    return Composited(pixel, used, raw, alpha, light, rgb)
+    return Composited(pixel, used, raw, alpha, transmittance, rgb)
 
 
 class TorchVoxels:
@@ -79,7 +83,7 @@ class TorchVoxels:
     name = "torch"
 
     def __init__(self) -> None:
-        self._of: Tensor | None = None  # the rows that the tensors below fit
+        self._of: Tensor | None = None  # the rows that the tensors below have the size of
         self._gradient = self._touched = self._visible = torch.empty(0)
 
     def _fit(self, grid: VoxelGrid) -> None:
@@ -101,9 +105,9 @@ class TorchVoxels:
     @torch.no_grad()
     def trace(self, grid: VoxelGrid, rays: BoxRays, how: March) -> Traced:
         samples, done = self._composited(grid.rows, grid, rays, how)
-        ends = torch.searchsorted(samples.ray[done.used], torch.arange(len(rays) + 1, device=samples.ray.device))
-        parts = (samples.t, samples.width, done.raw, done.alpha, done.light, done.rgb)
-        return Traced(ends, *(v[done.used] for v in parts), pixel=done.pixel)
+        row_offsets = torch.searchsorted(samples.ray[done.used], torch.arange(len(rays) + 1, device=samples.ray.device))
+        parts = (samples.t, samples.width, done.raw, done.alpha, done.transmittance, done.rgb)
+        return Traced(row_offsets, *(v[done.used] for v in parts), pixel=done.pixel)
 
     def resample(self, old: VoxelGrid, new: VoxelGrid, first: int, last: int) -> None:
         begin, step = (torch.from_numpy(v).to(new.rows.device) for v in old.at_vertex(new))
@@ -122,7 +126,7 @@ class TorchVoxels:
         (gradient,) = torch.autograd.grad(squared / 2 + how.smoothness * rough / 2, rows)
         self._gradient += gradient
         self._touched[corner.flatten()] = True
-        weight = (done.alpha * done.light)[done.used]
+        weight = (done.alpha * done.transmittance)[done.used]
         self._visible[corner[weight > how.threshold, 0]] = True
         return float(squared.detach()), int(done.used.sum())
 
@@ -142,18 +146,18 @@ class TorchVoxels:
         self._fit(grid)
         self._visible.copy_(seen)
 
-    def update(self, grid: VoxelGrid, moments: Tensor, average: Tensor, adam: Adam) -> None:
+    def update(self, grid: VoxelGrid, moments: Tensor, ema: Tensor, adam: Adam) -> None:
         self._fit(grid)
         i = self._touched.nonzero()[:, 0]
         p, m, g = grid.rows[i], moments[i], self._gradient[i]
         new = torch.zeros_like(m)
-        new[:, :13] = adam.keep * m[:, :13] + (1 - adam.keep) * g[:, :13]
-        new[:, 14] = adam.keep_square * m[:, 14] + (1 - adam.keep_square) * g[:, :12].square().mean(-1)
-        new[:, 15] = adam.keep_square * m[:, 15] + (1 - adam.keep_square) * g[:, 12].square()
+        new[:, :13] = adam.beta1 * m[:, :13] + (1 - adam.beta1) * g[:, :13]
+        new[:, 14] = adam.beta2 * m[:, 14] + (1 - adam.beta2) * g[:, :12].square().mean(-1)
+        new[:, 15] = adam.beta2 * m[:, 15] + (1 - adam.beta2) * g[:, 12].square()
         rates = torch.zeros(len(i), WIDTH, device=p.device)
         rates[:, :12], rates[:, DENSITY] = adam.rate_color, adam.rate_density
         square = torch.where(torch.arange(WIDTH, device=p.device) < DENSITY, new[:, 14:15], new[:, 15:16])
-        grid.rows[i] = p - rates * adam.warm * new / ((square * adam.warm_square).sqrt() + adam.epsilon)
+        grid.rows[i] = p - rates * adam.correction1 * new / ((square * adam.correction2).sqrt() + adam.epsilon)
         moments[i] = new
-        average[i] += adam.follow * (grid.rows[i] - average[i])
+        ema[i] += adam.ema_rate * (grid.rows[i] - ema[i])
         self.forget()

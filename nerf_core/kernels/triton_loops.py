@@ -1,7 +1,7 @@
-"""The hash grid's and packed samples' hot loops for CUDA; `nerf_core.kernels.torch_packed` says the same plainly.
+"""The hot loops of packed samples and the hash grid for CUDA. The plain reference is `nerf_core.kernels.torch_packed`.
 
-A program works on BLOCK rays or points at once. Gradients of the table are added atomically: their order, and so the
-last bits of the weights, differ from run to run.
+A program works on BLOCK rays or points at once. Gradients of the table are added atomically. Their order differs from
+run to run, and so do the last bits of the weights.
 """
 
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportOperatorIssue=false, reportGeneralTypeIssues=false
@@ -17,7 +17,7 @@ STEPPED = tl.constexpr(2**-22)  # as there
 
 @triton.jit
 def clipped(x, v, side, first, last):
-    """[first, last] of t cut to where x + t v lies in [0, side]; empty where it never does."""
+    """The part of [first, last] in which x + t v lies in [0, side]; empty if there is none."""
     still = v == 0
     safe = tl.where(still, 1.0, v)
     a, b = -x / safe, (side - x) / safe
@@ -29,7 +29,7 @@ def clipped(x, v, side, first, last):
 
 @triton.jit
 def gap_of(x, v, low, side):
-    """After how much t a point at x with velocity v leaves [low, low + side]; never, where it moves along it."""
+    """The t until a point at x with velocity v leaves [low, low + side]; 1e30 for v = 0."""
     still = v == 0
     safe = tl.where(still, 1.0, v)
     return tl.where(still, 1e30, tl.maximum((low - x) / safe, (low + side - x) / safe))
@@ -37,12 +37,12 @@ def gap_of(x, v, low, side):
 
 @triton.jit
 def march(  # noqa: PLR0915  one loop, with all that it needs in registers
-    origins, directions, near, far, offsets, occupied, leap, ends, counts, x, t_out, width, rays, room, step,
+    origins, directions, near, far, offsets, occupied, leap, row_offsets, counts, x, t_out, width, rays, capacity, step,
     bx, by, bz, sx, sy, sz, nx, ny, nz, CONTRACTED: tl.constexpr, WRITE: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Counts each ray's samples in occupied cells; or, where each ray's first one belongs known, writes them.
+    """Count each ray's samples in occupied cells; or, with WRITE, write them from the ray's row offset on.
 
-    The maths is `nerf_core.kernels.torch_march`'s. b, s, n: the box's corner, cells a unit, and cells a side.
+    The algorithm is that of `nerf_core.kernels.torch_march`. b, s, n: the box's corner, cells a unit, cells a side.
     """
     r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     real = r < rays
@@ -57,14 +57,14 @@ def march(  # noqa: PLR0915  one loop, with all that it needs in registers
     t = tl.load(near + r, mask=real, other=0.0)
     last = tl.load(far + r, mask=real, other=-1.0)
     straight = step / tl.sqrt(vx * vx + vy * vy + vz * vz)
-    real = real & (straight > 0) & (0 * (ox + oy + oz + t + last) == 0)  # else something in the ray is no number
+    real = real & (straight > 0) & (0 * (ox + oy + oz + t + last) == 0)  # NaN or infinity: no samples
     if not CONTRACTED:
         t, last = clipped(gx, vx, nx, t, last)
         t, last = clipped(gy, vy, ny, t, last)
         t, last = clipped(gz, vz, nz, t, last)
     length = tl.sqrt(dx * dx + dy * dy + dz * dz)
     t += tl.load(offsets + r, mask=real, other=0.0) * straight
-    first = tl.load(ends + r, mask=real, other=0)
+    first = tl.load(row_offsets + r, mask=real, other=0)
     n = tl.zeros((BLOCK,), tl.int64)
     blocks_y, blocks_z = (ny + 3) // 4, (nz + 3) // 4
     alive = real & (t < last)
@@ -88,7 +88,7 @@ def march(  # noqa: PLR0915  one loop, with all that it needs in registers
             ux = tl.where(bent, (dx * f + wx * slope) * sx, vx)
             uy = tl.where(bent, (dy * f + wy * slope) * sy, vy)
             uz = tl.where(bent, (dz * f + wz * slope) * sz, vz)
-            speed = tl.sqrt(ux * ux + uy * uy + uz * uz)  # toward infinity it can round to nothing: the march is done
+            speed = tl.sqrt(ux * ux + uy * uy + uz * uz)  # may round to 0 far outside; the march then ends
             away = norm / length  # from the centre, in t
             curved = step / tl.maximum(speed, 1e-30)
             curved = tl.where(slope > 0, tl.minimum(curved, NEARING * away), curved)
@@ -110,7 +110,7 @@ def march(  # noqa: PLR0915  one loop, with all that it needs in registers
         filled = tl.load(occupied + (i * ny + j) * nz + k, mask=inside & (hop == 0), other=0) != 0
         if WRITE:
             at = first + n
-            some = filled & (at < room)
+            some = filled & (at < capacity)
             tl.store(x + at * 3, px / nx, mask=some)
             tl.store(x + at * 3 + 1, py / ny, mask=some)
             tl.store(x + at * 3 + 2, pz / nz, mask=some)
@@ -125,7 +125,7 @@ def march(  # noqa: PLR0915  one loop, with all that it needs in registers
 
 @triton.jit
 def corner(i, j, k, fx, fy, fz, n, rows, c: tl.constexpr):
-    """Row of the table and trilinear weight of corner c, z fastest, of cell (i, j, k) on a level of n cells a side."""
+    """The table's row, and the trilinear weight, of corner c of cell (i, j, k), z fastest. n: cells a side."""
     a: tl.constexpr = (c >> 2) & 1
     b: tl.constexpr = (c >> 1) & 1
     d: tl.constexpr = c & 1
@@ -142,7 +142,7 @@ def corner(i, j, k, fx, fy, fz, n, rows, c: tl.constexpr):
 
 @triton.jit
 def place(x, m, n, real):
-    """Cell and position within it of points m on a level of n cells a side."""
+    """The cells of points m, and the positions in them, on a level of n cells a side."""
     px = tl.load(x + m * 3, mask=real, other=0.0) * n
     py = tl.load(x + m * 3 + 1, mask=real, other=0.0) * n
     pz = tl.load(x + m * 3 + 2, mask=real, other=0.0) * n
@@ -179,7 +179,7 @@ def encode_gradient(x, gradient, resolutions, into, count, rows, levels, WIDTH: 
     f = tl.arange(0, WIDTH)
     given = gradient + m[:, None].to(tl.int64) * (levels * WIDTH) + level * WIDTH + f[None, :]
     g = tl.load(given, mask=real[:, None], other=0.0)
-    some = (tl.max(tl.abs(g), axis=1) > 0)[:, None]  # samples without a gradient would queue up for nothing
+    some = (tl.max(tl.abs(g), axis=1) > 0)[:, None]  # no atomic additions of zeros
     for c in tl.static_range(8):
         row, w = corner(i, j, k, fx, fy, fz, n, rows, c)
         at = into + (level.to(tl.int64) * rows + row)[:, None] * WIDTH + f[None, :]
@@ -187,12 +187,12 @@ def encode_gradient(x, gradient, resolutions, into, count, rows, levels, WIDTH: 
 
 
 @triton.jit
-def composite(tau, rgb, t, ends, background, pixel, count, BLOCK: tl.constexpr):
+def composite(tau, rgb, t, row_offsets, background, pixel, count, BLOCK: tl.constexpr):
     r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     real = r < count
-    first = tl.load(ends + r, mask=real, other=0)
-    last = tl.load(ends + r + 1, mask=real, other=0)
-    light = tl.full((BLOCK,), 1.0, tl.float32)
+    first = tl.load(row_offsets + r, mask=real, other=0)
+    last = tl.load(row_offsets + r + 1, mask=real, other=0)
+    transmittance = tl.full((BLOCK,), 1.0, tl.float32)
     red = tl.zeros((BLOCK,), tl.float32)
     green = tl.zeros((BLOCK,), tl.float32)
     blue = tl.zeros((BLOCK,), tl.float32)
@@ -201,48 +201,48 @@ def composite(tau, rgb, t, ends, background, pixel, count, BLOCK: tl.constexpr):
         at = first + s
         some = real & (at < last)
         left = tl.exp(-tl.load(tau + at, mask=some, other=0.0))
-        w = light * (1 - left)
+        w = transmittance * (1 - left)
         red += w * tl.load(rgb + at * 3, mask=some, other=0.0)
         green += w * tl.load(rgb + at * 3 + 1, mask=some, other=0.0)
         blue += w * tl.load(rgb + at * 3 + 2, mask=some, other=0.0)
         far += w * tl.load(t + at, mask=some, other=0.0)
-        light *= left
+        transmittance *= left
     out = pixel + r * 5
-    tl.store(out, red + light * tl.load(background), mask=real)
-    tl.store(out + 1, green + light * tl.load(background + 1), mask=real)
-    tl.store(out + 2, blue + light * tl.load(background + 2), mask=real)
-    tl.store(out + 3, 1 - light, mask=real)
+    tl.store(out, red + transmittance * tl.load(background), mask=real)
+    tl.store(out + 1, green + transmittance * tl.load(background + 1), mask=real)
+    tl.store(out + 2, blue + transmittance * tl.load(background + 2), mask=real)
+    tl.store(out + 3, 1 - transmittance, mask=real)
     tl.store(out + 4, far, mask=real)
 
 
 @triton.jit
-def composite_gradient(gradient, tau, rgb, ends, background, by_tau, by_rgb, count, BLOCK: tl.constexpr):
+def composite_gradient(gradient, tau, rgb, row_offsets, background, by_tau, by_rgb, count, BLOCK: tl.constexpr):
     """∂C/∂τ_i = T_{i+1} c_i − S_i with S_i = Σ_{j>i} w_j c_j + T_end · background.
 
-    Going back from the end, T_i = T_{i+1} / (1 − α_i) would divide by nothing behind an opaque sample: T is found on a
-    first way along the ray, and kept in by_tau until the way back.
+    A pass from the front computes T and keeps it in by_tau; one from the back computes S. The second pass alone would
+    need T_i = T_{i+1} / (1 − α_i), a division by 0 at an opaque sample.
     """
     r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     real = r < count
-    first = tl.load(ends + r, mask=real, other=0)
-    last = tl.load(ends + r + 1, mask=real, other=0)
+    first = tl.load(row_offsets + r, mask=real, other=0)
+    last = tl.load(row_offsets + r + 1, mask=real, other=0)
     gr = tl.load(gradient + r * 3, mask=real, other=0.0)
     gg = tl.load(gradient + r * 3 + 1, mask=real, other=0.0)
     gb = tl.load(gradient + r * 3 + 2, mask=real, other=0.0)
     most = tl.max(last - first)
-    light = tl.full((BLOCK,), 1.0, tl.float32)
+    transmittance = tl.full((BLOCK,), 1.0, tl.float32)
     for s in range(most):
         at = first + s
         some = real & (at < last)
         left = tl.exp(-tl.load(tau + at, mask=some, other=0.0))
-        w = light * (1 - left)
-        light *= left
-        tl.store(by_tau + at, light, mask=some)
+        w = transmittance * (1 - left)
+        transmittance *= left
+        tl.store(by_tau + at, transmittance, mask=some)
         tl.store(by_rgb + at * 3, w * gr, mask=some)
         tl.store(by_rgb + at * 3 + 1, w * gg, mask=some)
         tl.store(by_rgb + at * 3 + 2, w * gb, mask=some)
     shown = tl.load(background) * gr + tl.load(background + 1) * gg + tl.load(background + 2) * gb
-    behind = light * shown
+    behind = transmittance * shown
     for s in range(most):
         at = last - 1 - s
         some = real & (at >= first)
@@ -263,8 +263,8 @@ def adam(
     table, gradient, mean, square, count, numbers, epsilon, BETA1: tl.constexpr, BETA2: tl.constexpr,
     WIDTH: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """On rows that have a gradient, which is cleared."""
-    rate, warm, warm_square = tl.load(numbers), tl.load(numbers + 1), tl.load(numbers + 2)
+    """One step of Adam on the rows that have a gradient; the gradient is then cleared."""
+    rate, correction1, correction2 = tl.load(numbers), tl.load(numbers + 1), tl.load(numbers + 2)
     row = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     at = row[:, None] * WIDTH + tl.arange(0, WIDTH)[None, :]
     real = (row < count)[:, None]
@@ -273,7 +273,7 @@ def adam(
     m = BETA1 * tl.load(mean + at, mask=some, other=0.0) + (1 - BETA1) * g
     v = BETA2 * tl.load(square + at, mask=some, other=0.0) + (1 - BETA2) * g * g
     p = tl.load(table + at, mask=some, other=0.0)
-    tl.store(table + at, p - rate * (m * warm) / (tl.sqrt(v * warm_square) + epsilon), mask=some)
+    tl.store(table + at, p - rate * (m * correction1) / (tl.sqrt(v * correction2) + epsilon), mask=some)
     tl.store(mean + at, m, mask=some)
     tl.store(square + at, v, mask=some)
     tl.store(gradient + at, tl.zeros_like(g), mask=some)

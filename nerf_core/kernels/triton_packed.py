@@ -1,6 +1,6 @@
-"""`PackedKernels` on CUDA through Triton: launches of `nerf_core.kernels.triton_loops`.
+"""`PackedKernels` on CUDA: launches of the Triton kernels in `nerf_core.kernels.triton_loops`.
 
-With `room`, nothing here waits for the device or copies to it: a CUDA graph can record it.
+With a `capacity`, nothing here waits for the device or copies to it, so that a CUDA graph can record it.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from nerf_core.kernels.packed_kernels import BETA1, BETA2, EPSILON, HashLevels, 
 from nerf_core.volume.cells import Cells
 from nerf_core.volume.packed import Packed
 
-loops: Any = triton_loops  # what Triton types as a call is a launch, with other arguments
-POINTS, RAYS, ROWS = 128, 64, 256  # one program's share
-# No a·b + c rounded once: the march that counts samples and the one that writes them are compiled apart, and where one
-# fuses what the other does not, a ray finds another number of them. Said to all kernels, whose default is Triton's to
-# change: they wait for memory, not for arithmetic.
+loops: Any = triton_loops  # a launch has other arguments than the call that type checkers see
+POINTS, RAYS, ROWS = 128, 64, 256  # that one program works on
+# No fused multiply-add. The march that counts samples and the march that writes them are compiled separately. If only
+# one of them fused, they would find different numbers of samples. All kernels get the option: they are limited by
+# memory, not by arithmetic.
 EXACTLY = {"enable_fp_fusion": False}
 
 
@@ -32,24 +32,24 @@ class TritonPacked:
     name = "triton"
     fixed_shapes = True
 
-    def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor, room: int = 0) -> Samples:
+    def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor, capacity: int = 0) -> Samples:
         count, device = len(rays), offsets.device
         given = [v.contiguous() for v in (rays.origins, rays.directions, rays.near, rays.far, offsets)]
         held = [v.contiguous().view(torch.uint8) for v in (cells.occupied, cells.leap)]
         box = [float(v) for v in (*cells.origin, *(1 / cells.voxel))]
 
-        def launch(ends: Tensor, counts: Tensor, found: Samples, write: bool) -> None:
+        def launch(row_offsets: Tensor, counts: Tensor, found: Samples, write: bool) -> None:
             loops.march[(triton.cdiv(count, RAYS),)](
-                *given, *held, ends, counts, found.x, found.t, found.width, count, len(found.t), step, *box,
+                *given, *held, row_offsets, counts, found.x, found.t, found.width, count, len(found.t), step, *box,
                 *cells.size, CONTRACTED=cells.contracted, WRITE=write, BLOCK=RAYS, **EXACTLY,
             )  # fmt: skip
 
         counts = torch.zeros(count, dtype=torch.long, device=device)
-        launch(counts, counts, _room_for(counts, 0), write=False)
-        ends = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
-        found = _room_for(ends, room or int(ends[-1]))
-        launch(ends, counts, found, write=True)
-        return Samples(ends.clamp(max=len(found.t)), found.t, found.width, found.x.clamp_(0, 1))
+        launch(counts, counts, _empty_samples(counts, 0), write=False)
+        row_offsets = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
+        found = _empty_samples(row_offsets, capacity or int(row_offsets[-1]))
+        launch(row_offsets, counts, found, write=True)
+        return Samples(row_offsets.clamp(max=len(found.t)), found.t, found.width, found.x.clamp_(0, 1))
 
     def encode(self, table: Tensor, levels: HashLevels, x: Tensor) -> Tensor:
         count, rows, width = table.shape
@@ -72,18 +72,18 @@ class TritonPacked:
             )  # fmt: skip
 
     def composite(self, tau: Tensor, rgb: Tensor, samples: Packed, background: Tensor) -> Tensor:
-        count = len(samples.ends) - 1
+        count = len(samples.row_offsets) - 1
         pixel = torch.empty(count, 5, device=tau.device)
-        given = (v.contiguous() for v in (tau, rgb, samples.t, samples.ends, background))
+        given = (v.contiguous() for v in (tau, rgb, samples.t, samples.row_offsets, background))
         loops.composite[(triton.cdiv(count, RAYS),)](*given, pixel, count, BLOCK=RAYS, **EXACTLY)
         return pixel
 
     def composite_gradient(
         self, gradient: Tensor, tau: Tensor, rgb: Tensor, samples: Packed, background: Tensor
     ) -> tuple[Tensor, Tensor]:
-        count = len(samples.ends) - 1
+        count = len(samples.row_offsets) - 1
         by_tau, by_rgb = torch.zeros_like(tau), torch.zeros_like(rgb)  # samples behind the last ray have no gradient
-        given = (v.contiguous() for v in (gradient, tau, rgb, samples.ends, background))
+        given = (v.contiguous() for v in (gradient, tau, rgb, samples.row_offsets, background))
         loops.composite_gradient[(triton.cdiv(count, RAYS),)](*given, by_tau, by_rgb, count, BLOCK=RAYS, **EXACTLY)
         return by_tau, by_rgb
 
@@ -95,8 +95,10 @@ class TritonPacked:
         )  # fmt: skip
 
 
-def _room_for(ends: Tensor, count: int) -> Samples:
-    return Samples(ends, *(torch.zeros(*shape, device=ends.device) for shape in ((count,), (count,), (count, 3))))
+def _empty_samples(row_offsets: Tensor, count: int) -> Samples:
+    return Samples(
+        row_offsets, *(torch.zeros(*shape, device=row_offsets.device) for shape in ((count,), (count,), (count, 3)))
+    )
 
 
 @lru_cache(maxsize=16)

@@ -1,4 +1,4 @@
-"""What a device must be able to do with a voxel grid: one interface, several implementations of the same maths."""
+"""The interface of the kernels for a voxel grid. Every device has an implementation of it."""
 
 from __future__ import annotations
 
@@ -14,10 +14,13 @@ from nerf_core.volume.voxel_grid import VoxelGrid
 
 @dataclass(frozen=True)
 class March:
-    """How rays are sampled. step: length of a sample, in cells; density is per cell, so α = 1 − exp(−σ · step).
+    """How rays are sampled.
 
-    offsets: (R,) where the first sample lies in its step, 0 … 1. bias: added to the raw density before softplus.
-    background: (3,). smoothness: weight of ½ Σ (σ_k − mean)² over the 8 corners' raw densities of every sample.
+    step: length of a sample, in cells. Density is per cell, so that α = 1 − exp(−σ · step).
+    bias: added to the raw density before softplus. background: (3,).
+    offsets: (R,), where each ray's first sample lies in its step, 0 … 1.
+    smoothness: weight of ½ Σ (σ_k − mean)² over the raw densities at the 8 corners of every sample's cell.
+    threshold: the weight above which a sample marks its cell as seen; 1: none does.
     """
 
     step: float
@@ -29,65 +32,81 @@ class March:
 
 
 class Adam(NamedTuple):
-    """rate_*: learning rates. keep, keep_square: β₁, β₂; warm, warm_square: 1/(1 − βᵗ). epsilon: in units of a ray's
-    gradient. follow: the share of the way that the rows' average goes towards them."""
+    """The numbers of one step of Adam.
+
+    rate_color, rate_density: learning rates. beta1, beta2: decay of the moments.
+    correction1, correction2: bias corrections 1/(1 − β₁ᵗ) and 1/(1 − β₂ᵗ). epsilon: in units of a ray's gradient.
+    ema_rate: the EMA of the rows becomes ema + ema_rate · (row − ema).
+    """
 
     rate_color: float
     rate_density: float
-    keep: float
-    keep_square: float
-    warm: float
-    warm_square: float
+    beta1: float
+    beta2: float
+    correction1: float
+    correction2: float
     epsilon: float
-    follow: float
+    ema_rate: float
 
 
 @dataclass(frozen=True)
 class Traced(Packed):
-    """The samples that made R pixels (R, 5), as `render` has them: raw density with its bias, α, T (M,), rgb (M, 3)."""
+    """The samples from which `render` composites its pixels.
+
+    raw: (M,), raw density with the bias. alpha, transmittance: (M,). rgb: (M, 3).
+    pixel: (R, 5), colour over the background, opacity, Σ w t.
+    """
 
     raw: Tensor
     alpha: Tensor
-    light: Tensor
+    transmittance: Tensor
     rgb: Tensor
     pixel: Tensor
 
 
 class VoxelKernels(Protocol):
-    """Gradients add up inside until `update` applies or `forget` drops them."""
+    """The operations. Gradients are summed inside until `update` applies them or `forget` drops them."""
 
     name: str
 
     def render(self, grid: VoxelGrid, rays: BoxRays, how: March) -> Tensor:
-        """(R, 5): colour over the background, opacity, Σ w t."""
+        """The pixels of rays, (R, 5): colour over the background, opacity, Σ w t."""
         ...
 
     def trace(self, grid: VoxelGrid, rays: BoxRays, how: March) -> Traced:
-        """`render` with what it composited kept."""
+        """The pixels of rays, with the samples from which they were composited."""
         ...
 
     def resample(self, old: VoxelGrid, new: VoxelGrid, first: int, last: int) -> None:
-        """Interpolate `old` at the vertices of bricks first ≤ b < last of `new`; what it does not store counts as 0."""
+        """Interpolate `old` at the vertices of bricks first ≤ b < last of `new`. Vertices without a row count as 0."""
         ...
 
     def accumulate(self, grid: VoxelGrid, rays: BoxRays, truth: Tensor, how: March) -> tuple[float, int]:
-        """Add the gradient of ½ Σ squared error (and of smoothness); returns Σ squared error and the samples used."""
+        """Add the gradient of ½ Σ squared error, and of smoothness.
+
+        truth: the colours of the photos (R, 3). Returns the sum of squared errors, and the number of samples.
+        """
         ...
 
-    def forget(self) -> None: ...
+    def forget(self) -> None:
+        """Drop the gradients that were summed."""
+        ...
 
     def gradient(self, grid: VoxelGrid) -> Tensor:
-        """What has been added up, (M, 16)."""
+        """The gradients summed so far, (M, 16)."""
         ...
 
     def seen(self, grid: VoxelGrid) -> Tensor:
-        """(M,) bool, at each cell's lowest vertex: whether since `see` a sample in it weighed more than `threshold`."""
+        """Which cells had a sample with a weight above `threshold` since the last `see`: (M,) bool.
+
+        A cell is marked at the row of its lowest vertex.
+        """
         ...
 
     def see(self, grid: VoxelGrid, seen: Tensor) -> None:
         """Set what `seen` returns."""
         ...
 
-    def update(self, grid: VoxelGrid, moments: Tensor, average: Tensor, adam: Adam) -> None:
-        """One step of Adam on the rows that have a gradient, which is then forgotten; `average` (M, 16) follows."""
+    def update(self, grid: VoxelGrid, moments: Tensor, ema: Tensor, adam: Adam) -> None:
+        """One step of Adam on the rows that have a gradient, and of their EMA (M, 16). Then drops the gradients."""
         ...

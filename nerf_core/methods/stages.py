@@ -87,7 +87,7 @@ def field_stage(samples: Samples, sentence: str, title: str = "Density and colou
 
 def absorption_stage(samples: Samples, title: str = "α, T and w") -> Stage:
     """What the first ray of `samples` composites."""
-    t, alpha, light, weights = (
+    t, alpha, transmittance, weights = (
         v[0].float().cpu().numpy() for v in (samples.t, samples.alpha, samples.transmittance, samples.weights)
     )
     total = float(weights.sum())
@@ -96,7 +96,7 @@ def absorption_stage(samples: Samples, title: str = "α, T and w") -> Stage:
         "the product of all (1 − α) in front; its weight in the pixel is w = T α."
     )
     rows = (("Σ w", number(total)), ("left for what is behind", number(1 - total)))
-    return Stage(title, sentence, (Stems("α", t, alpha), Stems("T", t, light), Stems("w", t, weights)), rows)
+    return Stage(title, sentence, (Stems("α", t, alpha), Stems("T", t, transmittance), Stems("w", t, weights)), rows)
 
 
 def skipped_stage(samples: Samples, cells: Cells, step: float) -> Stage:

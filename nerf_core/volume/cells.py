@@ -1,4 +1,4 @@
-"""A grid of cells, each occupied or empty. A march along a ray steps through occupied cells and leaps over empty ones."""
+"""A grid of cells, occupied or empty. A march along a ray steps through occupied cells and leaps over empty ones."""
 
 from __future__ import annotations
 

@@ -21,14 +21,14 @@ class Packed:
     t, width: (M,), position and length of each sample, in the parameter of the box rays.
     """
 
-    ends: Tensor
+    row_offsets: Tensor
     t: Tensor
     width: Tensor
 
     @property
     def ray(self) -> Tensor:
         """The ray of each sample, (M,)."""
-        counts = self.ends.diff()
+        counts = self.row_offsets.diff()
         return torch.repeat_interleave(torch.arange(len(counts), device=counts.device), counts)
 
     def before(self, tau: Tensor) -> Tensor:
@@ -41,7 +41,7 @@ class Packed:
         running = tau.cumsum(0) - tau
         if not len(tau):
             return running
-        return running - running[self.ends[:-1].clamp(max=len(tau) - 1)][self.ray]
+        return running - running[self.row_offsets[:-1].clamp(max=len(tau) - 1)][self.ray]
 
 
 def opened(name: str, space: Space, rays: Rays, packed: Packed, tau: Tensor, rgb: Tensor) -> Samples:
@@ -51,10 +51,12 @@ def opened(name: str, space: Space, rays: Rays, packed: Packed, tau: Tensor, rgb
     Rays with fewer samples are padded behind their last one: t and δ repeat, and the optical depth is 0. The padding
     of a ray without samples lies where the box begins.
     """
-    counts = packed.ends.diff()
+    counts = packed.row_offsets.diff()
     most = max(1, int(counts.max())) if len(counts) else 1
     place = torch.arange(most, device=tau.device)
-    index = (packed.ends[:-1, None] + torch.minimum(place, (counts - 1).clamp(min=0)[:, None])).clamp(max=len(tau) - 1)
+    index = (packed.row_offsets[:-1, None] + torch.minimum(place, (counts - 1).clamp(min=0)[:, None])).clamp(
+        max=len(tau) - 1
+    )
     real = place < counts[:, None]
     boxed = space.rays(rays)
     stretch = boxed.directions.norm(dim=-1) if space.kind == "ndc" else torch.ones_like(boxed.near)
@@ -69,8 +71,10 @@ def opened(name: str, space: Space, rays: Rays, packed: Packed, tau: Tensor, rgb
     delta = torch.where(some, delta, 1.0) * stretch[:, None]
     alpha = -torch.expm1(-depth)
     # The sum excludes the sample itself, whose optical depth is infinite if it has no end.
-    light = torch.exp(-torch.cat([torch.zeros_like(depth[:, :1]), depth[:, :-1].cumsum(-1)], -1))
-    return Samples(name, space.world_t(rays, t), delta, depth / delta, alpha, light, alpha * light, color, counts)
+    transmittance = torch.exp(-torch.cat([torch.zeros_like(depth[:, :1]), depth[:, :-1].cumsum(-1)], -1))
+    return Samples(
+        name, space.world_t(rays, t), delta, depth / delta, alpha, transmittance, alpha * transmittance, color, counts
+    )
 
 
 def to_trace(name: str, space: Space, rays: Rays, packed: Packed, tau: Tensor, rgb: Tensor, pixel: Tensor) -> Trace:

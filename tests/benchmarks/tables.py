@@ -251,8 +251,8 @@ def determinism(scene: Scene, rounds: int) -> dict[str, list[float]]:
                         np.lib.stride_tricks.as_strided(one := getattr(self, name), strides=(0, one.itemsize)),
                     )
 
-        def update(self, grid: VoxelGrid, moments: Tensor, average: Tensor, adam: Adam) -> None:
-            rows, slots, means = (v.numpy().ravel() for v in (grid.rows, moments, average))
+        def update(self, grid: VoxelGrid, moments: Tensor, ema: Tensor, adam: Adam) -> None:
+            rows, slots, means = (v.numpy().ravel() for v in (grid.rows, moments, ema))
             numbers = [np.float32(v) for v in adam]
 
             def work(s: int) -> None:

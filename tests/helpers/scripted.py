@@ -85,15 +85,16 @@ def rays(camera: Camera, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.n
 
 def render(request: ViewRequest, stride: int = 1) -> Preview:
     camera = request.camera
-    values = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
-    rgba, depth = _picture(values, camera.c2w.tobytes(), stride)
+    lens = (camera.fx, camera.fy, camera.cx, camera.cy)
+    rgba, depth = _picture(camera.width, camera.height, lens, camera.c2w.tobytes(), stride)
     return Preview(request.stamp, camera, rgba, depth, stride, True, 100, "fine")
 
 
 @lru_cache(maxsize=16)  # most tests look from where the window begins
-def _picture(values: tuple[float, ...], c2w: bytes, stride: int) -> tuple[np.ndarray, np.ndarray]:
-    width, height, *lens = values
-    camera = Camera(int(width), int(height), *lens, np.frombuffer(c2w).reshape(3, 4))
+def _picture(
+    width: int, height: int, lens: tuple[float, float, float, float], c2w: bytes, stride: int
+) -> tuple[np.ndarray, np.ndarray]:
+    camera = Camera(width, height, *lens, np.frombuffer(c2w).reshape(3, 4))
     rows, columns = np.arange(0, camera.height, stride), np.arange(0, camera.width, stride)
     rgba = np.full((len(rows), len(columns), 4), 255, np.uint8)
     depth = np.empty(rgba.shape[:2], np.float32)

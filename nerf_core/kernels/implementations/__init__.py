@@ -1,1 +1,1 @@
-"""Which implementations of the hot loops there are: one file each. None imports numba or Triton before it is chosen."""
+"""The implementations of the hot loops, one file each. None imports numba or Triton before it is chosen."""

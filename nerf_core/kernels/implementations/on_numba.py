@@ -1,4 +1,4 @@
-"""numba's compiled loops on a CPU, as many at once as torch has threads."""
+"""Loops compiled by numba, on a CPU, with as many threads as torch has."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from nerf_core.kernels.choice import PACKED_KERNELS, VOXEL_KERNELS
 from nerf_core.kernels.packed_kernels import PackedKernels
 from nerf_core.kernels.voxel_kernels import VoxelKernels
 
-MOST_SHARDS = 16  # of the voxel grid: each has gradients of its own, 64 bytes a row
+MOST_SHARDS = 16  # of the voxel grid: each shard has its own gradients, 64 bytes a row
 
 
 class _OnNumba:

@@ -1,4 +1,4 @@
-"""Torch operations: they run on every device, and the other implementations are tested against them."""
+"""Torch operations. They run on every device, and the other implementations are tested against them."""
 
 from __future__ import annotations
 

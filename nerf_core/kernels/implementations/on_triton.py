@@ -1,4 +1,4 @@
-"""Triton's kernels on CUDA, for packed samples and the hash grid."""
+"""Triton kernels for packed samples and the hash grid, on CUDA."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ class GuidedNerf(GuidedStages):
         """
         near = rays.to(CPU)
         found = self.guide.traced(near, offsets)
-        weight, ray = found.alpha * found.light, found.ray
+        weight, ray = found.alpha * found.transmittance, found.ray
         inside = found.t <= near.far[ray]
         kept = (inside & (weight > self.config.least)).nonzero()[:, 0]
         ray, t, width = ray[kept], found.t[kept], found.width[kept]
@@ -93,8 +93,8 @@ class GuidedNerf(GuidedStages):
             ray, order = torch.cat([ray, open_ended]).sort(stable=True)
             t = torch.cat([t, near.far[open_ended]])[order]
             width = torch.cat([width, torch.full((len(open_ended),), self.config.last_delta)])[order]
-        ends = torch.searchsorted(ray, torch.arange(len(rays) + 1))
-        return Packed(*(v.to(self.device) for v in (ends, t, width)))
+        row_offsets = torch.searchsorted(ray, torch.arange(len(rays) + 1))
+        return Packed(*(v.to(self.device) for v in (row_offsets, t, width)))
 
     # ---- evaluating -------------------------------------------------------------------------------------------------
 

@@ -30,10 +30,10 @@ class FixedStep:
     """
 
     def __init__(
-        self, field: HashField, kernels: PackedKernels, cells: Cells, rays: int, room: int, step: float, length: float,
-        background: Tensor, into: Tensor, update: Callable[[], None],
+        self, field: HashField, kernels: PackedKernels, cells: Cells, rays: int, capacity: int, step: float,
+        length: float, background: Tensor, into: Tensor, update: Callable[[], None],
     ) -> None:  # fmt: skip
-        self.field, self.kernels, self.room, self.step, self.length = field, kernels, room, step, length
+        self.field, self.kernels, self.capacity, self.step, self.length = field, kernels, capacity, step, length
         self.background, self.into, self.update = background, into, update
         self.cells = replace(cells, occupied=cells.occupied.clone(), leap=cells.leap.clone())
         device = background.device
@@ -71,11 +71,11 @@ class FixedStep:
 
     def run(self) -> None:
         """The step itself: nothing in it waits for the device, and every shape is known before it begins."""
-        samples = self.kernels.march(self.cells, self.rays, self.step, self.offsets, self.room)
-        total = samples.ends[-1]
-        place = torch.arange(self.room, device=total.device)
-        ray = (torch.searchsorted(samples.ends, place, right=True) - 1).clamp(max=len(self.rays) - 1)
-        whole = samples.ends[1:] < self.room
+        samples = self.kernels.march(self.cells, self.rays, self.step, self.offsets, self.capacity)
+        total = samples.row_offsets[-1]
+        place = torch.arange(self.capacity, device=total.device)
+        ray = (torch.searchsorted(samples.row_offsets, place, right=True) - 1).clamp(max=len(self.rays) - 1)
+        whole = samples.row_offsets[1:] < self.capacity
         features = self.field.encode(samples.x).requires_grad_()
         raw, geometry = self.field.geometry(features)
         rgb = self.field.radiance(geometry, self.rays.views[ray])

@@ -36,7 +36,7 @@ from nerf_core.volume.packed import to_trace
 TILE = 2048  # rays drawn at once on a CPU: some 10 ms
 TILE_SAMPLES = 1 << 20  # drawn at once on a GPU: enough to keep it busy, under a gigabyte of activations
 PIECE = 1 << 13  # samples between two calls of the yield callback on a CPU: some 10 ms
-ROOM = 1.25  # times the samples asked for: so many a recorded step can hold
+FIRST_CAPACITY = 1.25  # times the samples asked for: so many a recorded step can hold
 FEWEST = 1 << 12  # samples a step that can still be halved
 AVERAGE_EVERY = 4  # steps: the table is large, and neighbouring steps differ little
 FOLLOW = 0.1  # of the way to the weights that the average then goes: it spans some 40 steps
@@ -150,7 +150,7 @@ class Hash(Defaults, HashStages):
         if self.fixed is None or len(self.fixed.rays) != rays:
             self.fixed = None  # its memory first
             self.fixed = FixedStep(
-                self.field, self.kernels, self.occupancy.cells, rays, int(ROOM * self.config.samples),
+                self.field, self.kernels, self.occupancy.cells, rays, int(FIRST_CAPACITY * self.config.samples),
                 self.step_cells, self.length, self.background, self.table_gradient, self._update,
             )  # fmt: skip
         return self.fixed

@@ -121,12 +121,14 @@ class VoxelModel(Defaults):
         self.updates += 1
         since = max(0, step - self.levels[self.level].begin)
         slower = 1 / (1 + since / c.slowdown)
-        warm, warm_square = (1 / (1 - beta**self.updates) for beta in (c.keep, c.keep_square))
-        follow = max(1 - c.average, YOUNG / (YOUNG + self.updates - 1))
+        correction1, correction2 = (1 / (1 - beta**self.updates) for beta in (c.keep, c.keep_square))
+        ema_rate = max(1 - c.average, YOUNG / (YOUNG + self.updates - 1))
         self.kernels.update(
             self.grid, self.moments, self.average,
-            Adam(c.rate_color * slower, c.rate_density * slower, c.keep, c.keep_square, warm, warm_square, c.epsilon,
-                 follow),
+            Adam(
+                c.rate_color * slower, c.rate_density * slower, c.keep, c.keep_square,
+                correction1, correction2, c.epsilon, ema_rate,
+            ),
         )  # fmt: skip
         self._drop_cells(since + 1)
         return error / (3 * len(rays))

@@ -32,10 +32,10 @@ def some_samples(rays: int = 40) -> tuple[Samples, Tensor, Tensor]:
     counts = torch.randint(0, 10, (rays,), generator=g)
     counts[:2], counts[-1] = 0, 0
     total = int(counts.sum())
-    ends = torch.cat([torch.zeros(1, dtype=torch.long), counts.cumsum(0)])
+    row_offsets = torch.cat([torch.zeros(1, dtype=torch.long), counts.cumsum(0)])
     tau = torch.rand(total, generator=g)
     tau[::7], tau[3::11] = 0, 30
-    samples = Samples(ends, torch.rand(total, generator=g), torch.ones(total), torch.rand(total, 3, generator=g))
+    samples = Samples(row_offsets, torch.rand(total, generator=g), torch.ones(total), torch.rand(total, 3, generator=g))
     return samples, tau, torch.rand(total, 3, generator=g)
 
 
@@ -66,7 +66,7 @@ def test_a_march_finds_the_same_samples(kernels: PackedKernels, contracted: bool
     far[30] = -1.0
     rays, offsets = BoxRays(origins, d, d, torch.full((MARCHED,), 0.05), far), torch.rand(MARCHED, generator=g)
     a, b = (k.march(cells, rays, 0.6, offsets) for k in (kernels, PLAIN))
-    same = a.ends.diff() == b.ends.diff()
+    same = a.row_offsets.diff() == b.row_offsets.diff()
     assert int((~same).sum()) <= 4  # a sample that lies on a cell's face may be rounded to either side of it
     mine, theirs = (s.at(same[s.ray].nonzero()[:, 0]) for s in (a, b))
     assert len(mine.t) > 2.5 * MARCHED
@@ -90,7 +90,7 @@ def test_a_march_from_far_away_takes_steps_that_float32_can_tell_apart(
     d = (-origins / away[:, None]).contiguous()
     last = 1e4 + 2 * away  # as contracted scenes have it, a horizon
     samples = kernels.march(cells, BoxRays(origins, d, d, 0 * away, last), 0.5, torch.full_like(away, 0.5))
-    counts = samples.ends.diff()
+    counts = samples.row_offsets.diff()
     assert counts[0] >= 64
     assert counts.max() < 1000
     # a step of 2⁻²² of the distance is 1/4 at a million: from there some samples still meet the box
@@ -114,7 +114,7 @@ def test_what_is_no_ray_finds_no_samples(kernels: PackedKernels, contracted: boo
     near[18], far[19] = torch.nan, torch.nan
     d[20], near[21] = 0, torch.inf
     samples = kernels.march(cells, BoxRays(origins, d, d, near, far), 0.5, torch.full((23,), 0.5))
-    counts = samples.ends.diff()
+    counts = samples.row_offsets.diff()
     assert counts[:22].tolist() == [0] * 22
     assert counts[22] >= 8
 
@@ -147,11 +147,11 @@ def test_a_march_fills_a_room_of_given_size(kernels: PackedKernels) -> None:
     d = torch.nn.functional.normalize(torch.randn(60, 3, generator=generator(1)), dim=-1)
     rays = BoxRays(-2 * d + 0.2, d, d, torch.zeros(60), torch.full((60,), 9.0))
     found = kernels.march(cells, rays, 0.6, torch.zeros(60))
-    for room in (len(found.t) // 2, len(found.t) + 50):
-        fixed = kernels.march(cells, rays, 0.6, torch.zeros(60), room)
-        n = min(room, len(found.t))
-        assert len(fixed.t) == len(fixed.width) == len(fixed.x) == room
-        assert torch.equal(fixed.ends, found.ends.clamp(max=room))
+    for capacity in (len(found.t) // 2, len(found.t) + 50):
+        fixed = kernels.march(cells, rays, 0.6, torch.zeros(60), capacity)
+        n = min(capacity, len(found.t))
+        assert len(fixed.t) == len(fixed.width) == len(fixed.x) == capacity
+        assert torch.equal(fixed.row_offsets, found.row_offsets.clamp(max=capacity))
         for name in ("t", "width", "x"):
             assert torch.equal(getattr(fixed, name)[:n], getattr(found, name)[:n])
         assert not fixed.width[n:].any()
@@ -188,10 +188,10 @@ def test_packed_rays_are_composited_like_full_ones(kernels: PackedKernels, endle
     """endless: the last sample of each ray reaches to where space ends."""
     samples, tau, rgb = some_samples()
     if endless:
-        tau[samples.ends[1:][samples.ends.diff() > 0] - 1] = 1e12
+        tau[samples.row_offsets[1:][samples.row_offsets.diff() > 0] - 1] = 1e12
     pixel = kernels.composite(tau, rgb, samples, WHITE)
-    for r in range(len(samples.ends) - 1):
-        part = slice(int(samples.ends[r]), int(samples.ends[r + 1]))
+    for r in range(len(samples.row_offsets) - 1):
+        part = slice(int(samples.row_offsets[r]), int(samples.row_offsets[r + 1]))
         if part.start == part.stop:
             torch.testing.assert_close(pixel[r], torch.tensor([1.0, 0.5, 0.25, 0, 0]))
             continue
@@ -205,7 +205,7 @@ def test_packed_rays_are_composited_like_full_ones(kernels: PackedKernels, endle
 @each_fast
 def test_the_gradient_of_compositing_is_autograds(kernels: PackedKernels) -> None:
     samples, tau, rgb = some_samples()
-    gradient = torch.randn(len(samples.ends) - 1, 3, generator=generator(5))
+    gradient = torch.randn(len(samples.row_offsets) - 1, 3, generator=generator(5))
     for mine, theirs in zip(
         kernels.composite_gradient(gradient, tau, rgb, samples, WHITE),
         PLAIN.composite_gradient(gradient, tau, rgb, samples, WHITE),
@@ -218,8 +218,8 @@ def test_the_gradient_of_compositing_is_autograds(kernels: PackedKernels) -> Non
 def test_the_plain_gradient_is_that_of_finite_differences() -> None:
     samples, tau, rgb = some_samples()
     tau, rgb = tau.clamp(0.05, 2).double(), rgb.double()
-    double = Samples(samples.ends, samples.t.double(), samples.width, samples.x)
-    gradient = torch.randn(len(samples.ends) - 1, 3, generator=generator(5)).double()
+    double = Samples(samples.row_offsets, samples.t.double(), samples.width, samples.x)
+    gradient = torch.randn(len(samples.row_offsets) - 1, 3, generator=generator(5)).double()
     by_tau, by_rgb = PLAIN.composite_gradient(gradient, tau, rgb, double, WHITE.double())
     step = (
         torch.randn(tau.shape, generator=generator(6)).double(),

@@ -17,9 +17,9 @@ PACKED, FIXED_STEP = HERE / "test_packed_kernels.py", HERE.parent / "methods" / 
 GENERATIONS = (75, 80, 90, 120)  # compute capabilities: Turing, Ampere, Hopper, Blackwell
 TYPES = {
     "*u8": "occupied leap",
-    "*i64": "ends counts",
+    "*i64": "row_offsets counts",
     "*i32": "resolutions",
-    "i32": "rays room count rows levels nx ny nz",
+    "i32": "rays capacity count rows levels nx ny nz",
     "fp32": "step bx by bz sx sy sz epsilon",
 }  # fmt: skip  of the kernels' arguments; others point to fp32
 

@@ -94,9 +94,10 @@ def test_a_ray_that_is_removed_and_pinned_again_begins_anew(open_desk: OpenDesk,
     desk.send(LoadCheckpoint(saved[0]))
     desk.until_told("loaded run.safetensors")
     pin = desk.worker.snapshot().pins[1]
-    desk.send(UnpinRay(pin.id), PinRay(pin.camera, pin.pixel, id=77))
-    again = desk.until(lambda s: [pin.id for pin in s.pins][1:] == [77] and s.pins[1].history is not None)
-    assert history_of(again, 77).steps.tolist() == [5]
+    wanted = PinRay(pin.camera, pin.pixel)
+    desk.send(UnpinRay(pin.id), wanted)
+    again = desk.until(lambda s: [pin.id for pin in s.pins][1:] == [wanted.id] and s.pins[1].history is not None)
+    assert history_of(again, wanted.id).steps.tolist() == [5]
     assert again.pins[1].color == 1  # the colour that became free
 
 

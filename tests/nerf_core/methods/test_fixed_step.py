@@ -55,9 +55,9 @@ def gradients(method: Hash) -> list[torch.Tensor]:
     return found
 
 
-def fixed(method: Hash, rays: int, room: int) -> FixedStep:
+def fixed(method: Hash, rays: int, capacity: int) -> FixedStep:
     return FixedStep(
-        method.field, method.kernels, method.occupancy.cells, rays, room, method.step_cells, method.length,
+        method.field, method.kernels, method.occupancy.cells, rays, capacity, method.step_cells, method.length,
         method.background, method.table_gradient, lambda: None,
     )  # fmt: skip
 
@@ -89,11 +89,11 @@ def test_rays_that_find_no_room_have_no_say(scene: Scene, kernels: PackedKernels
     method = learnt(scene, kernels)
     rays, truth, offsets = some(scene)
     boxed, cells = method.space.rays(rays), method.occupancy.cells
-    ends = method.kernels.march(cells, boxed, method.step_cells, offsets).ends
+    row_offsets = method.kernels.march(cells, boxed, method.step_cells, offsets).row_offsets
     whole = 30
-    room = int(ends[whole]) + 3
-    assert int(ends[whole + 1]) > room
-    error, _ = fixed(method, len(rays), room)(cells, boxed, offsets, truth)
+    capacity = int(row_offsets[whole]) + 3
+    assert int(row_offsets[whole + 1]) > capacity
+    error, _ = fixed(method, len(rays), capacity)(cells, boxed, offsets, truth)
     mine = gradients(method)
     some_error, _ = method._accumulate(rays[:whole], offsets[:whole], truth[:whole], 2 / truth.numel())
     assert error == pytest.approx(some_error * len(rays) / whole, rel=1e-3)  # the others as if they were like these

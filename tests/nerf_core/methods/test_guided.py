@@ -105,7 +105,7 @@ def test_what_weighs_too_little_is_not_asked_about(scene: Scene) -> None:
     half = torch.full((len(rays),), 0.5)
     found = method.guide.traced(rays, half)
     placed = method._placed(rays, half)
-    weight = found.alpha * found.light
+    weight = found.alpha * found.transmittance
     assert 0 < len(placed.t) < len(found.t)
     assert torch.equal(placed.t, found.t[weight > 0.05])
     assert torch.equal(placed.ray, found.ray[weight > 0.05])
@@ -116,10 +116,10 @@ def test_all_that_lies_beyond_far_is_one_opaque_sample_there(scene: Scene) -> No
     method, rays = guided(run(place, 60)), first_rays(place)
     half = torch.full((len(rays),), 0.5)
     found, placed = method.guide.traced(rays, half), method._placed(rays, half)
-    weight = found.alpha * found.light
+    weight = found.alpha * found.transmittance
     behind = torch.zeros(len(rays)).index_add(0, found.ray, torch.where(found.t > rays.far[found.ray], weight, 0))
     some = behind > method.config.least
-    last = placed.ends[1:][some] - 1
+    last = placed.row_offsets[1:][some] - 1
     assert some.any()
     assert torch.equal(placed.t[last], rays.far[some])
     assert (placed.width[last] == method.config.last_delta).all()
@@ -234,5 +234,5 @@ def test_what_has_no_end_is_behind_all_that_is_before_it(scene: Scene) -> None:
     assert fine.count is not None
     assert float(fine.delta.max()) > 1e9
     torch.testing.assert_close(fine.weights.sum(-1), traced.rendering.opacity, atol=1e-5, rtol=0)
-    light = torch.cat([torch.ones(len(rays), 1), (1 - fine.alpha).cumprod(-1)[:, :-1]], -1)
-    torch.testing.assert_close(fine.transmittance, light, atol=1e-5, rtol=0)
+    transmittance = torch.cat([torch.ones(len(rays), 1), (1 - fine.alpha).cumprod(-1)[:, :-1]], -1)
+    torch.testing.assert_close(fine.transmittance, transmittance, atol=1e-5, rtol=0)

@@ -55,8 +55,8 @@ def render(w: dict[str, Tensor], c: NerfConfig, rays: Rays, t: Tensor, draws: to
         raw = raw + c.density_noise * torch.randn(raw.shape, generator=draws)
     delta = torch.cat([t[:, 1:] - t[:, :-1], torch.full_like(t[:, :1], 1e10)], -1)
     alpha = 1 - torch.exp(-torch.relu(raw) * delta)
-    light = torch.cat([torch.ones_like(alpha[:, :1]), torch.cumprod(1 - alpha, -1)[:, :-1]], -1)
-    weights = light * alpha
+    transmittance = torch.cat([torch.ones_like(alpha[:, :1]), torch.cumprod(1 - alpha, -1)[:, :-1]], -1)
+    weights = transmittance * alpha
     return (weights[..., None] * rgb).sum(1) + 1 - weights.sum(-1, keepdim=True), weights
 
 

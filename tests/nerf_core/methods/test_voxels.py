@@ -194,8 +194,8 @@ def test_rates_fall_within_a_level_and_adam_begins_anew_with_it(scene: Scene, mo
         since = step if step < steps else step - steps
         assert adam.rate_density == pytest.approx(c.rate_density / (1 + since / 5))
         assert adam.rate_color == pytest.approx(c.rate_color / (1 + since / 5))
-        assert adam.warm == pytest.approx(1 / (1 - c.keep ** (since + 1)))
-        assert adam.warm_square == pytest.approx(1 / (1 - c.keep_square ** (since + 1)))
+        assert adam.correction1 == pytest.approx(1 / (1 - c.keep ** (since + 1)))
+        assert adam.correction2 == pytest.approx(1 / (1 - c.keep_square ** (since + 1)))
 
 
 def test_what_was_seen_is_forgotten_half_way_and_after_cells_were_dropped(scene: Scene) -> None:
