@@ -1,10 +1,10 @@
-"""Where the demo scene, fonts and icon lie: inside the installed package, else beside it in a checkout."""
+"""Find the demo scene, fonts and icon: they lie inside the installed package, or beside it in a checkout."""
 
 from pathlib import Path
 
 
 def assets_dir() -> Path:
-    """The folder of shipped assets. Raises FileNotFoundError when the installation is incomplete."""
+    """Return the folder of shipped assets. Raises FileNotFoundError if the installation is incomplete."""
     package = Path(__file__).resolve().parents[1]
     for folder in (package / "assets", package.parent / "assets"):
         if folder.is_dir():

@@ -1,6 +1,7 @@
-"""Numbers as colours: viridis for scalars, inferno for errors, and a map with two arms for what has a sign.
+"""Colour maps: viridis for scalars, inferno for errors, and a diverging map for signed values.
 
-Stops of matplotlib's maps of those names (CC0), the last its PuOr reversed; between two, a straight line in sRGB.
+Each map is a list of stops taken from matplotlib (CC0); "signed" is matplotlib's PuOr reversed. Colours between two
+stops are interpolated linearly in sRGB.
 """
 
 from __future__ import annotations
@@ -23,7 +24,16 @@ _TABLES = {name: np.array([list(bytes.fromhex(stop)) for stop in text.split()]) 
 
 
 def colored(values: np.ndarray, low: float, high: float, name: Name = "viridis") -> np.ndarray:
-    """Values (…) → colours (…, 3) float32: `low` is the map's beginning, `high` its end; NaN is black."""
+    """Map values to colours.
+
+    Args:
+        values: numbers of any shape (…).
+        low, high: the values that get the first and the last colour; values outside are clamped.
+        name: the colour map.
+
+    Returns:
+        sRGB colours (…, 3), float32 in [0, 1]. NaN becomes black.
+    """
     table = _TABLES[name]
     at = np.clip((np.asarray(values, np.float64) - low) / max(high - low, 1e-30), 0, 1) * (len(table) - 1)
     where = np.nan_to_num(at)

@@ -1,4 +1,4 @@
-"""Command lines from dataclasses; a mistake in one is a single line, like every other error."""
+"""Build command lines from dataclasses, and report each mistake in one line like every other error."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ CONFIG = (
     tyro.conf.FlagCreatePairsOff,
     tyro.conf.DisallowNone,
 )
-UNREAD = (  # what tyro says of values, and what is said of them here
+UNREAD = (  # tyro's messages about values that it cannot parse, and the words that replace them
     (r"Could not parse arguments \[(.*)\] into .*\bint\b.*", r"cannot be read: \1: whole numbers are needed"),
     (r"Could not parse arguments \[(.*)\] into .*", r"cannot be read: \1"),
     (r"no type matching INT could be instantiated from \[(.*)\]", r"cannot be read: \1: a whole number is needed"),
@@ -32,10 +32,20 @@ UNREAD = (  # what tyro says of values, and what is said of them here
 
 
 def parse(kind: Any, prog: str, arguments: Sequence[str] | None, description: str | None = None) -> Any:
-    """An instance of the dataclass (or of one of a union's) that `arguments` (None: the process's own) describe.
+    """Parse a command line into a dataclass.
 
-    description: what --help says of the program; by default the docstring of `kind`.
-    Raises UserError naming what cannot be taken, SystemExit(0) after --help and --version.
+    Args:
+        kind: the dataclass, or a union of dataclasses for a program with subcommands.
+        prog: the program's name in messages.
+        arguments: the words to parse; None takes the process's own.
+        description: the text at the top of --help; None takes the docstring of `kind`.
+
+    Returns:
+        An instance of `kind`, or of one member of the union.
+
+    Raises:
+        UserError: names the option that cannot be parsed.
+        SystemExit: with status 0 after --help and --version.
     """
     arguments = [_at_home(one) for one in (sys.argv[1:] if arguments is None else arguments)]
     if arguments == ["--version"]:
@@ -63,7 +73,7 @@ def parse(kind: Any, prog: str, arguments: Sequence[str] | None, description: st
 
 
 def _repeatable(kind: Any) -> Iterator[str]:
-    """The options of a dataclass, of those in its fields and of all in a union that may be given more than once."""
+    """The options that may be given more than once: fields that are lists, in all dataclasses that `kind` contains."""
     for part in get_args(kind) if get_origin(kind) in (Union, Annotated) else ():
         yield from _repeatable(part)
     if not (isinstance(kind, type) and is_dataclass(kind)):
@@ -76,8 +86,11 @@ def _repeatable(kind: Any) -> Iterator[str]:
 
 
 def _at_home(argument: str) -> str:
-    """The same with a `~` at its beginning put into full: shells leave the one in --save=~/x.ckpt as it is. A folder of
-    that name, ./~, is told by its whole path: paths drop the dot, and would mean the home folder from then on."""
+    """The argument with a leading `~` expanded, because shells do not expand the one in --save=~/x.safetensors.
+
+    A folder that is really called `~` is written ./~. It becomes an absolute path, because Path drops the dot and the
+    rest would mean the home folder.
+    """
     option, equals, value = argument.partition("=") if argument.startswith("--") else ("", "", argument)
     path = Path(value)
     if not str(path).startswith("~"):
@@ -86,9 +99,9 @@ def _at_home(argument: str) -> str:
 
 
 def _sentence(box: str) -> str:
-    """The message in a box: what stands between its title and the rule below, without the frame.
+    """The message inside the box that tyro draws: the text between the title and the rule below it.
 
-    It is drawn with Unicode's lines or, where the terminal has none, with dashes.
+    The frame consists of Unicode lines, or of dashes where the terminal has no Unicode.
     """
     words: list[str] = []
     for line in box.splitlines()[1:]:
@@ -98,7 +111,7 @@ def _sentence(box: str) -> str:
         elif words:
             break
     text = " ".join(words).partition(" Got errors:")[0].rstrip(".")
-    missing = re.match(r"Missing from [^:]*: (--[\w-]+) ", text)  # what follows is the option's whole help
+    missing = re.match(r"Missing from [^:]*: (--[\w-]+) ", text)  # the rest is the option's whole help
     if missing:
         return f"{missing[1]}: is needed"
     for theirs, ours in UNREAD:

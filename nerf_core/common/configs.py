@@ -23,10 +23,12 @@ SHARES = {"[0, 1)": "must lie in [0, 1)", "(0, 1]": "must lie in (0, 1]", "(0, 1
 
 @dataclass(frozen=True)
 class Constant:
-    """What is known of one field of a configuration, besides its default.
+    """The help and the allowed values of one field of a configuration.
 
-    least, most: its range, ends included. share: an interval between 0 and 1 that it must lie in, a key of SHARES;
-    empty: none. choices: the words that it may be; empty: it is a number or a truth value. help: one line.
+    help: one line for people.
+    least, most: the range of a number, both ends included.
+    share: an interval between 0 and 1 as a key of SHARES; empty: the range above is all that counts.
+    choices: the allowed words; empty: the field is a number or a truth value.
     """
 
     help: str
@@ -37,7 +39,7 @@ class Constant:
 
     @property
     def range(self) -> str:
-        """The values that it may have, for people; empty: any."""
+        """The allowed values, written for people; empty where every value is allowed."""
         if self.choices:
             return " or ".join(self.choices)
         if self.share:
@@ -51,12 +53,16 @@ class Constant:
 def constant(
     default: Any, help: str, *, least: float = 0.0, most: float = LARGEST, share: str = "", choices: Sequence[str] = ()
 ) -> Any:
-    """A field of a configuration with its default, range and a line of help; see `Constant`."""
+    """Declare a field of a configuration with its default, its range and one line of help; see `Constant`."""
     return field(default=default, metadata={"constant": Constant(help, least, most, share, tuple(choices))})
 
 
 def constants(kind: type[Any]) -> dict[str, tuple[Any, Constant]]:
-    """Defaults and descriptions of all fields of a configuration, by name; of a nested one as outer.inner."""
+    """List the fields of a configuration.
+
+    Returns:
+        {name: (default, Constant)}. The fields of a nested configuration are named outer.inner.
+    """
     found: dict[str, tuple[Any, Constant]] = {}
     for f in fields(kind):
         if "constant" in f.metadata:
@@ -68,7 +74,7 @@ def constants(kind: type[Any]) -> dict[str, tuple[Any, Constant]]:
 
 
 def check_ranges(config: Any) -> None:
-    """Raises UserError for a field outside of the range that it declares, and for one that is no number."""
+    """Raise UserError for a field outside its declared range, and for one that is NaN or infinite."""
     for f in fields(config):
         known: Constant | None = f.metadata.get("constant")
         value = getattr(config, f.name)
@@ -94,7 +100,16 @@ def _in_share(value: float, share: str) -> bool:
 
 
 def changed(config: C, changes: Mapping[str, str], method: str) -> C:
-    """The configuration with `changes` ({"rays": "256"}). Raises UserError for names and values that do not exist."""
+    """Return the configuration with some constants changed.
+
+    Args:
+        config: the configuration; it stays as it is.
+        changes: new values as text, such as {"rays": "256"}.
+        method: the method's name in messages.
+
+    Raises:
+        UserError: for a name that does not exist, and for a value that cannot be parsed or is out of range.
+    """
     kinds = {name: kind for name, kind in get_type_hints(type(config)).items() if kind in WORDS}
     values: dict[str, Any] = {}
     for name, text in changes.items():
@@ -112,7 +127,16 @@ def changed(config: C, changes: Mapping[str, str], method: str) -> C:
 
 
 def restored(kind: type[C], config: Mapping[str, Any], method: str) -> C:
-    """The configuration that a checkpoint stores as a JSON object. Raises UserError where it is of another version."""
+    """Rebuild the configuration that a checkpoint stores as a JSON object.
+
+    Args:
+        kind: the configuration's class.
+        config: the JSON object.
+        method: the method's name in messages.
+
+    Raises:
+        UserError: where names or types differ, as in a checkpoint of another version.
+    """
     names = {f.name for f in fields(kind)}  # pyright: ignore[reportArgumentType]
     if set(config) != names:
         odd = sorted(set(config) ^ names)

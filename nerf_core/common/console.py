@@ -1,4 +1,4 @@
-"""Progress on a terminal: a bar; elsewhere (a file, a pipe): a line now and then."""
+"""Show progress: as a bar on a terminal, as an occasional line in a file or a pipe."""
 
 from __future__ import annotations
 
@@ -6,12 +6,16 @@ import sys
 import time
 from types import TracebackType
 
-LINE_SECONDS, LINES_GROW, LONGEST_SECONDS = 5.0, 1.3, 60.0  # long work is looked at less and less often
+LINE_SECONDS, LINES_GROW, LONGEST_SECONDS = (
+    5.0,
+    1.3,
+    60.0,
+)  # lines come less and less often, because long work is looked at less often
 FRAME_SECONDS = 0.1
 
 
 class Display:
-    """The progress of one piece of work, as a context manager. On a terminal the bar vanishes when it ends."""
+    """A context manager that shows the progress of one piece of work. On a terminal the bar disappears at the end."""
 
     def __init__(self, title: str) -> None:
         self._title = title
@@ -27,7 +31,7 @@ class Display:
                 TaskProgressColumn(),
                 TextColumn("{task.fields[text]}"),
             )
-            # without a refreshing thread of its own, which would contend with training
+            # auto_refresh would start a thread that competes with training
             self._bar = Progress(*columns, console=Console(), auto_refresh=False, transient=True)
             self._task = self._bar.add_task(title, total=1.0, text="")
             self._every, self._shown = FRAME_SECONDS, float("-inf")
@@ -42,7 +46,7 @@ class Display:
             self._bar.stop()
 
     def show(self, fraction: float, text: str, seconds_left: float | None = None) -> None:
-        """`fraction` of the work is done; shown no more often than an eye can follow."""
+        """Show that `fraction` of the work is done. Calls that come too soon after the last shown one do nothing."""
         now = time.monotonic()
         if now - self._shown < self._every:
             return
@@ -58,7 +62,7 @@ class Display:
 
 
 def duration(seconds: float) -> str:
-    """3 s, 4 min 05 s, 2 h 07 min."""
+    """Write a duration for people: 3 s, 4 min 05 s, 2 h 07 min."""
     whole = max(0, round(seconds))
     if whole < 60:
         return f"{whole} s"

@@ -1,4 +1,4 @@
-"""What the hardware is good at."""
+"""Choose the device, and ask what it supports and how much memory is used."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from nerf_core.common.errors import UserError
 
 
 def pick_device(name: str) -> torch.device:
-    """auto, cpu, cuda or cuda:N → a device that works. Raises UserError."""
+    """Return the device called auto, cpu, cuda or cuda:N. Raises UserError if this machine does not have it."""
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     try:
@@ -28,35 +28,38 @@ def pick_device(name: str) -> torch.device:
 
 
 def describe(device: torch.device) -> str:
-    """The device's name as status lines show it."""
+    """Return the device's name for status lines."""
     if device.type == "cuda":
         return torch.cuda.get_device_name(device)
     return f"CPU, {torch.get_num_threads()} threads"
 
 
 def fast_precision(device: torch.device) -> str:
-    """ "bfloat16" where matrix products are much faster in it (CUDA from Ampere, AVX-512 BF16, AMX), else "float32"."""
+    """Return the type for matrix products: "bfloat16" where it is much faster, else "float32".
+
+    It is faster on CUDA from Ampere on and on processors with AVX-512 BF16 or AMX.
+    """
     if device.type == "cuda":
         fast = torch.cuda.get_device_capability(device)[0] >= 8
     else:
-        # The public API has no such query; both private ones are what torch's own tests use.
+        # The public API has no such query; torch's own tests use these two private ones.
         fast = torch.cpu._is_amx_tile_supported() or torch.cpu._is_avx512_bf16_supported()
     return "bfloat16" if fast else "float32"
 
 
 def usable_cores() -> int:
-    """Cores this process may run on."""
+    """Return the number of cores that this process may run on."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def memory_held(device: torch.device) -> int:
-    """Bytes this process holds: on the device, or resident in memory."""
+    """Return the bytes that this process holds: on the GPU, or, for the CPU, resident in memory."""
     if device.type == "cuda":
         return torch.cuda.memory_allocated(device)
     try:
         with open("/proc/self/statm", encoding="ascii") as file:
             return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-    except OSError:  # not Linux: the peak is what the standard library can tell
+    except OSError:  # not Linux: the standard library only knows the peak
         import resource
 
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

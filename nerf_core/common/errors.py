@@ -1,11 +1,11 @@
-"""The one kind of error that a user is meant to read."""
+"""The error for everything that the user can mend."""
 
 
 class UserError(Exception):
-    """What was got, where (file, field), and what would be right: one line, no traceback, exit status 2."""
+    """One line that says what was found, where (file, field) and what to do. Programs print it and exit with 2."""
 
 
 def shorten(value: object, limit: int = 60) -> str:
-    """`repr(value)` on one line, cut to `limit` characters: values of a broken file can be megabytes."""
+    """Return `repr(value)` cut to `limit` characters, because a value of a broken file can be megabytes long."""
     text = repr(value)
     return text if len(text) <= limit else text[: limit - 1] + "…"

@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Write files completely or not at all."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nerf_core.common.errors import UserError
 
 
 def write_atomically(path: Path, data: bytes | str) -> None:
-    """All of `data` under `path`, or the file that was there before: temporary file, fsync, rename.
+    """Write `data` to `path` so that the path holds either all of it or the old file (temporary file, fsync, rename).
 
     Raises UserError when the folder cannot be written or the disk is full.
     """
@@ -25,7 +25,7 @@ def write_atomically(path: Path, data: bytes | str) -> None:
             os.fsync(file.fileno())
         temporary.replace(path)
     except OSError as error:
-        with suppress(OSError):  # where the path itself is impossible, removing fails as creating did
+        with suppress(OSError):  # if the path itself is impossible, removing fails like creating
             temporary.unlink()
         advice = "choose a folder that has space and takes files"
         raise UserError(f"{path}: cannot be written: {error.strerror or error}; {advice}") from None
@@ -36,7 +36,7 @@ def write_atomically(path: Path, data: bytes | str) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A new file beside `path` that takes its place when the block ends well and vanishes when it does not."""
+    """Yield a new file beside `path`. It replaces `path` when the block succeeds and is deleted when it raises."""
     part = claim_part(path)
     try:
         yield part
@@ -48,7 +48,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def claim_part(path: Path) -> Path:
-    """An empty new file in the folder of `path` (made if need be), with the permissions of any new file."""
+    """Create an empty file beside `path`, with its folder if needed, and with the permissions of an ordinary file."""
     part = path.parent / f".{uuid.uuid4().hex}.part"
     try:
         part.parent.mkdir(parents=True, exist_ok=True)

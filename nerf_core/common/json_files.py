@@ -1,4 +1,4 @@
-"""Calibration files as people have them: JSON with a BOM, with comments, broken, or no JSON at all."""
+"""Read calibration files in JSON: with a BOM, with comments, damaged, or something else altogether."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from nerf_core.common.errors import UserError, shorten
 MAX_BYTES = 64_000_000  # ten thousand frames take about 10 MB; parsing takes some ten times a file's size
 LIMIT = 1e12  # beyond any unit of length; products of three such numbers still are finite in float64
 TEXT_OR_COMMENT = re.compile(r'("(?:[^"\\]|\\.)*+"?)|//[^\n]*', re.DOTALL)
-STRETCH = 1.05  # ratio of a rotation's axes above which it is no rounding but a shear
+STRETCH = 1.05  # a larger ratio between the lengths of a rotation's axes is a shear, not rounding
 LENGTH_TOLERANCE = 1e-3  # files round rotations to 4 digits and more
 
 
 class Fields:
-    """One object of a JSON file with typed access; every error names the file and the field."""
+    """One object of a JSON file with typed access. Every error names the file and the field."""
 
     def __init__(self, values: dict[str, Any], file: Path, where: str = "") -> None:
         self.values, self.file, self.where = values, file, where
@@ -32,7 +32,7 @@ class Fields:
         return UserError(f"{self.file}: {self.where}{key} is {shorten(self.values.get(key))}: {expected}")
 
     def number(self, key: str, default: float | None = None) -> float:
-        """A finite number; the default where the field is absent or null. Raises UserError."""
+        """Return a finite number, or `default` where the field is absent or null. Raises UserError."""
         value = self.values.get(key)
         if value is None:
             if default is None:
@@ -51,7 +51,7 @@ class Fields:
         return value
 
     def count(self, key: str) -> int:
-        """A whole number from 1 up, also when written as a float."""
+        """Return a whole number of at least 1; the file may write it as a float."""
         value = self.positive(key)
         if value != round(value):
             raise self.error(key, "a whole number is needed")
@@ -70,7 +70,7 @@ class Fields:
         return value
 
     def children(self, key: str) -> list[Fields]:
-        """The objects of a list that must not be empty."""
+        """Return the objects of a list, which must not be empty."""
         value = self.values.get(key)
         if not isinstance(value, list) or not value:
             raise self.error(key, "a list with at least one entry is needed")
@@ -80,7 +80,7 @@ class Fields:
         return [Fields(child, self.file, f"{self.where}{key}[{i}].") for i, child in enumerate(value)]
 
     def pose(self, key: str) -> tuple[np.ndarray, float]:
-        """Camera to world (3, 4) with an exact rotation, and the length its axes had in the file.
+        """Return camera-to-world (3, 4) with an exact rotation, and the length that its axes had in the file.
 
         Rows are 3 or 4 lists of 4 numbers. Raises UserError for singular, sheared and mirrored axes.
         """
@@ -108,7 +108,7 @@ class Fields:
 
 
 def scaled_note(file: Path, lengths: list[float]) -> list[str]:
-    """What to say about rotations whose axes were not of unit length."""
+    """Return a warning about rotations whose axes were not of unit length; none if all were."""
     odd = [length for length in lengths if abs(length - 1) > LENGTH_TOLERANCE]
     if not odd:
         return []
@@ -116,12 +116,17 @@ def scaled_note(file: Path, lengths: list[float]) -> list[str]:
 
 
 def read_json(file: Path, needed: str = "an object with frames") -> Fields:
-    """A JSON object; BOM, UTF-16 and // comments are accepted. Raises UserError for everything else.
+    """Read a JSON object. A BOM, UTF-16 and // comments are accepted.
 
-    Every number must be finite, used or not: the field is named. needed: what the file must hold, for people.
+    Args:
+        file: the file.
+        needed: what the file must hold, for the error message.
+
+    Raises:
+        UserError: for everything that is not a JSON object, and for a number that is not finite, used or not.
     """
     if not file.is_file():
-        raise UserError(f"{file} is no regular file: name an existing .json file")
+        raise UserError(f"{file} is not a regular file: name an existing .json file")
     if file.stat().st_size > MAX_BYTES:
         raise UserError(
             f"{file} has {file.stat().st_size:,} bytes: no calibration is that large, is it the right file?"
@@ -130,7 +135,7 @@ def read_json(file: Path, needed: str = "an object with frames") -> Fields:
     try:
         text = data.decode(json.detect_encoding(data)).strip()
     except UnicodeDecodeError as error:
-        raise UserError(f"{file} is no text ({error.reason} at byte {error.start}): is it the right file?") from error
+        raise UserError(f"{file} is not text ({error.reason} at byte {error.start}): is it the right file?") from error
     if not text:
         raise UserError(f"{file} is empty: download or export it again")
     if text.startswith("<"):
@@ -155,7 +160,7 @@ def _parsed(text: str, file: Path) -> Any:
 
 
 def _integer(digits: str) -> int | float:
-    """Python refuses to parse thousands of digits; as a float they become infinite, which names the field."""
+    """Parse thousands of digits, which int() refuses, as an infinite float; the caller's error then names the field."""
     return int(digits) if len(digits) < 300 else float(digits)
 
 
@@ -172,7 +177,7 @@ def _refuse_infinite(values: dict[str, Any], file: Path) -> None:
 
 
 def finite(value: Any) -> Any:
-    """JSON without NaN and Infinity: they become null, arrays become lists."""
+    """Make a value fit for strict JSON: NaN and infinity become null, arrays become lists."""
     if isinstance(value, np.ndarray):
         return finite(value.tolist())
     if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: at once where nothing is lost, politely where there is something to save first."""
+"""Handle Ctrl-C and SIGTERM: end at once where nothing can be lost, and after saving where something can."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable
 from types import FrameType, TracebackType
 from typing import Any
 
-ECHO_SECONDS = 0.5  # no hand presses Ctrl-C twice so fast
+ECHO_SECONDS = 0.5  # nobody presses Ctrl-C twice so fast: one event sent two signals
 
 
 class Interrupted(KeyboardInterrupt):
@@ -22,8 +22,8 @@ class Interrupted(KeyboardInterrupt):
 class Signals:
     """While this context lasts, SIGINT and SIGTERM raise `Interrupted` in the main thread.
 
-    After `be_polite()` the first one is only noted, in `received`, for the program to look at; a second one raises,
-    unless it comes with the first: a terminal that closes, and what wraps a program, may both send one.
+    After `be_polite()` the first signal is only stored in `received`, and the program looks there. A second signal
+    raises, unless it comes together with the first: a closing terminal and a wrapper process may both send one.
     """
 
     NUMBERS = (signal.SIGINT, signal.SIGTERM)
@@ -45,11 +45,11 @@ class Signals:
             signal.signal(number, handler if handler is not None else signal.SIG_DFL)
 
     def be_polite(self) -> None:
-        self._install()  # again: pycolmap, imported by then, puts a handler of its own on SIGTERM
+        self._install()  # again, because pycolmap installs its own SIGTERM handler when it is imported
         self._polite = True
 
     def check(self) -> None:
-        """Raises `Interrupted` if a signal has been noted: for places where stopping leaves nothing half done."""
+        """Raise `Interrupted` if a signal is stored. Call it where stopping leaves no work half done."""
         if self.received is not None:
             raise Interrupted(self.received)
 

@@ -1,4 +1,4 @@
-"""A child process with a time limit: for libraries that crash or hang on damaged files."""
+"""Run a child process with a time limit, for libraries that crash or hang on damaged files."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Finished:
-    """What a child process left. output: its standard output. reason: empty if it succeeded, else the last line that
-    it wrote to standard error, or "crash −N" for signal N."""
+    """The result of a child process.
+
+    output: its standard output.
+    reason: empty if it succeeded, else the last line of its standard error, or "crash −N" for signal N.
+    """
 
     output: bytes
     reason: str

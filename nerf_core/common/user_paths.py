@@ -1,4 +1,4 @@
-"""Paths as people write them."""
+"""Expand paths that begin with `~`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from nerf_core.common.errors import UserError
 
 
 def own_path(path: Path) -> Path:
-    """`~` and `~name` as a shell has them. Raises UserError for somebody who is not known here."""
+    """Expand `~` and `~name` like a shell. Raises UserError for a user that this machine does not know."""
     try:
         return path.expanduser()
     except RuntimeError:

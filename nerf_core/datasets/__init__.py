@@ -1,6 +1,6 @@
-"""Captures on disk → `Scene`: one file a format, shared loading of photos and normalisation of poses.
+"""Load captures from disk into a `Scene`. Each format is one file; loading photos and normalising poses are shared.
 
-Formats import what they need from `nerf_core.datasets.capture`; ranks for `auto`: demo −1 (never matches),
+Formats import what they need from `nerf_core.datasets.capture`. Their ranks for `auto`: demo −1 (never matches),
 blender 0, transforms 1, colmap 2, llff 3.
 """
 

@@ -1,4 +1,4 @@
-"""Do a calibration and its photo belong together, and is it one that a real lens could have?"""
+"""Check that a calibration fits its photo, and that a real lens could have it."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from nerf_core.datasets.capture import Photo
 from nerf_core.datasets.images import Header
 from nerf_core.geometry.camera import Camera
 
-ASPECT_TOLERANCE = 0.02  # reduced photos round each side to whole pixels
-FOCAL_RANGE = (0.05, 100.0)  # in image sizes: a field of view between 169° and half a degree
-FOLD_PIXELS = 0.5  # how far a pixel may come back from undistortion and distortion
+ASPECT_TOLERANCE = 0.02  # programs that shrink photos round each side to whole pixels
+FOCAL_RANGE = (0.05, 100.0)  # in image sizes: fields of view between 169° and half a degree
+FOLD_PIXELS = 0.5  # how far off a pixel may be after undistortion and distortion
 
 
 def fitted(photo: Photo, header: Header) -> bool:
-    """Whether the photo must be turned as its EXIF says, so that it has the shape that its calibration states.
+    """Return whether the photo must be rotated by its EXIF orientation to have the shape of its calibration.
 
-    Pixels as stored come first: that is what most tools calibrate. Raises UserError if neither shape fits.
+    The pixels as stored are tried first, because most tools calibrate those. Raises UserError if neither shape fits.
     """
     stated = photo.camera.width / photo.camera.height
     if abs(stated * header.height / header.width - 1) <= ASPECT_TOLERANCE:
@@ -33,7 +33,7 @@ def fitted(photo: Photo, header: Header) -> bool:
 
 
 def oddities(cameras: Sequence[Camera]) -> list[str]:
-    """One line for each kind of calibration that no usual lens has, with the count of photos it concerns."""
+    """Return one warning for each kind of unusual calibration, with the number of photos that have it."""
     found: dict[str, list[float]] = {"focal": [], "principal": [], "fold": []}
     seen: dict[tuple[float, ...], list[tuple[str, float]]] = {}
     for camera in cameras:
@@ -63,7 +63,7 @@ def _odd(camera: Camera) -> list[tuple[str, float]]:
         odd.append(("principal", shift))
     if camera.lens.bends:
         border = _border(camera)
-        with np.errstate(all="ignore"):  # absurd coefficients overflow; that is what is looked for
+        with np.errstate(all="ignore"):  # absurd coefficients overflow, and the result shows it
             back = camera.lens.distort(camera.lens.undistort(border))
             error = np.abs((back - border) * (camera.fx, camera.fy)).max()
         if not error <= FOLD_PIXELS:

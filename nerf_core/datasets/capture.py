@@ -1,8 +1,8 @@
-"""What a dataset format hands over: posed photos as the files state them, nothing loaded, nothing normalised.
+"""The interface of dataset formats: a format returns posed photos as its files state them.
 
-A format is one file of this folder: a class with the members of `Dataset`, decorated with
-`@DATASETS.register(name)`. It reads calibration and poses; photos, splits by the field's rule, bounds and
-normalisation are done for all formats by `nerf_core.datasets.load_scene`.
+A format is one file in the folder `formats`: a class with the members of `Dataset`, decorated with
+`@DATASETS.register(name)`. It reads calibration and poses only. `nerf_core.datasets.load_scene` then loads the photos,
+chooses splits and bounds, and normalises the poses, for all formats alike.
 """
 
 from __future__ import annotations
@@ -17,18 +17,19 @@ import numpy as np
 from nerf_core.common.registry import Registry
 from nerf_core.geometry.camera import Camera
 
-HOLD_OUT = 8  # every 8th photo, from the first, is held out where a capture names no splits (LLFF's rule)
+HOLD_OUT = 8  # every 8th photo, from the first, is held out if a capture names no splits (LLFF's rule)
 
 
 @dataclass(frozen=True)
 class LoadOptions:
-    """What the user may decide about loading.
+    """The user's choices about loading.
 
-    format: a name of `DATASETS`, or "auto": recognised by content. downscale: photos are averaged over blocks of
-    downscale × downscale pixels. max_size: the longer side of a photo afterwards, in pixels; 0: as it is.
-    ndc: whether to train in normalised device coordinates; auto: where that is possible. background: what
-    transparent photos are composited over; auto: white for photos with alpha, else black.
-    memory_gb: what all loaded photos together may take, in 10⁹ bytes; they are downscaled further to fit.
+    format: a name of `DATASETS`; "auto" recognises the format by its content.
+    downscale: photos are averaged over blocks of downscale × downscale pixels.
+    max_size: the limit for the longer side of a photo after that, in pixels; 0: no limit.
+    ndc: whether to train in normalised device coordinates; "auto": where that is possible.
+    background: the colour behind transparent photos; "auto": white for photos with alpha, else black.
+    memory_gb: the limit for all loaded photos together, in 10⁹ bytes; photos are downscaled further to fit.
     """
 
     format: str = "auto"
@@ -43,9 +44,9 @@ class LoadOptions:
 class Photo:
     """One listed photo that exists as a regular file.
 
-    name: unique in the capture, the path relative to its folder with forward slashes.
-    camera: its calibration in pixels of the size that the *input* states (`images.measure` gives the file's own
-    size where the input states none), with its pose in the input's world frame; OpenGL camera axes.
+    name: unique in the capture; the path relative to its folder with forward slashes.
+    camera: calibration and pose in the input's world frame, with OpenGL camera axes. Its pixels are those of the size
+        that the input states; where the input states none, of the size that `images.measure` finds in the file.
     """
 
     name: str
@@ -55,16 +56,18 @@ class Photo:
 
 @dataclass(frozen=True)
 class Capture:
-    """Posed photos as read by one format; P sparse points, N photos; lengths in the input's units.
+    """The posed photos that a format has read: N photos, P sparse points, lengths in the input's units.
 
     splits: indices into `photos` by split name ("train", "val", "test"); None: every 8th is test, the rest train.
-    near, far: z-depth bounds that hold for all photos. bounds_per_photo: (N, 2) near and far z-depths of each.
-    points: (P, 3) sparse points in the input's world frame. Whatever of these is None is to be derived.
-    synthetic: an object rendered on nothing, with known bounds (Blender): poses keep their frame and scale.
-    up: (3,) unit vector in the input's frame where the format defines one; None: derived from the cameras.
-    ndc_capable: the format stores forward-facing captures (LLFF), so that `ndc="auto"` may take NDC if the
-    cameras allow it. reduced: how many times smaller than full size the photos' folder (images_N) holds them;
-    `--downscale` counts from full size. notes: what the reader warns about, one line each.
+    near, far: z-depth bounds for all photos; None: derived from bounds_per_photo or points.
+    bounds_per_photo: (N, 2) near and far z-depths of each photo, or None.
+    points: (P, 3) sparse points in the input's world frame, or None.
+    synthetic: an object rendered on a plain background with known bounds (Blender); its poses are not normalised.
+    up: (3,) unit vector in the input's frame if the format defines one; None: derived from the cameras.
+    ndc_capable: the format stores forward-facing captures (LLFF), so that `ndc="auto"` takes NDC if the cameras allow.
+    reduced: how many times smaller than full size the photos in the folder (images_N) are; `--downscale` counts from
+        full size.
+    notes: the reader's warnings, one line each.
     """
 
     format: str
@@ -81,14 +84,14 @@ class Capture:
     notes: tuple[str, ...] = ()
 
     def keeping(self, kept: Sequence[int]) -> Capture:
-        """The capture with only the photos of these (ascending) indices; splits and bounds follow."""
+        """Return the capture with only the photos of these indices (ascending). Splits and bounds are adapted."""
         place = {old: new for new, old in enumerate(kept)}
         splits = self.splits and {k: tuple(place[i] for i in v if i in place) for k, v in self.splits.items()}
         bounds = None if self.bounds_per_photo is None else self.bounds_per_photo[list(kept)]
         return replace(self, photos=tuple(self.photos[i] for i in kept), splits=splits, bounds_per_photo=bounds)
 
     def named_splits(self) -> dict[str, tuple[int, ...]]:
-        """The capture's own splits, else every 8th photo as test; a single photo is trained on."""
+        """Return the capture's splits; without any, every 8th photo is test. A single photo is always in train."""
         if self.splits is not None:
             return self.splits
         every = range(len(self.photos))
@@ -98,10 +101,10 @@ class Capture:
 
 
 class Dataset(Protocol):
-    """A format. Paths are a folder, or a .json file that lies in one.
+    """A dataset format. A path is a folder, or a .json file inside one.
 
-    rank: `auto` prefers the lowest among the formats that match. files: what a folder of the format holds, for
-    messages ("poses_bounds.npy with images").
+    rank: of all formats that match, `auto` takes the lowest.
+    files: the files of this format, for messages ("poses_bounds.npy with images").
     """
 
     rank: ClassVar[int]
@@ -109,12 +112,12 @@ class Dataset(Protocol):
 
     @staticmethod
     def matches(path: Path) -> bool:
-        """Whether files of this format are there: cheap, by names and first bytes, raising nothing."""
+        """Return whether files of this format are there. It looks at names and first bytes, and never raises."""
         ...
 
     @staticmethod
     def read(path: Path, options: LoadOptions) -> Capture:
-        """Calibration and poses of all photos that exist. Raises UserError naming file, field and remedy."""
+        """Read calibration and poses of all photos that exist. Raises UserError that names file, field and remedy."""
         ...
 
 

@@ -1,7 +1,7 @@
-"""COLMAP's model files: which folders hold them, and whether they are whole.
+"""Find COLMAP's model files and check that they are complete.
 
-pycolmap trusts counts and ends: on some damaged binaries it takes gigabytes and hangs, and some it reads as
-zeros. So all counts are walked through before it sees a file. Formats: https://colmap.github.io/format.html.
+pycolmap trusts the counts in a file. Some damaged files make it allocate gigabytes and hang, and others it reads as
+zeros. So this module checks all counts before pycolmap sees a file. Formats: https://colmap.github.io/format.html.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 from nerf_core.common.errors import UserError, shorten
 
 AGAIN = "copy or export the model again"
-PARAMETERS = {  # COLMAP's id of a camera model: how many parameters it has
+PARAMETERS = {  # {COLMAP's id of a camera model: number of its parameters}
     0: 3, 1: 4, 2: 4, 3: 5, 4: 8, 5: 8, 6: 12, 7: 5, 8: 4, 9: 5, 10: 12, 11: 16, 12: 4, 13: 5, 14: 3, 15: 4, 16: 6,
     17: 2,
 }  # fmt: skip
@@ -28,7 +28,7 @@ PLACES = ("sparse", "colmap/sparse")
 
 
 def suffix_of(folder: Path) -> str | None:
-    """.bin or .txt if `folder` holds a model, .bin if it holds both (as COLMAP itself prefers)."""
+    """Return .bin or .txt if `folder` holds a model, else None. Of both, .bin comes first, as in COLMAP."""
     for suffix in (".bin", ".txt"):
         if all((folder / (name + suffix)).is_file() for name in NEEDED):
             return suffix
@@ -36,7 +36,7 @@ def suffix_of(folder: Path) -> str | None:
 
 
 def find_models(path: Path) -> list[Path]:
-    """The folders of the models of a capture: sparse/0, sparse/1 …, sparse itself, or the folder itself."""
+    """Return the folders that hold a capture's models: sparse/0, sparse/1 …, sparse itself, or the folder itself."""
     for place in PLACES:
         base = path / place
         inside = sorted(f for f in base.iterdir() if f.is_dir()) if base.is_dir() else []
@@ -47,7 +47,7 @@ def find_models(path: Path) -> list[Path]:
 
 
 def image_count(folder: Path) -> int:
-    """How many images a model says it has, by its header alone; 0 where that is broken."""
+    """Return the number of images in a model's header; 0 if the header is damaged."""
     file = folder / f"images{suffix_of(folder)}"
     if file.suffix == ".bin":
         with file.open("rb") as stream:
@@ -57,14 +57,14 @@ def image_count(folder: Path) -> int:
 
 
 def check_model(folder: Path) -> None:
-    """Raises UserError naming the file that breaks off, claims more than it holds or has an unknown camera model."""
+    """Raise UserError if a file of the model is cut off, has wrong counts or has an unknown camera model."""
     suffix = suffix_of(folder)
     for name in NEEDED + OPTIONAL:
         file = folder / f"{name}{suffix}"
         if not file.exists() and name in OPTIONAL:
             continue
         if not file.is_file():
-            raise UserError(f"{file} is no regular file: {AGAIN}")
+            raise UserError(f"{file} is not a regular file: {AGAIN}")
         if suffix == ".txt":
             _check_text(file)
         else:
@@ -75,7 +75,7 @@ def check_model(folder: Path) -> None:
 
 
 def _entries(file: Path) -> Iterator[bytes]:
-    """Lines of a text file that are entries; in images.txt each has a second line of points, which may be empty."""
+    """The lines of a text file that are entries. In images.txt a second line with points, maybe empty, follows each."""
     points = False
     with file.open("rb") as stream:
         for line in stream:
@@ -87,13 +87,13 @@ def _entries(file: Path) -> Iterator[bytes]:
 
 
 def text_names(folder: Path) -> dict[int, str]:
-    """Whole photo names by image id of a text model; pycolmap takes them only up to the first space."""
+    """Return the photo names of a text model by image id. pycolmap would cut a name at its first space."""
     file = folder / "images.txt"
     fields = [line.decode("utf-8", "replace").split(maxsplit=9) for line in _entries(file)]
     try:
         return {int(field[0]): field[9].strip() for field in fields}
     except (ValueError, IndexError) as error:
-        raise UserError(f"{file} has entries that are no images: {AGAIN}") from error
+        raise UserError(f"{file} has entries that are not images: {AGAIN}") from error
 
 
 def _check_text(file: Path) -> None:
@@ -109,7 +109,7 @@ def _check_text(file: Path) -> None:
 
 @dataclass
 class _Cursor:
-    """A walk through a binary file; every step that would leave it raises UserError."""
+    """A position in a binary file. A step beyond the file's end raises UserError."""
 
     file: Path
     data: mmap.mmap
@@ -126,7 +126,7 @@ class _Cursor:
         return struct.unpack_from(layout, self.data, start)
 
     def count(self, least: int) -> int:
-        """The number of entries that follow, of at least `least` bytes each."""
+        """Read the number of entries that follow. Each needs at least `least` bytes."""
         (number,) = self.take("<Q")
         if number * least > len(self.data) - self.at:
             raise UserError(

@@ -1,6 +1,7 @@
-"""A program: a COLMAP model → one .npz file. `python -P colmap_reader.py MODEL OUT`.
+"""A program that turns a COLMAP model into one .npz file: `python -P colmap_reader.py MODEL OUT`.
 
-pycolmap runs in a process of its own: it can crash or hang on damaged files, and it installs a handler of SIGTERM.
+pycolmap runs in a separate process because it can crash or hang on damaged files, and because it installs its own
+SIGTERM handler.
 """
 
 from __future__ import annotations
@@ -10,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-PARAMETERS = 16  # of the camera model that has most
+PARAMETERS = 16  # the largest number of parameters of a camera model
 
 
 def main(model: str, out: str) -> None:
-    """Of each registered image: id, name, camera model, size, parameters, camera from world (3, 4).
+    """Write the id, name, camera model, size, parameters and world-to-camera pose (3, 4) of each registered image.
 
-    Besides: the sparse points (P, 3) with the lengths of their tracks (P,).
+    The file also holds the sparse points (P, 3) and the lengths of their tracks (P,).
     """
     import pycolmap
 

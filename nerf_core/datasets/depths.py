@@ -1,4 +1,4 @@
-"""How near and how far the content of a capture lies, from what its format knows."""
+"""Find the nearest and farthest depth of a capture's content from bounds or sparse points."""
 
 from __future__ import annotations
 
@@ -10,15 +10,20 @@ import numpy as np
 from nerf_core.datasets.capture import Capture
 from nerf_core.geometry.camera import Camera
 
-MARGIN = 0.9  # official LLFF: samples begin at 0.9 of the nearest bound; the farthest percentile gets as much
+MARGIN = 0.9  # official LLFF: samples begin at 0.9 of the nearest bound; the farthest percentile gets the same margin
 PERCENTILES = (0.5, 50.0, 99.5)  # a sparse model has outliers on both sides
-NEAREST = 1e-3  # of the median depth: points nearer than that touch a lens and are outliers, however many
-MAX_PAIRS = 20_000_000  # of points and cameras to look at: more change no percentile, but take seconds
+NEAREST = 1e-3  # of the median depth: nearer points would touch a lens, so they are outliers, however many there are
+MAX_PAIRS = 20_000_000  # of points and cameras: more of them take seconds and do not change a percentile
 
 
 @dataclass(frozen=True)
 class Depths:
-    """z-depths: content lies between near and far, its nearest known part at closest, half of it before middle."""
+    """The z-depths of a capture's content.
+
+    near, far: all content lies between them, with a margin.
+    closest: the depth of the nearest content.
+    middle: half of the content is nearer than this.
+    """
 
     closest: float
     near: float
@@ -27,7 +32,7 @@ class Depths:
 
 
 def known_depths(capture: Capture) -> Depths | None:
-    """In the input's units; None where the capture carries neither bounds nor points that its cameras see."""
+    """Return the depths in the input's units; None for a capture without bounds and without points that cameras see."""
     if capture.near is not None and capture.far is not None:
         return Depths(capture.near, capture.near, _middle(capture.near, capture.far), capture.far)
     if capture.bounds_per_photo is not None:
@@ -44,7 +49,7 @@ def known_depths(capture: Capture) -> Depths | None:
 
 
 def seen_depths(cameras: Sequence[Camera], points: np.ndarray) -> np.ndarray:
-    """z-depths of world points (P, 3) in every camera whose picture they fall into, all in one array."""
+    """Return, in one array, the z-depths of world points (P, 3) in all cameras whose pictures show them."""
     chosen = points[:: 1 + len(points) * len(cameras) // MAX_PAIRS]
     found = []
     for camera in cameras:
@@ -55,5 +60,5 @@ def seen_depths(cameras: Sequence[Camera], points: np.ndarray) -> np.ndarray:
 
 
 def _middle(near: float, far: float) -> float:
-    """Half way in disparity, as samples of real captures are spaced."""
+    """The depth half way in disparity, because samples of real captures are spaced in disparity."""
     return 2 / (1 / near + 1 / far)

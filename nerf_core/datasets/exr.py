@@ -1,4 +1,4 @@
-"""OpenEXR photos, decoded by the ffmpeg that videos are written with."""
+"""Read OpenEXR photos with the ffmpeg that also writes videos."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from nerf_core.common.subprograms import run_limited
 from nerf_core.datasets.resample import srgb_encoded
 
 MAGIC = b"\x76\x2f\x31\x01"
-HEADER_BYTES = 1_000_000  # headers with previews stay far below; what comes later is pixels
-SECONDS = 120  # for one photo: ffmpeg must not wait for ever on a damaged one
+HEADER_BYTES = 1_000_000  # headers, even with previews, are much shorter; the rest is pixels
+SECONDS = 120  # for one photo, because ffmpeg may hang on a damaged one
 
 
 def exr_header(path: Path) -> tuple[int, int, bool]:
-    """Width and height of the display window, and whether there is alpha. Raises OSError for damaged files.
+    """Return width and height of the display window, and whether there is alpha. Raises OSError for damaged files.
 
-    Layout: magic, version, then attributes as name 0, type 0, size, data, until an empty name
+    A file begins with magic number and version. Attributes follow (name, 0, type, 0, size, data) up to an empty name
     (openexr.com, "OpenEXR File Layout").
     """
     with path.open("rb") as file:
@@ -37,7 +37,7 @@ def exr_header(path: Path) -> tuple[int, int, bool]:
             raise OSError("EXR header breaks off")
         attributes[name], rest = rest[4 : 4 + size], rest[4 + size :]
     if not {b"displayWindow", b"channels"} <= attributes.keys():
-        raise OSError("EXR header names no size or no channels")
+        raise OSError("EXR header has no size or no channels")
     left, top, right, bottom = struct.unpack("<4i", attributes[b"displayWindow"])
     if right < left or bottom < top:
         raise OSError("EXR image without pixels")
@@ -46,10 +46,11 @@ def exr_header(path: Path) -> tuple[int, int, bool]:
 
 
 def exr_pixels(path: Path) -> np.ndarray:
-    """(H, W, 4) float32, sRGB-encoded, straight alpha. Raises OSError for damaged files, UserError without ffmpeg.
+    """Read a photo as (H, W, 4) float32, sRGB-encoded with straight alpha.
 
-    EXR stores linear light premultiplied by alpha; the curve belongs to the straight colour. Colour without
-    alpha (pure glow) has no straight counterpart and is dropped.
+    EXR stores linear colour premultiplied by alpha, and the sRGB curve applies to straight colour. Colour where alpha
+    is 0 (pure glow) has no straight form and is dropped.
+    Raises OSError for damaged files and UserError without ffmpeg.
     """
     width, height, _ = exr_header(path)
     data = _decoded(path)
@@ -59,7 +60,7 @@ def exr_pixels(path: Path) -> np.ndarray:
     if not all(np.isfinite(plane).all() for plane in (red, green, blue, alpha)):
         raise OSError("holds pixels that are not finite")
     alpha = np.clip(alpha, 0, 1)
-    inverse = np.divide(1, alpha, out=np.zeros_like(alpha), where=alpha > 1e-6)  # below: nothing to be seen
+    inverse = np.divide(1, alpha, out=np.zeros_like(alpha), where=alpha > 1e-6)  # with less alpha nothing is visible
     return np.dstack([srgb_encoded(plane * inverse) for plane in (red, green, blue)] + [alpha])
 
 
@@ -71,7 +72,7 @@ def _split(data: bytes) -> tuple[bytes, bytes]:
 
 
 def _decoded(path: Path) -> bytes:
-    """Planes green, blue, red, alpha in float32, linear, premultiplied."""
+    """The planes green, blue, red and alpha as float32 bytes, linear and premultiplied."""
     import imageio_ffmpeg
 
     try:

@@ -1,4 +1,4 @@
-"""From the input's frame to the trainer's: where the content lies, how large it is, which way is up, or NDC."""
+"""Transform a capture from the input's frame to the trainer's: find centre, size and up direction, or set up NDC."""
 
 from __future__ import annotations
 
@@ -15,13 +15,15 @@ from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.ndc import Ndc
 
 SYNTHETIC_DEPTHS = (2.0, 6.0)  # of the official Blender configurations
-NDC_NEAR_BOUND = 0.75  # official LLFF: the nearest content lies at 1/0.75, before the near plane at 1
-LONGEST = np.pi  # the official γ has no π: its first sine tells coordinates apart within ±π
-SHRINK = 2.0  # at most, to fit a far background into ±π: more would take detail from what the cameras circle
-NO_DEPTHS_NEAR = 0.25  # of the focus' depth, where nothing else is known: content may reach 3/4 of the way out
-NO_DEPTHS_REACH = 5.0  # of the cameras' spread, where they do not even look at one point
-FORWARD = 0.5  # least length of the mean direction of view for the cameras to have one (60° about it)
-BORDER = 33  # pixels looked at along each side: a lens bends it, and its extreme need not be a corner
+NDC_NEAR_BOUND = 0.75  # official LLFF: the nearest content lies at 1/0.75, so beyond the near plane at 1
+LONGEST = np.pi  # the official encoding γ has no factor π: its lowest frequency is unique within ±π
+SHRINK = 2.0  # the largest scaling that fits a far background into ±π; more would lose detail at the centre
+NO_DEPTHS_NEAR = (
+    0.25  # of the depth of the focus, if no depths are known: content may reach 3/4 of the way to the cameras
+)
+NO_DEPTHS_REACH = 5.0  # of the cameras' spread, if they do not look at one point either
+FORWARD = 0.5  # the least length of the mean view direction: all views within 60° of it reach this
+BORDER = 33  # pixels checked along each side: a lens bends the side, so that its extreme may lie between the corners
 
 
 @dataclass(frozen=True)
@@ -41,12 +43,12 @@ class Normalised:
 
 
 def normalise(capture: Capture, options: LoadOptions) -> Normalised:
-    """Move and scale a capture so that it can be trained; always by one similarity.
+    """Move, rotate and scale a capture into the trainer's frame, with one similarity.
 
-    Synthetic captures keep their frame. Under NDC the official LLFF frame is taken: the mean camera at the origin
-    looking along −z, y up, the nearest bound at 1/0.75. All others get the point that their cameras look at as the
-    origin, z up, and the cameras at an RMS distance of 1 (official spherify; shrunk for a far background).
-    Raises UserError for `ndc="on"` where it is impossible, and for lengths beyond what floats can hold.
+    Synthetic captures keep their frame. NDC uses the official LLFF frame: the mean camera lies at the origin and looks
+    along −z, y is up, and the nearest bound is at 1/0.75. All other captures have the point that their cameras look at
+    as the origin, z up, and the cameras at an RMS distance of 1 (official spherify; smaller for a far background).
+    Raises UserError for `ndc="on"` where it is impossible, and for lengths that floats cannot hold.
     """
     poses = np.stack([photo.camera.c2w for photo in capture.photos])
     depths = known_depths(capture)
@@ -64,7 +66,7 @@ def normalise(capture: Capture, options: LoadOptions) -> Normalised:
 
 
 def _checked(done: Normalised) -> Normalised:
-    """Raises UserError unless all lengths are finite and 0 < near < far, in the trainer's 32 bits."""
+    """Raise UserError unless all lengths are finite and 0 < near < far as float32."""
     with np.errstate(over="ignore", under="ignore"):
         near, far, radius = (np.float32(v) for v in (done.near, done.far, done.radius))
         positions = np.stack([c.c2w[:, 3] for c in done.cameras]).astype(np.float32)
@@ -80,7 +82,7 @@ def _checked(done: Normalised) -> Normalised:
 def _placed(
     cameras: Sequence[Camera], rotation: np.ndarray, center: np.ndarray, scale: float
 ) -> tuple[tuple[Camera, ...], np.ndarray]:
-    """Cameras under x → scale · rotation (x − center), and the (4, 4) way back."""
+    """The cameras transformed by x → scale · rotation (x − center), and the (4, 4) inverse."""
     to_input = np.eye(4)
     to_input[:3, :3], to_input[:3, 3] = rotation.T / scale, center
     moved = [
@@ -94,7 +96,7 @@ def _placed(
 
 
 def _ndc_obstacle(capture: Capture, poses: np.ndarray, depths: Depths | None) -> str:
-    """Why NDC cannot be taken; empty where it can."""
+    """Why NDC cannot be used; empty if it can."""
     if depths is None:
         return "the nearest content is unknown, as the capture has neither depth bounds nor sparse points"
     mean = mean_camera(poses)
@@ -107,9 +109,9 @@ def _ndc_obstacle(capture: Capture, poses: np.ndarray, depths: Depths | None) ->
 
 
 def _turned(cameras: Sequence[Camera], back: np.ndarray) -> int:
-    """How many cameras have a ray that does not point against `back` (3,), unit.
+    """The number of cameras with a ray that does not point against the unit vector `back` (3,).
 
-    A picture's ideal image plane is mapped to directions convexly: the border has the extreme ones.
+    The map from the image plane to directions is convex, so that the rays at the picture's border are the extreme ones.
     """
     import torch
 
@@ -123,16 +125,18 @@ def _turned(cameras: Sequence[Camera], back: np.ndarray) -> int:
     index = torch.arange(len(cameras)).repeat_interleave(len(border))
     directions = Cameras(cameras, 1.0, 2.0).rays(index, torch.from_numpy(pixels)).directions.double().numpy()
     along = (directions @ back).reshape(len(cameras), -1)
-    return int((~(along < -1e-6)).any(1).sum())  # as `Ndc.rays` has it; not a number counts as turned away
+    return int((~(along < -1e-6)).any(1).sum())  # the same limit as in `Ndc.rays`; NaN counts as turned away
 
 
 def _in_ndc(capture: Capture, poses: np.ndarray, depths: Depths) -> Normalised:
-    """Poses rescaled by 1/(0.75 · nearest bound) and recentred to the mean camera (official LLFF loader)."""
+    """Scale the poses by 1/(0.75 · nearest bound) and centre them on the mean camera (official LLFF loader)."""
     mean = mean_camera(poses)
-    assert mean is not None  # an obstacle otherwise
+    assert mean is not None  # `_ndc_obstacle` has checked it
     scale = 1 / (NDC_NEAR_BOUND * depths.closest)
     cameras, to_input = _placed([photo.camera for photo in capture.photos], mean[:, :3].T, mean[:, 3], scale)
-    widest = max(cameras, key=lambda c: c.width / c.fx * (c.height / c.fy))  # no photo leaves [−1, 1]² by much
+    widest = max(
+        cameras, key=lambda c: c.width / c.fx * (c.height / c.fy)
+    )  # so that no photo extends far beyond [−1, 1]²
     focal = float(np.sqrt(widest.fx * widest.fy))
     return Normalised(
         cameras=cameras,
@@ -170,16 +174,19 @@ def _synthetic(capture: Capture, poses: np.ndarray) -> Normalised:
 
 
 def _orbit_radius(positions: np.ndarray, center: np.ndarray, otherwise: float) -> float:
-    """Median distance of the cameras from the centre; `otherwise` where they stand in it."""
+    """The median distance of the cameras from the centre; `otherwise` if they stand at the centre."""
     median = float(np.median(np.linalg.norm(positions - center, axis=1)))
     return median if median > 1e-6 * otherwise else otherwise
 
 
 @dataclass(frozen=True)
 class _Layout:
-    """center: (3,) of the content. unit: the length that becomes 1. before: the z-depth of the centre in the cameras.
+    """Where the content lies, in the input's units.
 
-    near, far: z-depths of the content. All in the input's units.
+    center: (3,) the centre of the content.
+    unit: the length that becomes 1.
+    before: the z-depth of the centre in the cameras.
+    near, far: the z-depths of the content.
     """
 
     center: np.ndarray
@@ -199,7 +206,7 @@ def _real(capture: Capture, poses: np.ndarray, depths: Depths | None) -> Normali
     reach = max(layout.far - layout.before, layout.unit)
     scale = min(1.0, max(LONGEST * layout.unit / reach, 1 / SHRINK)) / layout.unit
     limit = max(layout.before + LONGEST / scale, 2 * layout.near)
-    if layout.far > limit * (1 + 1e-9):  # the rounding of a far that just fits
+    if layout.far > limit * (1 + 1e-9):  # the tolerance is for rounding, if `far` just fits
         notes += (f"content farther than {limit:.4g} of the input's units (up to {layout.far:.4g}) is drawn there",)
     up = up_direction(poses) if capture.up is None else capture.up / np.linalg.norm(capture.up)
     cameras, to_input = _placed([p.camera for p in capture.photos], upright(up), layout.center, scale)
@@ -218,7 +225,7 @@ def _real(capture: Capture, poses: np.ndarray, depths: Depths | None) -> Normali
 
 
 def _focused(poses: np.ndarray, focus: np.ndarray, depths: Depths | None) -> _Layout:
-    """Cameras that look at one point, from around it or from one side."""
+    """The layout for cameras that look at one point, from all around or from one side."""
     offsets = poses[:, :, 3] - focus
     unit = float(np.sqrt((offsets**2).sum(1).mean()))
     z = (offsets * poses[:, :, 2]).sum(1)
@@ -229,7 +236,7 @@ def _focused(poses: np.ndarray, focus: np.ndarray, depths: Depths | None) -> _La
 
 
 def _unfocused(poses: np.ndarray, depths: Depths | None) -> _Layout:
-    """Cameras side by side, or looking all around: the content is where its depths say, else some way off."""
+    """The layout for cameras side by side or looking outwards. Depths place the content; without any it is a guess."""
     size = spread(poses)
     forward = -poses[:, :, 2].mean(0)
     length = float(np.linalg.norm(forward))

@@ -1,4 +1,4 @@
-"""Photos of every kind → sRGB-encoded pixels: deep, grey, palette, CMYK, profiled, rotated, linear ones."""
+"""Read photos of every kind as sRGB-encoded pixels: 16-bit, grey, palette, CMYK, with profile, rotated, linear."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from nerf_core.common.errors import UserError
 from nerf_core.datasets.exr import exr_header, exr_pixels
 from nerf_core.datasets.resample import composite
 
-MAX_PIXELS = 200_000_000  # beyond any camera's photo: a file that claims more is a decompression bomb
+MAX_PIXELS = 200_000_000  # no camera has more: a file that claims more is a decompression bomb
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".exr")
 DEEP_GREY = ("I;16", "I;16B", "I;16L")
 BROKEN = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error)  # what decoders raise on damage
@@ -32,12 +32,12 @@ warnings.filterwarnings("ignore", category=UserWarning, module=r"PIL\.")
 
 
 class UnreadableError(Exception):
-    """A photo that is damaged or no image at all; the capture goes on without it, and says so."""
+    """The file is damaged or not an image. The capture is loaded without it, with a note."""
 
 
 @dataclass(frozen=True)
 class Header:
-    """What a photo says of itself: stored size in pixels, EXIF orientation (1: upright), whether it has alpha."""
+    """A photo's header: stored size in pixels, EXIF orientation (1: upright), whether it has alpha."""
 
     width: int
     height: int
@@ -46,9 +46,9 @@ class Header:
 
 
 def measure(path: Path) -> Header:
-    """The header of a photo, without decoding it.
+    """Read the header of a photo without decoding its pixels.
 
-    Raises UnreadableError if it is none, UserError for what must not be opened at all: devices and bombs.
+    Raises UnreadableError if the file is not a photo, and UserError for devices and decompression bombs.
     """
     _refuse_special(path)
     if path.suffix.lower() == ".exr":
@@ -62,7 +62,7 @@ def measure(path: Path) -> Header:
 
 
 def damage_notes(damaged: Sequence[str]) -> tuple[str, ...]:
-    """At most one line about photos that are skipped; damaged: what UnreadableError said of each."""
+    """Return a note about skipped photos, or none. damaged: the messages of UnreadableError."""
     if not damaged:
         return ()
     return (f"{len(damaged)} damaged photo{'s are' if len(damaged) > 1 else ' is'} skipped, first {damaged[0]}",)
@@ -71,11 +71,22 @@ def damage_notes(damaged: Sequence[str]) -> tuple[str, ...]:
 def read_photo(
     path: Path, size: tuple[int, int], background: tuple[float, float, float], upright: bool = False
 ) -> np.ndarray:
-    """The photo averaged to `size` = (width, height), over `background`: uint16 (height, width, 3), sRGB-encoded.
+    """Read a photo, average it to a size and composite it over a background.
 
-    upright: turn it as its EXIF orientation says; otherwise pixels stay as stored. 8-bit and 16-bit values are
-    kept exactly where size allows. A colour profile is converted to sRGB (in 8 bits), EXR from linear to sRGB.
-    Raises UnreadableError for damaged files.
+    8-bit and 16-bit values stay exact if the size stays. Photos with a colour profile are converted to sRGB (in 8
+    bits), and EXR from linear to sRGB.
+
+    Args:
+        path: the file.
+        size: (width, height) in pixels.
+        background: the sRGB colour behind transparent pixels.
+        upright: rotate by the EXIF orientation; otherwise the pixels stay as stored.
+
+    Returns:
+        uint16 (height, width, 3), sRGB-encoded.
+
+    Raises:
+        UnreadableError: for damaged files.
     """
     if path.suffix.lower() == ".exr":
         with _damage_named(path):
@@ -90,7 +101,7 @@ def read_photo(
 
 def _orientation(image: Image.Image) -> int:
     if image.format == "PNG" and not {"exif", "Raw profile type exif"} & image.info.keys():
-        return 1  # Pillow would decode the whole photo to look for EXIF behind the pixels, where nobody writes it
+        return 1  # Pillow would decode the whole photo to look for EXIF after the pixels, where no program writes it
     value = image.getexif().get(ExifTags.Base.Orientation, 1)
     return value if value in range(1, 9) else 1
 
@@ -132,7 +143,7 @@ def _opened(path: Path) -> ImageFile.ImageFile:
 
 
 def _decoded(image: ImageFile.ImageFile, path: Path) -> np.ndarray:
-    """Pixels (H, W, C) uint8 or uint16 as `composite` takes them."""
+    """The pixels (H, W, C), uint8 or uint16, in the form that `composite` takes."""
     profile = _foreign_profile(image)
     deep = _deep(image, path)
     if deep is not None and profile is None:
@@ -143,7 +154,7 @@ def _decoded(image: ImageFile.ImageFile, path: Path) -> np.ndarray:
         return np.asarray(image)
     alpha = image.convert("RGBA").getchannel("A") if image.has_transparency_data else None
     plain = image
-    if image.mode in DEEP_GREY:  # grey with a profile: the colour engine takes 8 bits
+    if image.mode in DEEP_GREY:  # grey with a profile: the colour engine only takes 8 bits
         plain = Image.fromarray((np.asarray(image) >> 8).astype(np.uint8))
     color = plain.convert("RGB") if profile is None else _to_srgb(plain, profile)
     if alpha is not None:
@@ -152,10 +163,10 @@ def _decoded(image: ImageFile.ImageFile, path: Path) -> np.ndarray:
 
 
 def _deep(image: ImageFile.ImageFile, path: Path) -> np.ndarray | None:
-    """uint16 (H, W, C) of a photo with 16 bits a channel, None for all others.
+    """The pixels (H, W, C) as uint16 of a photo with 16 bits per channel; None for all others.
 
-    Pillow decodes PNGs with 16-bit colour to 8 bits. Its unpackers for the two byte orders take the first and
-    the second byte of each value: decoding with both gives all 16 bits.
+    Pillow decodes 16-bit colour PNGs to 8 bits. Its unpackers for the two byte orders take the first and the second
+    byte of each value, so that decoding with both gives all 16 bits.
     """
     if image.mode in DEEP_GREY:
         return np.asarray(image).astype(np.uint16)[..., None]
@@ -163,7 +174,7 @@ def _deep(image: ImageFile.ImageFile, path: Path) -> np.ndarray | None:
     if packing in ("RGB;16B", "RGBA;16B"):
         high = np.asarray(image)
         return high.astype(np.uint16) << 8 | _repacked(path, packing[:-1] + "L")
-    if packing == "LA;16B":  # four bytes a pixel, read as if they were RGBA
+    if packing == "LA;16B":  # four bytes per pixel, read as if they were RGBA
         return _repacked(path, "RGBA").view(">u2").astype(np.uint16)
     return None
 
@@ -175,7 +186,7 @@ def _repacked(path: Path, packing: str) -> np.ndarray:
 
 
 def _foreign_profile(image: Image.Image) -> ImageCms.ImageCmsProfile | None:
-    """The embedded colour profile, unless it is sRGB's own: converting that would only cost precision."""
+    """The embedded colour profile. None for sRGB itself, because a conversion would only lose precision."""
     data = image.info.get("icc_profile")
     if not data:
         return None
@@ -187,7 +198,7 @@ def _foreign_profile(image: Image.Image) -> ImageCms.ImageCmsProfile | None:
 
 
 def _to_srgb(image: Image.Image, profile: ImageCms.ImageCmsProfile) -> Image.Image:
-    """Through the embedded profile to sRGB (relative colorimetric), 8-bit RGB."""
+    """Convert from the embedded profile to sRGB (relative colorimetric), 8-bit RGB."""
     space = profile.profile.xcolor_space.strip()  # pyright: ignore[reportAttributeAccessIssue] stubs lack it
     mode = {"RGB": "RGB", "GRAY": "L", "CMYK": "CMYK"}.get(space)
     if mode is None or (mode == "CMYK") != (image.mode == "CMYK"):
@@ -207,7 +218,7 @@ def _to_srgb(image: Image.Image, profile: ImageCms.ImageCmsProfile) -> Image.Ima
 
 
 def _turned(pixels: np.ndarray, orientation: int) -> np.ndarray:
-    """Stored pixels → as displayed, by EXIF orientation 2 … 8."""
+    """Rotate or mirror stored pixels as EXIF orientation 2 … 8 asks."""
     if orientation >= 5:
         pixels = pixels.transpose(1, 0, 2)
     if orientation in (3, 4, 7, 8):

@@ -1,4 +1,4 @@
-"""Frames of transforms files (Blender, instant-ngp, nerfstudio) → photos with cameras."""
+"""Turn the frames of transforms files (Blender, instant-ngp, nerfstudio) into photos with cameras."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from nerf_core.datasets.photo_paths import find_photos, photo_name
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.lens import Lens
 
-LENSES = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")  # all are cases of k1, k2, p1, p2
-NARROWEST = 1e-4  # smallest focal length in image widths: below, the field of view is 180° for all that is known
+LENSES = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")  # all are special cases of k1, k2, p1, p2
+NARROWEST = 1e-4  # smallest focal length in image widths: with less the field of view is practically 180°
 
 
 @dataclass(frozen=True)
 class Frame:
-    """An entry of `frames`, the file's own fields (which hold for entries that lack them), and its split if any."""
+    """One entry of `frames`, with its split if it has one. A field that the entry lacks is looked up in the file."""
 
     fields: Fields
     common: Fields
@@ -35,7 +35,7 @@ class Frame:
         return self.fields.text("file_path")
 
     def holder(self, *keys: str) -> tuple[Fields, str] | None:
-        """The first of `keys` that the frame has, else that the file has, and the fields that have it."""
+        """The first of `keys` that the frame has, or else that the file has, with the object that holds it."""
         for fields in (self.fields, self.common):
             for key in keys:
                 if key in fields:
@@ -45,7 +45,11 @@ class Frame:
 
 @dataclass(frozen=True)
 class Gathered:
-    """photos: each file once. index: per frame, its place in `photos`, None where the photo cannot be used."""
+    """The photos of all frames.
+
+    photos: each file once.
+    index: the place of each frame in `photos`; None if its photo cannot be used.
+    """
 
     photos: tuple[Photo, ...]
     index: tuple[int | None, ...]
@@ -53,12 +57,12 @@ class Gathered:
 
 
 def frames_of(document: Fields, split: str = "") -> list[Frame]:
-    """The entries of a transforms file. Raises UserError if there are none."""
+    """Return the entries of a transforms file. Raises UserError if there are none."""
     return [Frame(child, document, split) for child in document.children("frames")]
 
 
 def gather(folder: Path, frames: Sequence[Frame], source: Path) -> Gathered:
-    """Find the photos of all frames below `folder` and give them cameras; what is missing or double is noted."""
+    """Find the photos of all frames below `folder` and give them cameras. Missing and repeated photos are noted."""
     poses = [frame.fields.pose("transform_matrix") for frame in frames]
     found = find_photos(folder, [frame.listed for frame in frames], source)
     photos: dict[str, tuple[int, Photo]] = {}
@@ -93,7 +97,7 @@ def gather(folder: Path, frames: Sequence[Frame], source: Path) -> Gathered:
 
 
 def bounds(document: Fields) -> tuple[float, float] | None:
-    """The z-depths `near` and `far`, where the file carries both. Raises UserError unless 0 < near < far."""
+    """Return the z-depths `near` and `far` if the file has both, else None. Raises UserError unless 0 < near < far."""
     if "near" not in document and "far" not in document:
         return None
     near, far = document.positive("near"), document.positive("far")
@@ -103,7 +107,7 @@ def bounds(document: Fields) -> tuple[float, float] | None:
 
 
 def _camera(frame: Frame, path: Path, c2w: np.ndarray) -> Camera:
-    """Intrinsics of one frame; sizes that the file does not state are the photo's own."""
+    """The camera of one frame. If the file states no size, the photo's own counts."""
     _refuse_other_lenses(frame)
     wide, high = frame.holder("w"), frame.holder("h")
     if wide and high:
@@ -128,7 +132,7 @@ def _camera(frame: Frame, path: Path, c2w: np.ndarray) -> Camera:
 
 
 def _focal(frame: Frame, axis: str, size: int) -> float | None:
-    """f = fl, or (size / 2) / tan(angle / 2); None where the file has neither. Raises UserError."""
+    """The focal length in pixels: fl, else (size / 2) / tan(angle / 2), else None. Raises UserError."""
     holder = frame.holder(f"fl_{axis}", f"camera_angle_{axis}")
     if holder is None:
         return None

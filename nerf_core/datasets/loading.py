@@ -1,4 +1,4 @@
-"""From a path to a `Scene`: which format, which photos can be used, at what size, in which frame."""
+"""Load a `Scene` from a path: recognise the format, check and read the photos, choose their size, normalise poses."""
 
 from __future__ import annotations
 
@@ -21,16 +21,26 @@ from nerf_core.geometry.scene import Scene, View
 Progress = Callable[[int, int], None]
 T = TypeVar("T")
 WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
-LARGEST_SIDE = 1_000_000  # in pixels: more than any photo has
+LARGEST_SIDE = 1_000_000  # in pixels: no photo has more
 BYTES_PER_PIXEL = 6  # uint16 RGB
-THREADS = min(4, os.cpu_count() or 1)  # decoders release the GIL; each holds one whole photo, so not too many
+THREADS = min(
+    4, os.cpu_count() or 1
+)  # decoders release the GIL; each holds a whole photo, so that more threads would take much memory
 
 
 def load_scene(path: Path | None, options: LoadOptions, progress: Progress | None = None) -> Scene:
-    """Read a capture (None: the demo scene): photos at the wanted size, poses in the trainer's frame.
+    """Load a capture: photos at the wanted size, poses in the trainer's frame.
 
-    progress: called as (photos done, photos in all) from this thread; it may raise to cancel. What is odd but
-    harmless is told in `Scene.notes`. Raises UserError naming file, field and remedy.
+    Args:
+        path: a folder or a .json file; None opens the demo scene.
+        options: the user's choices.
+        progress: called as (photos done, photos in all) from this thread; it may raise to cancel.
+
+    Returns:
+        The scene. `Scene.notes` has warnings about what is odd but harmless.
+
+    Raises:
+        UserError: names file, field and remedy.
     """
     check_options(options)
     try:
@@ -70,7 +80,7 @@ def load_scene(path: Path | None, options: LoadOptions, progress: Progress | Non
 
 
 def check_options(options: LoadOptions) -> None:
-    """Raises UserError for numbers that mean nothing."""
+    """Raise UserError for numbers out of range."""
     if not 1 <= options.downscale <= LARGEST_SIDE:
         raise UserError(f"--downscale is {shorten(options.downscale)}: give a whole number from 1 to {LARGEST_SIDE:,}")
     if not 0 <= options.max_size <= LARGEST_SIDE:
@@ -80,7 +90,7 @@ def check_options(options: LoadOptions) -> None:
 
 
 def _readable(capture: Capture) -> tuple[Capture, list[Header], list[str]]:
-    """Drop the photos that are no images; also the headers of the others, and what was wrong with each dropped."""
+    """Drop the photos that are not images. Returns the rest, their headers, and the fault of each dropped photo."""
     found = _map(lambda i: measure(capture.photos[i].path), range(len(capture.photos)), None)
     damaged = [str(v) for v in found if isinstance(v, UnreadableError)]
     kept = [i for i, v in enumerate(found) if isinstance(v, Header)]
@@ -90,7 +100,10 @@ def _readable(capture: Capture) -> tuple[Capture, list[Header], list[str]]:
 
 
 def _sized(capture: Capture, headers: Sequence[Header], options: LoadOptions) -> tuple[Capture, list[bool], list[str]]:
-    """Cameras in pixels of the photos as they will be loaded, which photos EXIF turns, and what was noticed."""
+    """Scale the cameras to the sizes at which photos will be loaded.
+
+    Returns the capture, which photos must be rotated by EXIF, and notes.
+    """
     notes = oddities([photo.camera for photo in capture.photos])
     upright = [fitted(p, h) for p, h in zip(capture.photos, headers, strict=True)]
     rotated = sum(h.orientation != 1 for h in headers)
@@ -100,7 +113,9 @@ def _sized(capture: Capture, headers: Sequence[Header], options: LoadOptions) ->
             "taken as stored, as their calibration says"
         )
     shapes = [(h.height, h.width) if turn else (h.width, h.height) for h, turn in zip(headers, upright, strict=True)]
-    downscale = max(1.0, options.downscale / capture.reduced)  # no folder may hold photos as large as asked for
+    downscale = max(
+        1.0, options.downscale / capture.reduced
+    )  # the folder may hold smaller photos than the user asked for
     further, sizes = 1, [_target(shape, options, downscale) for shape in shapes]
     while BYTES_PER_PIXEL * sum(w * h for w, h in sizes) > options.memory_gb * 1e9:
         further += 1
@@ -115,7 +130,7 @@ def _sized(capture: Capture, headers: Sequence[Header], options: LoadOptions) ->
 
 
 def _target(size: tuple[int, int], options: LoadOptions, downscale: float, further: int = 1) -> tuple[int, int]:
-    """(width, height) after the options, then divided by `further`. Raises UserError where no pixel is left."""
+    """(width, height) after the options, divided by `further`. Raises UserError if no pixel is left."""
     longest = max(size) / downscale
     limit = options.max_size or longest
     scale = min(1.0, limit / longest) / downscale / further
@@ -137,7 +152,7 @@ def _background(capture: Capture, headers: Sequence[Header], options: LoadOption
 def _photos(
     capture: Capture, upright: Sequence[bool], background: tuple[float, float, float], progress: Progress | None
 ) -> tuple[Photos, list[int], list[str]]:
-    """All photos, the indices of those that could be read, and what is wrong with each of the others."""
+    """Read all photos. Returns them, the indices of those that could be read, and the fault of each of the others."""
     sizes = [(photo.camera.width, photo.camera.height) for photo in capture.photos]
     photos = Photos.empty(sizes)
 
@@ -152,7 +167,7 @@ def _photos(
 
 
 def _map(work: Callable[[int], T], items: Sequence[int], progress: Progress | None) -> list[T | UnreadableError]:
-    """`work` of all items in threads, in order; damaged photos as values. Any other error cancels the rest."""
+    """Do `work` for all items in threads, in order. Damaged photos are returned as errors; other errors cancel."""
 
     def guarded(i: int) -> T | UnreadableError:
         try:

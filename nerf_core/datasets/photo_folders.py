@@ -1,4 +1,4 @@
-"""Which of images, images_2, images_4 … of a capture to load photos from."""
+"""Choose which folder of a capture to load photos from: images, images_2, images_4 …"""
 
 from __future__ import annotations
 
@@ -14,7 +14,11 @@ FOLDER = re.compile(r"images(?:_([1-9][0-9]{0,3}))?")
 
 @dataclass(frozen=True)
 class PhotoFolder:
-    """reduced: how many times smaller than full size its photos are. files: image files below it, sorted by name."""
+    """A folder of photos.
+
+    reduced: how many times smaller than full size its photos are.
+    files: the image files below it, sorted by name.
+    """
 
     path: Path
     reduced: int
@@ -22,22 +26,31 @@ class PhotoFolder:
 
 
 def photo_folders(root: Path) -> tuple[PhotoFolder, ...]:
-    """The folders images and images_N of `root`, largest photos first."""
+    """Return the folders images and images_N of `root`, largest photos first."""
     found = [(int(match[1] or 1), path) for path in root.iterdir() if (match := FOLDER.fullmatch(path.name))]
     return tuple(PhotoFolder(path, reduced, photos_below(path)) for reduced, path in sorted(found) if path.is_dir())
 
 
 def photos_below(folder: Path) -> tuple[Path, ...]:
-    """Image files by their names, sorted; hidden ones (macOS' ._0001.jpg) are none."""
+    """Return the image files below a folder, sorted by name, without hidden ones (macOS writes ._0001.jpg)."""
     return tuple(sorted(f for f in folder.rglob("*") if f.suffix.lower() in SUFFIXES and not f.name.startswith(".")))
 
 
 def choose_folder(
     folders: Sequence[PhotoFolder], downscale: int, count: int, present: Callable[[PhotoFolder], int]
 ) -> tuple[PhotoFolder, tuple[str, ...]]:
-    """The complete folder that needs no more downscaling, else the largest complete one, else the fullest; notes.
+    """Choose the complete folder whose photos already have the wanted size.
 
-    folders: at least one. count: how many photos there should be. present: how many of them a folder has.
+    If there is none it is the complete folder with the largest photos; if no folder is complete, the one with most.
+
+    Args:
+        folders: at least one.
+        downscale: the reduction that the user asked for.
+        count: the number of photos that there should be.
+        present: returns how many of them a folder has.
+
+    Returns:
+        The folder, and notes.
     """
     has = {folder: present(folder) for folder in folders}
     usable = [folder for folder in folders if has[folder] == count] or [max(folders, key=lambda folder: has[folder])]

@@ -1,4 +1,4 @@
-"""Which file a calibration means, when it was written on another computer or the photos were moved."""
+"""Find the photos that a calibration lists, even if it was written on another computer or the photos were moved."""
 
 from __future__ import annotations
 
@@ -15,18 +15,23 @@ from nerf_core.datasets.images import SUFFIXES
 
 @dataclass(frozen=True)
 class Found:
-    """paths: a file for each listed entry, None where there is none. notes: what was not where it was listed."""
+    """The result of a search.
+
+    paths: the file of each listed entry; None if there is none.
+    notes: warnings about photos that were not in the listed place.
+    """
 
     paths: tuple[Path | None, ...]
     notes: tuple[str, ...]
 
 
 def find_photos(folder: Path, listed: Sequence[str], source: Path) -> Found:
-    """Files for the entries that `source` lists, relative to `folder`, with or without extension.
+    """Find the files of the entries that `source` lists, relative to `folder`, with or without extension.
 
-    What is not there (another computer's path, a renamed folder, another extension) is looked up by name, and
-    taken where just one photo that no other entry means fits. Where other entries of the same folder are found
-    in place, an entry is looked up in that folder only: photos of the same name elsewhere belong to other splits.
+    An entry that is not in its place (a path of another computer, a renamed folder, another extension) is looked up by
+    name. A photo is taken if it is the only one that fits and no other entry lists it. If other entries of the same
+    folder are in their place, the search stays in that folder, because a photo of the same name in another folder
+    belongs to another split.
     Raises UserError if an entry is a device or pipe, or if all are missing.
     """
     exact = [_listed_file(folder, entry) for entry in listed]
@@ -60,7 +65,7 @@ def find_photos(folder: Path, listed: Sequence[str], source: Path) -> Found:
 
 
 class _Search:
-    """Photos of a folder by name, without those that an entry means literally."""
+    """The photos of a folder by name, without those that an entry lists exactly."""
 
     def __init__(self, folder: Path, listed: Sequence[str], exact: Sequence[Path | None]) -> None:
         taken = {os.path.abspath(path) for path in exact if path}
@@ -86,7 +91,7 @@ class _Search:
         return None
 
     def _best(self, wanted: PurePosixPath, candidates: list[PurePosixPath]) -> Path | None:
-        """The one whose folders agree with the listed ones farthest from the end; None if two do equally."""
+        """The candidate that shares the most folders with the listed path, counted from the end; None for a tie."""
         ranked = sorted(((_agreement(wanted, c), c) for c in candidates), reverse=True)
         if len(ranked) > 1 and ranked[0][0] == ranked[1][0]:
             return None
@@ -107,7 +112,7 @@ def _agreement(a: PurePosixPath, b: PurePosixPath) -> int:
 
 
 def photo_name(folder: Path, path: Path) -> str:
-    """The path relative to the folder with forward slashes; the whole path without its root if it lies outside."""
+    """Return the path relative to the folder with forward slashes; outside the folder, the whole path without root."""
     plain, base = Path(os.path.abspath(path)), Path(os.path.abspath(folder))
     return (plain.relative_to(base) if plain.is_relative_to(base) else plain.relative_to(plain.anchor)).as_posix()
 
@@ -122,7 +127,7 @@ def _tried(folder: Path, entry: str) -> str:
 
 
 def _mode(path: Path) -> int | None:
-    """The kind of file, None if there is none or if no file can have that name."""
+    """The file's mode bits; None if there is no file, or if no file can have that name."""
     try:
         return path.stat().st_mode
     except (OSError, ValueError):
@@ -130,7 +135,7 @@ def _mode(path: Path) -> int | None:
 
 
 def _listed_file(folder: Path, entry: str) -> Path | None:
-    """The listed file itself, with one of the usual extensions if it names none."""
+    """The listed file itself, or with one of the usual extensions if the entry has none; None if there is none."""
     path = folder / entry
     for candidate in (path, *(path.parent / (path.name + suffix) for suffix in SUFFIXES)):
         mode = _mode(candidate)

@@ -1,4 +1,4 @@
-"""Which format a path holds."""
+"""Recognise the format of a dataset."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ DEMO = "demo"
 
 
 def recognise(path: Path | None, wanted: str) -> tuple[Path, str, tuple[str, ...]]:
-    """The path to read, the format's name and notes. Raises UserError naming what would be recognised."""
+    """Return the path to read, the format's name, and notes. Raises UserError that lists the known formats."""
     if path is None:
         if wanted not in ("auto", DEMO):
             raise UserError(f"--format {wanted} needs a dataset: name its folder")
@@ -25,7 +25,7 @@ def recognise(path: Path | None, wanted: str) -> tuple[Path, str, tuple[str, ...
     if not path.exists():
         raise UserError(f"{path} does not exist: name the folder of a dataset")
     if not path.is_dir() and path.suffix.lower() != ".json":
-        raise UserError(f"{path} is no folder: name the folder of a dataset, or its .json file")
+        raise UserError(f"{path} is not a folder: name the folder of a dataset, or its .json file")
     if wanted != "auto":
         return path, wanted, ()
     fitting = _fitting(path)
@@ -37,18 +37,18 @@ def recognise(path: Path | None, wanted: str) -> tuple[Path, str, tuple[str, ...
 
 
 def _fitting(path: Path) -> list[str]:
-    """Names of the formats that match, preferred first."""
+    """The names of the formats that match, the preferred one first."""
     return sorted((n for n in DATASETS.names() if DATASETS.get(n).matches(path)), key=lambda n: DATASETS.get(n).rank)
 
 
 def _nothing(path: Path) -> str:
     known = "; ".join(f"{n} ({DATASETS.get(n).files})" for n in DATASETS.names() if n != DEMO)
     if path.is_file():
-        return f"{path} is no dataset that is known: {known}"
+        return f"{path} is not a known dataset: {known}"
     inside = [folder for folder in sorted(path.iterdir()) if folder.is_dir()]
     nested = next((folder for folder in inside if _fitting(folder)), None)
     if nested is not None:
-        return f"{path} is no dataset itself, but {nested} is one: open that"
+        return f"{path} is not a dataset itself, but {nested} is one: open that"
     photos = sum(f.suffix.lower() in SUFFIXES for folder in (path, *inside) for f in folder.iterdir())
     if photos:
         return f"{path} holds {photos} photos without poses; formats that carry poses: {known}"

@@ -1,4 +1,4 @@
-"""Area averaging and compositing of photos, in float, over premultiplied colour."""
+"""Average and composite photos, in float and with premultiplied colour."""
 
 from __future__ import annotations
 
@@ -7,15 +7,23 @@ from collections.abc import Callable
 import numpy as np
 
 Decode = Callable[[np.ndarray], np.ndarray]
-ROWS_AT_ONCE = 64  # input rows: they stay in the processor's cache
+ROWS_AT_ONCE = 64  # input rows: few enough to stay in the processor's cache
 
 
 def composite(pixels: np.ndarray, size: tuple[int, int], background: tuple[float, float, float]) -> np.ndarray:
-    """Photo → what training sees: averaged to `size` = (width, height), then put over `background`.
+    """Average a photo to a size and composite it over a background.
 
-    pixels: (H, W, C) uint8, uint16 (full range = 1) or float32; C is 1 grey, 2 grey + alpha, 3 RGB, 4 RGBA, alpha
-    straight. Returns uint16 (height, width, 3), 65535 = 1. Colour is premultiplied before it is averaged, so that
-    invisible colour does not bleed into edges: C = mean(α c) + (1 − mean α) · background.
+    Colour is premultiplied before it is averaged, so that invisible colour does not bleed into edges:
+    C = mean(α c) + (1 − mean α) · background.
+
+    Args:
+        pixels: (H, W, C) uint8, uint16 (full range = 1) or float32; C is 1 for grey, 2 for grey and alpha, 3 for RGB,
+            4 for RGBA, with straight alpha.
+        size: (width, height) in pixels.
+        background: an sRGB colour.
+
+    Returns:
+        uint16 (height, width, 3), 65535 = 1.
     """
     width, height = size
     mean = average_rows(pixels, height, _premultiplied)
@@ -28,11 +36,11 @@ def composite(pixels: np.ndarray, size: tuple[int, int], background: tuple[float
 
 
 def average_rows(image: np.ndarray, count: int, decode: Decode) -> np.ndarray:
-    """Exact area average of (H, W, C) over its rows → (count, W, C'), count ≤ H.
+    """Average the rows of an image (H, W, C) exactly by area → (count, W, C'), count ≤ H.
 
-    Output row r averages input rows over [r·H/count, (r+1)·H/count), rows at the ends by the part that is covered.
-    `decode` turns a few input rows into float32 with C' channels: the whole photo is never held in float, since
-    a large one would take gigabytes.
+    Output row r is the mean of the input rows over [r·H/count, (r+1)·H/count); a row at an end counts by the part that
+    is covered. `decode` turns a few input rows into float32 with C' channels. The whole photo is never held in float,
+    because a large one would take gigabytes.
     """
     rows = image.shape[0]
     at_once = max(1, ROWS_AT_ONCE * count // rows)
@@ -42,7 +50,7 @@ def average_rows(image: np.ndarray, count: int, decode: Decode) -> np.ndarray:
         first, last = r * rows // count, -(-(r + 1) * rows // count)
         block = decode(image[first[0] : last[-1]])
         mean = np.zeros((len(r), *block.shape[1:]), np.float32)
-        for tap in range(int((last - first).max())):  # no matrix product: BLAS threads would fight with ours
+        for tap in range(int((last - first).max())):  # a matrix product would start BLAS threads that compete with ours
             i = first + tap
             covered = np.minimum((i + 1) * count, (r + 1) * rows) - np.maximum(i * count, r * rows)
             weights = (np.maximum(covered, 0) / rows).astype(np.float32)
@@ -52,7 +60,7 @@ def average_rows(image: np.ndarray, count: int, decode: Decode) -> np.ndarray:
 
 
 def _premultiplied(rows: np.ndarray) -> np.ndarray:
-    """(n, W, 1…4) of any pixel type → float32 (n, W, 3 or 4), colour multiplied by alpha."""
+    """Convert (n, W, 1…4) of any pixel type to float32 (n, W, 3 or 4) with colour multiplied by alpha."""
     full = 1.0 if rows.dtype == np.float32 else float(np.iinfo(rows.dtype).max)
     values = rows.astype(np.float32)
     values *= np.float32(1 / full)
@@ -64,6 +72,6 @@ def _premultiplied(rows: np.ndarray) -> np.ndarray:
 
 
 def srgb_encoded(linear: np.ndarray) -> np.ndarray:
-    """Linear light → sRGB's curve (IEC 61966-2-1), clipped to [0, 1]; what is brighter than white becomes white."""
+    """Encode linear colour with the sRGB curve (IEC 61966-2-1), clipped to [0, 1]."""
     x = np.clip(linear, 0, 1)
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055).astype(np.float32)

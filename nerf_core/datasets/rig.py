@@ -1,23 +1,23 @@
-"""What a rig of cameras has in common: a mean camera, a point that all look at, which way is up."""
+"""Find what the cameras of a capture have in common: a mean camera, a point that all look at, an up direction."""
 
 from __future__ import annotations
 
 import numpy as np
 
-CANCELLED = 1e-3  # a mean of unit vectors this short has no direction: they point all ways, or against each other
-FOCUS_ROUNDS = 10  # of reweighting; the point moves by less than 1 % of the rig's size after some five
-FOCUS_FLOOR = 1e-3  # of the rig's size: an axis that passes this close has its full weight, not an infinite one
-FOCUS_SPREAD = 0.01  # least mean sin² of the axes about their common direction (6°): below, they are parallel
-FOCUS_SEEN = 0.75  # share of the cameras that must have the focus before them, within 45° of their axis
-TURNED = 0.05  # least share of the image rows' directions off their main one (13°) for a plane to be told
-LEVEL = 0.02  # largest share of them off that plane (8°) for the photos to count as held level
-AGREED = 0.3  # least cosine between the plane's normal and the mean top of the photos
+CANCELLED = 1e-3  # a shorter mean of unit vectors has no direction: the vectors point everywhere or against each other
+FOCUS_ROUNDS = 10  # of reweighting; after about five the point moves by less than 1 % of the rig's size
+FOCUS_FLOOR = 1e-3  # of the rig's size: bounds the weight 1/distance of an axis that passes closer
+FOCUS_SPREAD = 0.01  # the least mean sin² of the axes about their common direction (6°); with less they are parallel
+FOCUS_SEEN = 0.75  # share of the cameras that must have the focus in front of them, within 45° of their axis
+TURNED = 0.05  # the least share of the image rows' directions beside their main one (13°) that defines a plane
+LEVEL = 0.02  # the largest share of them off that plane (8°) for photos that were held level
+AGREED = 0.3  # the least cosine between the plane's normal and the mean up vector of the photos
 
 
 def mean_camera(poses: np.ndarray) -> np.ndarray | None:
-    """poses (N, 3, 4) → the mean camera (3, 4), None where the views or tops cancel out.
+    """Return the mean camera (3, 4) of poses (N, 3, 4); None if the view directions or up vectors cancel out.
 
-    Position and back are the means; x = up × back, y = back × x of the mean up (official LLFF `poses_avg`).
+    Position, back and up are means; x = up × back and y = back × x (official LLFF `poses_avg`).
     """
     up, back, position = poses[:, :, 1:].mean(0).T
     right = np.cross(up, back)
@@ -28,24 +28,27 @@ def mean_camera(poses: np.ndarray) -> np.ndarray | None:
 
 
 def spread(poses: np.ndarray) -> float:
-    """RMS distance of the camera centres (N, 3, 4) from their mean; exactly 0 where only rounding tells them apart."""
+    """Return the RMS distance of the camera centres of poses (N, 3, 4) from their mean.
+
+    It is exactly 0 if the centres differ only by rounding.
+    """
     centers = poses[:, :, 3]
     value = float(np.sqrt(((centers - centers.mean(0)) ** 2).sum(1).mean()))
     return value if value > 1e-9 * np.abs(centers).max() else 0.0
 
 
 def common_focus(poses: np.ndarray) -> np.ndarray | None:
-    """The point (3,) nearest to all optical axes of poses (N, 3, 4); None where they do not meet before the cameras.
+    """Return the point (3,) nearest to all optical axes of poses (N, 3, 4).
 
-    It minimises the sum of its distances to the axes (least squares, reweighted by 1/distance), so that a few
-    cameras that look elsewhere do not move it.
+    It minimises the sum of the distances to the axes (least squares, reweighted by 1/distance), so that a few cameras
+    that look elsewhere do not move it. None if the axes do not meet in front of the cameras.
     """
     size = spread(poses)
     if size == 0:
         return None
     middle = poses[:, :, 3].mean(0)
     centers, forward = (poses[:, :, 3] - middle) / size, -poses[:, :, 2]
-    across = np.eye(3) - forward[:, :, None] * forward[:, None, :]  # takes off what lies along the axis
+    across = np.eye(3) - forward[:, :, None] * forward[:, None, :]  # projects onto the plane across the axis
     weights = np.ones(len(poses))
     point, distance = np.zeros(3), np.zeros(len(poses))
     for _ in range(FOCUS_ROUNDS):
@@ -60,10 +63,10 @@ def common_focus(poses: np.ndarray) -> np.ndarray | None:
 
 
 def up_direction(poses: np.ndarray) -> np.ndarray:
-    """Which way is up, (3,) unit: the photos' common top.
+    """Return the up direction, a unit vector (3,), from the photos.
 
-    Cameras that walk around something and look down on it have tops that lean to its side. Their image rows stay
-    horizontal: where these span a plane, up is its normal.
+    Cameras around an object that look down on it have up vectors that lean towards it, but their image rows stay
+    horizontal. If the rows span a plane, up is its normal; otherwise it is the mean up vector of the photos.
     """
     rows, top = poses[:, :, 0], poses[:, :, 1].mean(0)
     share, axes = np.linalg.eigh(rows.T @ rows / len(rows))
@@ -76,9 +79,9 @@ def up_direction(poses: np.ndarray) -> np.ndarray:
 
 
 def upright(up: np.ndarray) -> np.ndarray:
-    """The smallest rotation (3, 3) that takes unit `up` (3,) to +z: the input's axes turn as little as they can."""
+    """Return the smallest rotation (3, 3) that takes the unit vector `up` (3,) to +z."""
     axis, cosine = np.cross(up, [0.0, 0.0, 1.0]), float(up[2])
-    if cosine < -1 + 1e-9:  # upside down: every horizontal axis turns it by the least angle
+    if cosine < -1 + 1e-9:  # upside down: half a turn about any horizontal axis
         return np.diag([1.0, -1.0, -1.0])
     x, y, z = axis
     skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])

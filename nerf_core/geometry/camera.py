@@ -12,7 +12,7 @@ import numpy as np
 
 from nerf_core.geometry.lens import PINHOLE, Lens
 
-BESIDE = 1e6  # on the image plane: points farther out lie beside the camera; a lens raises them to the 7th power
+BESIDE = 1e6  # on the image plane: points farther out count as beside the camera (a lens raises them to the 7th power)
 
 
 @dataclass(frozen=True)
@@ -32,28 +32,38 @@ class Camera:
     lens: Lens = PINHOLE
 
     def intrinsics(self) -> tuple[float, ...]:
-        """width, height, fx, fy, cx, cy, then the lens's coefficients: everything but the pose."""
+        """Everything but the pose: width, height, fx, fy, cx, cy, then the lens coefficients."""
         return self.width, self.height, self.fx, self.fy, self.cx, self.cy, *self.lens.coefficients
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same field of view over another number of pixels; the lens coefficients do not depend on it."""
+        """Return the camera with another number of pixels and the same field of view.
+
+        The lens coefficients stay: they apply to the image plane, whose unit is the focal length.
+        """
         sx, sy = width / self.width, height / self.height
         return replace(
             self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy
         )
 
     def moved(self, c2w: np.ndarray) -> Camera:
-        """The same camera with another pose: c2w, the first 3 rows of which count."""
+        """Return the camera with another pose: the first 3 rows of `c2w`, (3, 4) or (4, 4)."""
         return replace(self, c2w=np.asarray(c2w, dtype=np.float64)[:3, :4])
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """World points (P, 3) → pixel coordinates (P, 2) and z-depths (P,); points with depth ≤ 0 lie behind.
+        """Project world points into the picture.
 
-        NaN where they would fall into the picture, but the lens shows something else there: see `Lens.shows`.
+        Args:
+            points: (P, 3) in world units.
+
+        Returns:
+            Pixel coordinates (P, 2) and z-depths (P,). A point with depth ≤ 0 lies behind the camera. The coordinates
+            are NaN where the lens shows something else at that pixel; see `Lens.shows`.
         """
         local = (points - self.c2w[:, 3]) @ self.c2w[:, :3]
         z = -local[:, 2]
-        safe = np.where(np.abs(z) < 1e-12, 1e-12, z)  # a point in the camera's plane has no pixel; depth tells
+        safe = np.where(
+            np.abs(z) < 1e-12, 1e-12, z
+        )  # avoids a division by zero: a point in the camera's plane has no pixel, and its depth says so
         plane = np.stack([local[:, 0], -local[:, 1]], -1) / safe[:, None]
         if not self.lens.bends:
             return plane * (self.fx, self.fy) + (self.cx, self.cy), z

@@ -1,4 +1,4 @@
-"""Cameras as JSON values, and where a command line names one."""
+"""Write cameras as JSON values, read them back, and find the camera that a command line names."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.lens import Lens
 from nerf_core.geometry.scene import Scene
 
-MOST_PIXELS = 1 << 16  # a side
-# What no camera has, and what rays of float32 numbers could not bear
+MOST_PIXELS = 1 << 16  # on one side of a picture
+# No real camera has numbers beyond these limits, and float32 rays would overflow
 FARTHEST = 1e9  # from the origin, in units of the world; principal points, in pixels
 FOCAL = 1e-3, 1e9  # pixels
 LENS = 1e6  # its coefficients
@@ -25,16 +25,16 @@ CAMERA_FILE = f'an object as an opened ray\'s file has under "camera" ({", ".joi
 
 
 def camera_values(camera: Camera) -> dict[str, Any]:
-    """Every field by its name, c2w as lists."""
+    """Return every field of a camera under its name, c2w as nested lists."""
     values = asdict(camera)
     lens = values.pop("lens")
     return {**values, "c2w": camera.c2w.tolist(), **lens}
 
 
 def camera_of(values: Mapping[str, Any]) -> Camera:
-    """The camera of `camera_values`. Raises ValueError, TypeError or OverflowError for anything else."""
+    """Rebuild the camera from `camera_values`. Raises ValueError, TypeError or OverflowError for anything else."""
     if not isinstance(values, Mapping):
-        raise TypeError(f"{shorten(values)} is no object")
+        raise TypeError(f"{shorten(values)} is not an object")
     for name in NEEDED:
         if name not in values:
             raise ValueError(f"field {name} is missing")
@@ -60,7 +60,7 @@ def camera_of(values: Mapping[str, Any]) -> Camera:
 
 
 def _number(values: Mapping[str, Any], name: str) -> float:
-    """Of a lens' coefficient that is not given: 0."""
+    """One field as a number; a missing lens coefficient is 0."""
     value = values.get(name, 0.0)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"{name} is {shorten(value)}: a number is needed")
@@ -68,12 +68,19 @@ def _number(values: Mapping[str, Any], name: str) -> float:
 
 
 def picked_camera(scene: Scene, text: str) -> Camera:
-    """The camera that an option names: a photo of the scene, by its name or its end, or a .json file with a camera, as
-    an opened ray's. Raises UserError."""
+    """Return the camera that a command line option names.
+
+    Args:
+        scene: the open scene.
+        text: the name of a photo or the end of its name, or a .json file with a camera, such as an opened ray's file.
+
+    Raises:
+        UserError: if no camera or more than one fits.
+    """
     if text.lower().endswith(".json"):
         values = read_json(Path(text), CAMERA_FILE).values
         if isinstance(rays := values.get("rays"), list) and rays and isinstance(rays[0], Mapping):
-            values = rays[0]  # of a file of several: what was opened comes before what was pinned
+            values = rays[0]  # in a file of several rays the opened one comes before the pinned ones
         try:
             return camera_of(values.get("camera", values))
         except (TypeError, ValueError, OverflowError) as error:

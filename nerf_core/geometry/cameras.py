@@ -1,4 +1,4 @@
-"""Pixels of many cameras to rays."""
+"""Turn pixels of many cameras into rays."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from nerf_core.geometry.rays import Rays
 
 
 class Cameras:
-    """N cameras as tensors, so that one batch of rays may come from all of them."""
+    """N cameras as tensors, so that one batch can mix rays of all of them."""
 
     def __init__(self, cameras: Sequence[Camera], near: float, far: float) -> None:
         table = np.array([c.intrinsics() for c in cameras], dtype=np.float64)
@@ -28,10 +28,17 @@ class Cameras:
         self._distorted = bool((self.lens != 0).any())
 
     def rays(self, index: Tensor, pixels: Tensor) -> Rays:
-        """Rays through `pixels` (R, 2) (column, row; centres at +0.5) of the cameras `index` (R,); float32.
+        """Return the rays through pixels.
 
-        A pixel's direction is ((i − cx)/fx, −(j − cy)/fy, −1) after undoing the lens, rotated by c2w and made
-        unit; near and far are z-depths, so along the ray they grow by the length of that vector.
+        A pixel (i, j) looks along ((i − cx)/fx, −(j − cy)/fy, −1) once the lens is undone. The vector is rotated by
+        c2w and normalised. near and far are z-depths; along the ray they are longer by the length of that vector.
+
+        Args:
+            index: (R,) the camera of each ray.
+            pixels: (R, 2) column and row; a pixel's centre lies at +0.5.
+
+        Returns:
+            R rays, float32.
         """
         done = fast_rays(
             index, pixels, self.focal, self.principal, self.lens, self.c2w, float(self.near), float(self.far)
@@ -39,7 +46,7 @@ class Cameras:
         return Rays(*done) if done is not None else self.plain_rays(index, pixels)
 
     def plain_rays(self, index: Tensor, pixels: Tensor) -> Rays:
-        """`rays` where numba is missing."""
+        """The same as `rays`, without numba."""
         plane = (pixels.double() - self.principal[index]) / self.focal[index]
         if self._distorted:
             lens = Lens(*self.lens[index].numpy().T)
@@ -57,7 +64,13 @@ class Cameras:
 
 
 def camera_rays(camera: Camera, near: float, far: float, pixels: np.ndarray | None = None) -> Rays:
-    """Rays of one camera through integer `pixels` (R, 2) (column, row), or through all, row by row."""
+    """Return the rays of one camera through the centres of its pixels.
+
+    Args:
+        camera: the camera.
+        near, far: z-depths in world units.
+        pixels: (R, 2) integer column and row; None takes all pixels row by row.
+    """
     if pixels is None:
         rows, columns = np.mgrid[: camera.height, : camera.width]
         pixels = np.stack([columns.ravel(), rows.ravel()], -1)

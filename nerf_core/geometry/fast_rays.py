@@ -1,4 +1,4 @@
-"""Pixels to rays and colours on a CPU, through numba where there is one."""
+"""Turn pixels into rays and colours on a CPU, with numba where it is installed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,11 @@ from nerf_core.common.jit.shards import each_shard, shards_of, split
 def fast_rays(
     index: Tensor, pixels: Tensor, focal: Tensor, principal: Tensor, lens: Tensor, c2w: Tensor, near: float, far: float
 ) -> tuple[Tensor, Tensor, Tensor, Tensor] | None:
-    """Origins, directions (R, 3), near, far (R,) float32 as in `Cameras.rays`; None where numba is missing."""
+    """Compute `Cameras.rays` with numba.
+
+    Returns:
+        Origins (R, 3), directions (R, 3), near (R,) and far (R,), float32. None where numba is missing.
+    """
     if numba_obstacle():
         return None
     from nerf_core.geometry.numba_rays import rays
@@ -28,9 +32,17 @@ def fast_rays(
 
 
 def photo_colors(index: Tensor, pixel: Tensor, widths: Tensor, starts: Tensor, flat: np.ndarray) -> Tensor:
-    """What integer `pixel` (R, 2) of photos `index` (R,) show, (R, 3) float32 in [0, 1].
+    """Return the colours of pixels in photos.
 
-    flat: (P, 3) uint16, in which photo n, `widths[n]` pixels wide, begins at `starts[n]`.
+    Args:
+        index: (R,) the photo of each pixel.
+        pixel: (R, 2) integer column and row.
+        widths: (N,) the width of each photo.
+        starts: (N,) the row of `flat` at which each photo begins.
+        flat: (P, 3) uint16, the pixels of all photos.
+
+    Returns:
+        sRGB colours (R, 3), float32 in [0, 1].
     """
     if numba_obstacle():
         at = starts[index] + pixel[:, 1] * widths[index] + pixel[:, 0]

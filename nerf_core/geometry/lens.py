@@ -1,4 +1,4 @@
-"""Lens distortion on the image plane: ideal pinhole points ↔ the points where a lens shows them."""
+"""Lens distortion: maps between ideal pinhole points on the image plane and the points where a lens shows them."""
 
 from __future__ import annotations
 
@@ -7,17 +7,21 @@ from typing import Any
 
 import numpy as np
 
-NEWTON_STEPS = 10  # Newton converges quadratically: lenses that do not fold inside the image need 3 to 5
-SINGULAR = 1e-9  # |det J| of a fold: beyond it a distorted point has no unique ideal point
-FAR_OFF = 1e9  # on the image plane: a result beyond it means that Newton's method diverged
-SAME_PLACE = 1e-3  # on the image plane: tolerance of a round trip; a folded point misses by far more
+NEWTON_STEPS = (
+    10  # Newton's method converges quadratically: a lens that does not fold inside the image needs 3 to 5 steps
+)
+SINGULAR = 1e-9  # |det J| at a fold of the lens: there a distorted point has no unique ideal point
+FAR_OFF = 1e9  # on the image plane: a result beyond this means that Newton's method diverged
+SAME_PLACE = 1e-3  # on the image plane: the tolerance of a round trip; a folded point misses by far more
 
 
 def newton_step(x: Any, y: Any, x0: Any, y0: Any, k1: Any, k2: Any, k3: Any, p1: Any, p2: Any) -> tuple[Any, Any, Any]:
-    """Newton's step for `Lens.distort(x, y) = (x0, y0)`, for numbers and arrays alike; numba compiles it as well.
+    """Compute one step of Newton's method for `Lens.distort(x, y) = (x0, y0)`.
 
-    Returns the step as numerators and determinant: x −= mx / det, y −= my / det. The caller leaves a point where it is
-    if |det| ≤ SINGULAR.
+    It takes numbers or arrays, and numba compiles it too.
+
+    Returns:
+        mx, my, det: the step is x −= mx / det, y −= my / det. The caller does not move a point whose |det| ≤ SINGULAR.
     """
     r2 = x * x + y * y
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -34,7 +38,7 @@ def newton_step(x: Any, y: Any, x0: Any, y0: Any, k1: Any, k2: Any, k3: Any, p1:
 class Lens:
     """OpenCV's radial-tangential lens; all zeros is a pinhole.
 
-    k1, k2, k3, p1, p2: numbers, or arrays (P,) that give each of P points a lens of its own.
+    k1, k2, k3, p1, p2: numbers, or arrays (P,) with one lens for each of P points.
     Image-plane points are (P, 2) in units of the focal length, y down.
     """
 
@@ -51,14 +55,14 @@ class Lens:
 
     @property
     def bends(self) -> bool:
-        """Whether any coefficient is not zero."""
+        """True if any coefficient is not zero."""
         return any(np.any(value) for value in self.coefficients)
 
     def distort(self, plane: np.ndarray) -> np.ndarray:
-        """Ideal points (P, 2) → the points (P, 2) where the lens shows them.
+        """Map ideal points (P, 2) to the points (P, 2) where the lens shows them.
 
-        With r² = x² + y²: x (1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2 x²), and the same for y with p1 and p2
-        exchanged (OpenCV, calib3d).
+        With r² = x² + y²: x′ = x (1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2 x²). y′ is the same with x and y,
+        and p1 and p2, exchanged (OpenCV, calib3d).
         """
         x, y = plane[..., 0], plane[..., 1]
         r2 = x * x + y * y
@@ -68,14 +72,14 @@ class Lens:
         return np.stack([bent_x, bent_y], -1)
 
     def undistort(self, bent: np.ndarray) -> np.ndarray:
-        """The inverse of `distort` by Newton's method: (P, 2) → (P, 2).
+        """Invert `distort` with Newton's method: (P, 2) → (P, 2).
 
-        A point where the Jacobian degenerates stays where it is (beyond the fold of an absurd calibration). A point
-        that Newton throws beyond FAR_OFF is returned as given.
+        A point where the Jacobian is singular (beyond the fold of an absurd calibration) is not moved. A point for
+        which the method diverges is returned as given.
         """
         x0, y0 = bent[..., 0], bent[..., 1]
         x, y = x0, y0
-        with np.errstate(over="ignore", invalid="ignore"):  # of absurd coefficients: caught at the end
+        with np.errstate(over="ignore", invalid="ignore"):  # absurd coefficients overflow; the last lines catch that
             for _ in range(NEWTON_STEPS):
                 mx, my, det = newton_step(x, y, x0, y0, *self.coefficients)
                 regular = np.abs(det) > SINGULAR
@@ -85,10 +89,10 @@ class Lens:
         return np.stack([np.where(found, x, x0), np.where(found, y, y0)], -1)
 
     def shows(self, plane: np.ndarray, bent: np.ndarray) -> np.ndarray:
-        """Which ideal points (P, 2) are really seen at their distorted points `bent` (P, 2): bool (P,).
+        """Return which ideal points (P, 2) are really seen at their distorted points `bent` (P, 2), as bool (P,).
 
-        Far outside the picture the polynomial may turn back and fold points into the picture, where the lens shows
-        something else.
+        Far outside the picture the polynomial may turn back. It then maps points into the picture although the lens
+        shows something else there.
         """
         return np.abs(self.undistort(bent) - plane).max(-1) < SAME_PLACE
 

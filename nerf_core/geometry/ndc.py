@@ -1,4 +1,4 @@
-"""Normalised device coordinates of forward-facing captures."""
+"""Normalised device coordinates (NDC) for forward-facing captures."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Ndc:
-    """The frustum of normalised device coordinates: one reference camera at the origin, looking along −z.
+    """The frustum of NDC: one reference camera at the origin that looks along −z (NeRF, appendix C, arXiv:2003.08934).
 
-    NeRF, appendix C (arXiv:2003.08934): with the near plane at z = −near, t′ ∈ [0, 1] is linear in disparity.
-    far: the scene's far bound (z-depth), where exported distances of t′ → 1 are clamped.
+    t′ ∈ [0, 1] is linear in disparity, and t′ = 0 lies on the near plane z = −near.
+    far: the scene's far bound (z-depth); exported distances of t′ → 1 are clamped there.
     """
 
     width: int
@@ -24,13 +24,15 @@ class Ndc:
     far: float
 
     def rays(self, origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """World rays (R, 3) → NDC origins, NDC directions (not unit: t′ runs 0…1), and which rays (R,) exist.
+        """Map world rays to NDC.
 
-        Only a ray that points to −z meets the frustum's far end; the others get a harmless stand-in.
+        Returns:
+            NDC origins (R, 3); NDC directions (R, 3), not of unit length, because t′ runs from 0 to 1; and which rays
+            exist, bool (R,). Only a ray towards −z reaches the frustum's far end; the others get a harmless direction.
         """
         import torch
 
-        exists = directions[:, 2] < -1e-6  # parallel to the image plane: never reaches the near plane
+        exists = directions[:, 2] < -1e-6  # a ray parallel to the image plane never reaches the near plane
         dz = torch.where(exists, directions[:, 2], -torch.ones_like(directions[:, 2]))
         shift = -(self.near + origins[:, 2]) / dz
         o = origins + shift[:, None] * directions
@@ -48,41 +50,45 @@ class Ndc:
         return o_ndc, d_ndc, exists
 
     def first(self, origins: Tensor) -> Tensor:
-        """World origins (R, 3) → the t′ (R,) at which their rays begin: 0, or beyond the near plane the origin's own.
+        """Return the t′ (R,) at which rays from world origins (R, 3) begin.
 
-        Where world_t is 0: t′ / (1 − t′) = −(near + o_z) / near. What lies behind a camera that flew in is not seen.
+        It is 0, or, for a camera that has moved past the near plane, the t′ of its origin, so that nothing behind the
+        camera is seen. There world_t is 0, hence t′ / (1 − t′) = −(near + o_z) / near.
         """
         beyond = ((-self.near - origins[:, 2]) / self.near).clamp(min=0)
         return beyond / (1 + beyond)
 
     def world_t(self, origins: Tensor, directions: Tensor, t_ndc: Tensor) -> Tensor:
-        """t′ (R, S) → world distance (R, S), clamped where the ray leaves the scene's far bound.
+        """Map t′ (R, S) to world distance (R, S), clamped at the scene's far bound.
 
-        On the shifted ray t′ = 1 − o_z / (o_z + t d_z), hence t = (o_z / d_z) (1/(1 − t′) − 1) with o_z = −near.
+        On the ray that starts at the near plane t′ = 1 − o_z / (o_z + t d_z), hence
+        t = (o_z / d_z) (1/(1 − t′) − 1) with o_z = −near.
         """
         shift, scale = self._along(origins, directions)
         t = t_ndc.clamp(max=1 - self.near / self.far)
         return shift + scale * (t / (1 - t))
 
     def _along(self, origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
-        """shift and scale (R, 1) of the world distance shift + scale · t′ / (1 − t′)."""
+        """Return shift and scale (R, 1), where the world distance is shift + scale · t′ / (1 − t′)."""
         import torch
 
         dz = torch.where(directions[:, 2] < -1e-6, directions[:, 2], -torch.ones_like(directions[:, 2]))
         return (-(self.near + origins[:, 2]) / dz)[:, None], (-self.near / dz)[:, None]
 
     def stretched(self, origins: Tensor, directions: Tensor, t: Tensor, delta: Tensor) -> Tensor:
-        """World distances t (R, S) and lengths δ in NDC → the world distances (R, S) at which those lengths end."""
+        """Return the world distances (R, S) at which intervals end that begin at t (R, S) and are δ long in NDC."""
         shift, scale = self._along(origins, directions)
         ratio = (t - shift) / scale  # t′ / (1 − t′)
         length = self.rays(origins, directions)[1].norm(dim=-1, keepdim=True)
         return self.world_t(origins, directions, ratio / (1 + ratio) + delta / length)
 
     def point(self, world: Tensor) -> Tensor:
-        """World points (..., 3) in front of the origin → NDC points (..., 3)."""
+        """Map world points (..., 3) in front of the origin to NDC points (..., 3)."""
         import torch
 
-        z = world[..., 2].clamp(max=-1e-6)  # the frustum has no points beside or behind its camera
+        z = world[..., 2].clamp(
+            max=-1e-6
+        )  # the frustum has no points beside or behind its camera; this keeps the division finite
         return torch.stack(
             [
                 -2 * self.focal / self.width * world[..., 0] / z,

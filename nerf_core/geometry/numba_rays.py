@@ -1,4 +1,4 @@
-"""Pixels to rays and colours, one by one: `nerf_core.geometry.cameras.Cameras.rays` without its temporary arrays."""
+"""Compute rays and colours pixel by pixel: `nerf_core.geometry.cameras.Cameras.rays` without temporary arrays."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from nerf_core.common.jit.vectors import jit
 from nerf_core.geometry.lens import FAR_OFF, NEWTON_STEPS, SINGULAR, newton_step
 
-SMALL = 1e-13  # of the image plane: Newton's next step is below what float32 directions can hold
+SMALL = 1e-13  # on the image plane: a smaller step of Newton's method is lost in float32 directions
 _newton_step = jit(newton_step)
 
 
@@ -19,7 +19,7 @@ def rays(
     index: Any, pixels: Any, focal: Any, principal: Any, lens: Any, c2w: Any, near: Any, far: Any, first: Any,
     last: Any, origins: Any, directions: Any, nears: Any, fars: Any,
 ) -> None:  # fmt: skip
-    """Writes the rays first ≤ r < last through `pixels` of the cameras `index`."""
+    """Write the rays first ≤ r < last through `pixels` of the cameras `index`."""
     for r in range(first, last):
         n = index[r]
         x0, y0 = (pixels[r, 0] - principal[n, 0]) / focal[n, 0], (pixels[r, 1] - principal[n, 1]) / focal[n, 1]
@@ -48,7 +48,7 @@ def rays(
 
 @jit
 def colors(index: Any, pixels: Any, widths: Any, starts: Any, flat: Any, first: Any, last: Any, found: Any) -> None:
-    """Writes what integer `pixels` of photos `index` show; photo n begins at starts[n] of `flat` (P, 3) uint16."""
+    """Write the colours of integer `pixels` of photos `index`. Photo n begins at starts[n] of `flat` (P, 3) uint16."""
     for r in range(first, last):
         n = index[r]
         at = starts[n] + pixels[r, 1] * widths[n] + pixels[r, 0]

@@ -1,15 +1,15 @@
-"""The words of the package.
+"""Rays, samples along them and what is rendered from them. All modules use these names and shapes.
 
-R rays, S samples a ray, N images, H × W pixels; no trailing singleton axes.
+R rays, S samples per ray, N images, H × W pixels; no trailing singleton axes.
 
 | name | shape | meaning |
 |---|---|---|
 | origins, directions | (R, 3) | world; directions of unit length, from the camera outwards |
-| near, far | (R,) | world distance along the ray between which samples lie |
-| t, delta | (R, S) | world distance along the ray; what multiplies sigma (NDC length under NDC) |
-| sigma, rgb | (R, S), (R, S, 3) | density in 1/unit of delta, ≥ 0; [0, 1], sRGB-encoded as in the photos |
-| alpha, transmittance, weights | (R, S) | 1 − exp(−σδ); light left before the sample; their product, Σ ≤ 1 |
-| color, opacity, depth | (R, 3), (R,), (R,) | with background; Σ weights; expected t, NaN where nothing was hit |
+| near, far | (R,) | world distances along the ray; all samples lie between them |
+| t, delta | (R, S) | world distance along the ray; length of the sample's interval (in NDC under NDC) |
+| sigma, rgb | (R, S), (R, S, 3) | density ≥ 0 per unit of delta; radiance in [0, 1], sRGB-encoded as in the photos |
+| alpha, transmittance, weights | (R, S) | 1 − exp(−σδ); share of light left before the sample; their product, Σ ≤ 1 |
+| color, opacity, depth | (R, 3), (R,), (R,) | over the background; Σ weights; expected t, NaN where nothing was hit |
 | c2w | (3, 4) | camera to world, OpenGL axes: x right, y up, looking along −z |
 """
 
@@ -20,13 +20,13 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-# Below this opacity a ray has hit nothing that a depth could be told of: less than one step of an 8-bit pixel.
+# Below this opacity a ray has hit nothing and has no depth: it is less than one step of an 8-bit pixel.
 EMPTY = 1 / 512
 
 
 @dataclass(frozen=True)
 class Rays:
-    """R world-space rays and the stretch of each that may hold content."""
+    """R world-space rays, each with the interval [near, far] that may hold content."""
 
     origins: Tensor
     directions: Tensor
@@ -43,7 +43,7 @@ class Rays:
         return Rays(*(getattr(self, f.name).to(device) for f in fields(self)))
 
     def padded(self, count: int) -> Rays:
-        """Repeat the last ray until there are `count`: renderer and probe then run chunks of one shape."""
+        """Repeat the last ray until there are `count`, so that renderer and probe run chunks of the same shape."""
         missing = count - len(self)
         if missing <= 0:
             return self
@@ -57,7 +57,7 @@ class Rays:
 
 @dataclass(frozen=True)
 class Rendering:
-    """What a pixel needs: colour over the background, opacity, expected depth (NaN where nothing was hit)."""
+    """The pixels of R rays: colour over the background, opacity, and expected depth (NaN where nothing was hit)."""
 
     color: Tensor
     opacity: Tensor
@@ -73,9 +73,9 @@ class Rendering:
 
 @dataclass(frozen=True)
 class Samples:
-    """Everything that was composited along R rays in one pass, front to back: (R, S) each, rgb (R, S, 3).
+    """The samples that one pass composited along R rays, front to back: (R, S) each, rgb (R, S, 3).
 
-    count: (R,) how many of its S samples each ray really has; the rest absorb nothing. None: all of them.
+    count: (R,) the number of samples that each ray really has; the others have density 0. None: all S.
     """
 
     name: str
@@ -91,7 +91,7 @@ class Samples:
 
 @dataclass(frozen=True)
 class Trace:
-    """A rendering together with the passes that made it, coarse before fine."""
+    """A rendering with the samples of the passes that made it, coarse before fine."""
 
     rendering: Rendering
     passes: tuple[Samples, ...]

@@ -1,4 +1,4 @@
-"""A capture as everything else sees it: posed photos, bounds, and the way back to the input's frame."""
+"""A loaded capture: posed photos, bounds, and the transform back to the input's frame."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ class View:
 
 @dataclass(frozen=True)
 class Scene:
-    """Posed photos in the trainer's frame; frozen, safe to hand between threads.
+    """Posed photos in the trainer's frame. It is frozen, so that threads can share it.
 
-    photos: one per view, sRGB-encoded, 65535 = 1, already composited over `background`: 16 bits
-    hold 8-bit and 16-bit photos exactly, and averaged ones without visible error.
-    near, far: z-depths (along the optical axis, not the ray) between which the content lies, in scene units.
+    photos: one per view, sRGB-encoded, 65535 = 1, composited over `background`. 16 bits hold 8-bit and 16-bit photos
+    exactly, and averaged ones without visible error.
+    near, far: the z-depths (along the optical axis, not the ray) that enclose the content, in scene units.
     synthetic: an object rendered on a plain background (Blender's format), not photos of a place.
     disparity: whether samples are spaced linearly in 1/z (real captures without NDC).
-    ndc: the reference frustum when the scene is trained in normalised device coordinates.
-    center, radius, up: what an orbit circles, in scene units.
-    to_input: (4, 4) similarity that takes scene points to the frame of the input files.
-    notes: what the reader warned about, one line each.
+    ndc: the reference frustum if the scene is trained in normalised device coordinates, else None.
+    center, radius, up: the centre, radius and axis of an orbit, in scene units.
+    to_input: (4, 4) similarity from scene points to the frame of the input files.
+    notes: the reader's warnings, one line each.
     """
 
     name: str
@@ -59,22 +59,22 @@ class Scene:
 
     @property
     def images(self) -> tuple[np.ndarray, ...]:
-        """Each view's photo, uint16 (H, W, 3)."""
+        """The photos of all views, uint16 (H, W, 3)."""
         return self.photos.images
 
     def split(self, name: str) -> tuple[int, ...]:
-        """Indices of the views of a split; empty when the capture has none."""
+        """Return the indices of the views in a split; empty if the capture does not have it."""
         return self.splits.get(name, ())
 
     def held_out(self) -> tuple[str, tuple[int, ...]]:
-        """The split that evaluation uses by default: test, else val."""
+        """Return the split that evaluation uses by default (test, else val) and its views."""
         for name in ("test", "val"):
             if self.split(name):
                 return name, self.split(name)
         return "test", ()
 
     def summary(self) -> str:
-        """What loading options change, in words."""
+        """Describe in words what the loading options decide."""
         sizes = sorted({(view.camera.width, view.camera.height) for view in self.views})
         size = f"{sizes[0][0]:,}×{sizes[0][1]:,}" + (f" to {sizes[-1][0]:,}×{sizes[-1][1]:,}" if sizes[1:] else "")
         counts = ", ".join(f"{len(indices):,} {name}" for name, indices in self.splits.items())
@@ -82,7 +82,7 @@ class Scene:
         return f"photos of {size} pixels ({counts}){', NDC' if self.ndc else ''}, background {ground}"
 
     def difference(self, description: Mapping[str, Any]) -> str:
-        """How this scene differs from that of a checkpoint's description, and what to do: the end of an error."""
+        """Return the end of an error message: how this scene differs from a checkpoint's, and what to do."""
         name, there, here = description["scene_name"], description["scene_summary"], self.summary()
         if there == here:
             return f"trained on {shorten(name)}, whose photos, poses or bounds differ from {self.name}'s: open that one"
@@ -92,7 +92,7 @@ class Scene:
         return f"trained on {shorten(name)}, {shorten(there, 160)}; open now is {self.name}, {here!r}: {advice}"
 
     def identity(self) -> str:
-        """Hash of poses, intrinsics, bounds, names, splits and a few pixels of each photo: a checkpoint stores it."""
+        """Return a hash of poses, intrinsics, bounds, names, splits and a few pixels of each photo, for checkpoints."""
         digest = hashlib.sha256()
         digest.update(repr((self.near, self.far, self.background, self.disparity, self.ndc)).encode())
         digest.update(repr(sorted((k, tuple(v)) for k, v in self.splits.items())).encode())

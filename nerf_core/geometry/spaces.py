@@ -1,7 +1,8 @@
-"""Where a scene's content lies in a box: the world itself, normalised device coordinates, or contracted space.
+"""Map a scene into a bounded box, as grids need: world space, normalised device coordinates, or contracted space.
 
-A grid needs a bounded box. An object has one; a forward-facing capture gets NDC's; all others are contracted: what the
-cameras circle fills the inner cube, and everything behind it up to infinity the shell between it and twice its size.
+An object has its own box, and a forward-facing capture has the box of NDC. All other captures are contracted: the
+content that the cameras surround fills an inner cube. Everything behind it, up to infinity, fills the shell between
+that cube and one of twice its size.
 """
 
 from __future__ import annotations
@@ -18,13 +19,16 @@ from nerf_core.geometry.ndc import Ndc
 from nerf_core.geometry.rays import EMPTY, Rays, Rendering
 from nerf_core.geometry.scene import Scene
 
-MOST_NDC = 4.0  # a ray that is all but parallel to the image plane would stretch the box without end
-HORIZON = 1e6  # in units of the inner cube: farther than any cell of a grid can tell from infinity
+MOST_NDC = 4.0  # limits the box: a ray almost parallel to the image plane would stretch it without bound
+HORIZON = 1e6  # in units of the inner cube: no cell of a grid can tell this distance from infinity
 
 
 @dataclass(frozen=True)
 class BoxRays:
-    """R rays x = origins + t · directions in the coordinates of a `Space`, before contraction; views (R, 3) unit."""
+    """R rays x = origins + t · directions in the coordinates of a `Space` before contraction.
+
+    views: (R, 3) unit view directions in the world.
+    """
 
     origins: Tensor
     directions: Tensor
@@ -38,7 +42,7 @@ class BoxRays:
 
 @dataclass(frozen=True)
 class Space:
-    """Box coordinates of a scene. Under "world" and "contracted" t is the world distance, under "ndc" it is t′."""
+    """The box coordinates of a scene. t is the world distance under "world" and "contracted", and t′ under "ndc"."""
 
     kind: Literal["world", "ndc", "contracted"]
     center: tuple[float, float, float]
@@ -69,18 +73,18 @@ class Space:
         )
 
     def world_t(self, rays: Rays, t: Tensor) -> Tensor:
-        """t (R, S) of `rays()` → world distance (R, S)."""
+        """Convert t (R, S) along the rays of `rays()` to world distance (R, S)."""
         return t if self.ndc is None else self.ndc.world_t(rays.origins, rays.directions, t)
 
     def rendering(self, rays: Rays, pixel: Tensor) -> Rendering:
-        """Pixels (R, 5), colour, opacity and Σ w t as kernels give them, with their depth in the world."""
+        """Turn the kernels' pixels (R, 5), which are colour, opacity and Σ w t, into a rendering with world depth."""
         opacity = pixel[:, 3]
         nothing = opacity < EMPTY
         depth = self.world_t(rays, (pixel[:, 4] / torch.where(nothing, 1.0, opacity))[:, None])[:, 0]
         return Rendering(pixel[:, :3], opacity, torch.where(nothing, torch.nan, depth))
 
     def points(self, world: Tensor) -> Tensor:
-        """World points (P, 3) → box coordinates (P, 3), contracted where space is."""
+        """Map world points (P, 3) to box coordinates (P, 3), with contraction if this space has one."""
         if self.ndc is not None:
             return self.ndc.point(world)
         x = (world - torch.tensor(self.center, dtype=world.dtype, device=world.device)) / self.extent
@@ -88,7 +92,7 @@ class Space:
 
 
 def pixel_size(scene: Scene, space: Space) -> float:
-    """Side of a training photo's pixel at what the cameras look at, in box coordinates; their median."""
+    """Return the side of a training photo's pixel at the point the cameras look at, in box coordinates (median)."""
     cameras = [scene.views[i].camera for i in scene.split("train")]
     if space.kind == "ndc":
         return 2 / max(c.width for c in cameras)
@@ -97,7 +101,8 @@ def pixel_size(scene: Scene, space: Space) -> float:
 
 
 def _seen(scene: Scene, ndc: Ndc) -> tuple[np.ndarray, np.ndarray]:
-    """The corners of what the training photos' rays cross, in NDC: a box is convex, so their four corners tell."""
+    """Opposite corners of the box in NDC that the training photos' rays cross. The rays of the photos' corners suffice,
+    because a box is convex."""
     low, high = np.array([-1.0, -1.0, -1.0]), np.array([1.0, 1.0, 1.0])
     for i in scene.split("train"):
         camera = scene.views[i].camera
@@ -111,9 +116,10 @@ def _seen(scene: Scene, ndc: Ndc) -> tuple[np.ndarray, np.ndarray]:
 
 
 def contract(x: Tensor) -> Tensor:
-    """x (P, 3) → x where ‖x‖∞ ≤ 1, else (2 − 1/‖x‖∞) x/‖x‖∞: all of space in the cube of half-side 2.
+    """Contract all of space into the cube of half-side 2: x (P, 3) → (P, 3).
 
-    mip-NeRF 360's Eq. 10 (arXiv:2111.12077) with the maximum norm, whose balls are a grid's own cubes.
+    x stays where ‖x‖∞ ≤ 1, else it becomes (2 − 1/‖x‖∞) x/‖x‖∞. This is mip-NeRF 360's Eq. 10 (arXiv:2111.12077) with
+    the maximum norm, because a ball of that norm is a cube, as a grid needs.
     """
     m = x.abs().amax(-1, keepdim=True)
     s = 1 / m.clamp(min=1)

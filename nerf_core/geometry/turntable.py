@@ -1,4 +1,4 @@
-"""Orientations as a turntable sees them: azimuth about the up-axis, elevation above its plane, roll about the view."""
+"""Orientations on a turntable: azimuth about the up axis, elevation above its plane, roll about the view direction."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ POLE = 1e-6
 
 
 def horizontal_axes(up: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Unit vectors e1, e2 and up, right-handed: azimuth 0 is e1, growing towards e2."""
+    """Return unit vectors e1, e2 and up, right-handed. Azimuth 0 points along e1 and grows towards e2."""
     up = up / np.linalg.norm(up)
     e1 = np.eye(3)[np.argmin(np.abs(up))]
     e1 = e1 - (e1 @ up) * up
@@ -20,10 +20,10 @@ def horizontal_axes(up: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def rotation_from(azimuth: float, elevation: float, roll: float, up: np.ndarray) -> np.ndarray:
-    """Camera-to-world rotation (3, 3), OpenGL axes, of a camera at these angles (radians) that looks at the middle.
+    """Return the camera-to-world rotation (3, 3), OpenGL axes, of a camera at these angles (radians) around a centre.
 
-    Its z axis, from the middle to the camera, is cos(el)(cos(az) e1 + sin(az) e2) + sin(el) up; without roll its
-    x axis is horizontal. Defined at the poles too, where the azimuth alone says how the image is turned.
+    Its z axis points from the centre to the camera: cos(el)(cos(az) e1 + sin(az) e2) + sin(el) up. Without roll its
+    x axis is horizontal. At the poles the azimuth alone says how the image is turned.
     """
     e1, e2, up = horizontal_axes(up)
     outwards = math.cos(azimuth) * e1 + math.sin(azimuth) * e2
@@ -35,12 +35,12 @@ def rotation_from(azimuth: float, elevation: float, roll: float, up: np.ndarray)
 
 
 def angles_from(rotation: np.ndarray, up: np.ndarray) -> tuple[float, float, float]:
-    """Azimuth, elevation and roll in radians: the inverse of `rotation_from`."""
+    """Return azimuth, elevation and roll in radians: the inverse of `rotation_from`."""
     e1, e2, up = horizontal_axes(up)
     upwards, back = rotation[:, 1], rotation[:, 2]
     height, flat = back @ up, math.hypot(back @ e1, back @ e2)
     elevation = math.atan2(height, flat)
-    # Over the pole the top of the image points away from where the camera would sink to: it tells the azimuth.
+    # Near the pole the direction of view has no azimuth; the direction of the image's top has it.
     outwards = back if flat > POLE else -np.sign(height) * upwards
     azimuth = math.atan2(outwards @ e2, outwards @ e1)
     upright = rotation_from(azimuth, elevation, 0.0, up)
@@ -49,13 +49,16 @@ def angles_from(rotation: np.ndarray, up: np.ndarray) -> tuple[float, float, flo
 
 
 def level(rotation: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """The same direction of view without roll."""
+    """Return the rotation with the same direction of view and no roll."""
     azimuth, elevation, _ = angles_from(rotation, up)
     return rotation_from(azimuth, elevation, 0.0, up)
 
 
 def looking_along(direction: np.ndarray, rotation: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """The roll-free rotation (3, 3) that looks along unit `direction`; at a pole it keeps the azimuth of `rotation`."""
+    """Return the rotation (3, 3) without roll that looks along unit `direction`.
+
+    At a pole it keeps the azimuth of `rotation`.
+    """
     e1, e2, axis = horizontal_axes(up)
     x, y, z = -direction @ e1, -direction @ e2, -direction @ axis
     flat = math.hypot(x, y)

@@ -127,7 +127,7 @@ def _draw(row: _Row, one: Opened) -> None:
             axes.axvline(one.radiance.t, color="black", lw=0.6, label="point" if axes is top else None)
     if last.weights.sum() < NOTHING:
         known = np.isfinite(ray.passes[-1].weights).all()
-        _say(top, "the ray met nothing" if known else "the ray's weights are no numbers")
+        _say(top, "the ray met nothing" if known else "the ray's weights are not numbers")
     top.set(xlim=(low, high), ylim=(0, 1.1), ylabel="w / largest, T, α")
     top.legend(frameon=False, fontsize=6, loc="lower left", ncols=8, bbox_to_anchor=(0, 1.02), borderaxespad=0,
                bbox_transform=marks.transAxes, borderpad=0, columnspacing=1.5, handlelength=2)  # fmt: skip

@@ -62,7 +62,7 @@ class HistoryLog:
         kinds = [v.dtype for v in (every, steps, losses, pending)]
         shapes = every.ndim, steps.ndim, pending.ndim
         if kinds != 2 * [np.int64] + 2 * [np.float64] or shapes != (0, 1, 1) or steps.shape != losses.shape:
-            raise ValueError("its losses are no curve")
+            raise ValueError("its losses are not a curve")
         made, numbers = np.concatenate([[0], steps, [step + 1]]), np.concatenate([losses, pending])
         if not (
             int(every) in EVERY and len(steps) < LIMIT and len(pending) < int(every) and (np.diff(made) > 0).all()

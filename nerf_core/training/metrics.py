@@ -128,7 +128,7 @@ def _load(path: Path) -> dict[str, Tensor]:
         raise UserError(f"cannot read the LPIPS weights {path}: {error.strerror}") from error
     if start[8:] != b"{":  # a safetensors file is 8 bytes of length, then JSON
         raise UserError(
-            f"the LPIPS weights {path} are no safetensors file (a .pth is a pickle, which can run code, and is never "
+            f"the LPIPS weights {path} are not a safetensors file (a .pth is a pickle, which can run code: it is never "
             "loaded): convert them once, where you trust them, with safetensors.torch.save_file(tensors, FILE), "
             "named features.N.weight, features.N.bias and lin0.weight … lin4.weight"
         )

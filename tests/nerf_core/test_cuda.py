@@ -23,10 +23,11 @@ from nerf_core.rendering.modes import MODES, shaded
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
 
-NETWORK = {"rays": "64", "depth": "3", "width": "32", "learning_rate": "0.003"}
+NETWORK = {"rays": "64", "depth": "2", "width": "16", "learning_rate": "0.003"}
+SMALLER = {"chunk_rays": "512", "coarse_samples": "6", "fine_samples": "6", "depth": "2", "width": "16"}
 SMALL = {
     "hash": {"samples": "2000", "levels": "4", "log2_rows": "10", "cells": "16", "hidden": "16", "pixels": "4"},
-    "nerf": NETWORK | {"chunk_rays": "512", "coarse_samples": "12", "fine_samples": "12"},
+    "nerf": NETWORK | {"chunk_rays": "512", "coarse_samples": "8", "fine_samples": "8"},
     "nerf-guided": NETWORK | {"guide_steps": "5", "precision": "bfloat16"},
 }
 
@@ -68,7 +69,7 @@ def test_it_learns_draws_explains_and_goes_on_from_a_checkpoint(cuda: None, scen
 
 
 def test_a_window_gets_pictures_rays_and_files(cuda: None, tiny: RunSettings, capture: Path, tmp_path: Path) -> None:
-    desk = Desk(replace(tiny, device="cuda", changes=tiny.changes | {"chunk_rays": "512"}), capture)
+    desk = Desk(replace(tiny, device="cuda", changes=tiny.changes | SMALLER), capture)
     try:
         scene = desk.worker.snapshot().scene
         assert scene is not None

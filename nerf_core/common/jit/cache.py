@@ -1,4 +1,4 @@
-"""Whether numba can be used, and where it keeps compiled loops."""
+"""Find out whether numba can be used, and where it keeps compiled loops."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ KEPT_SECONDS = 30 * 24 * 3600.0  # since a version last used its loops
 
 @lru_cache
 def numba_obstacle() -> str:
-    """Why numba cannot be used; empty where it can."""
+    """Return why numba cannot be used; empty if it can."""
     try:
         import numba  # noqa: F401
     except ImportError as error:
@@ -37,15 +37,15 @@ def numba_obstacle() -> str:
 
 @lru_cache
 def cache_folder() -> str:
-    """Where compiled loops are kept: NUMBA_CACHE_DIR, or a folder of ours."""
+    """Return the folder of compiled loops: NUMBA_CACHE_DIR, or one in the user's cache."""
     return os.environ.get("NUMBA_CACHE_DIR") or str(_own_folder())
 
 
 def _own_folder() -> Path:
-    """The user's own; where that cannot be written, one for this process alone.
+    """A folder in the user's cache; if that cannot be written, a temporary one for this process.
 
-    Its name tells the loops' sources: numba compiles a function anew when its own file has changed, but not when
-    another one has whose functions it inlines.
+    The folder's name contains a hash of all sources. numba recompiles a function when its own file changes, but not
+    when a file changes whose functions it inlines.
     """
     digest = hashlib.sha256()
     for file in SOURCES:
@@ -62,15 +62,15 @@ def _own_folder() -> Path:
             return folder
     except (ImportError, OSError):
         pass
-    # what lies there is loaded as code: a name that others can guess could be filled by them
+    # its files are loaded as code, so that nobody else may be able to guess the name and put files there first
     folder = Path(tempfile.mkdtemp(prefix="nerf-viewer-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder
 
 
 def _forget_unused(caches: Path) -> None:
-    """Delete the loops of versions that nobody has run for long."""
+    """Delete the loops of versions that nobody has run for KEPT_SECONDS."""
     for folder in caches.glob("numba-*"):
-        with suppress(FileNotFoundError):  # another process deletes it too
+        with suppress(FileNotFoundError):  # another process may delete it at the same time
             if folder.stat().st_mtime < time.time() - KEPT_SECONDS:
                 shutil.rmtree(folder, ignore_errors=True)

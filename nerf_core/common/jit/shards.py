@@ -1,4 +1,4 @@
-"""A fixed number of threads that share one piece of work by position: what each does never depends on the others."""
+"""Split work into shards, one thread each. A shard is a fixed range of items: results never depend on timing."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 
-FEWEST = 256  # items a shard: below, handing over takes longer than doing
+FEWEST = 256  # items in a shard: with fewer, handing over to a thread takes longer than the work
 
 
 @lru_cache(maxsize=4)
@@ -15,12 +15,12 @@ def _pool(count: int) -> ThreadPoolExecutor:
 
 
 def shards_of(count: int, most: int) -> int:
-    """How many threads `count` items are worth, where the result is the same for any number of them."""
+    """Return how many shards `count` items are worth. For work whose result is the same for any number of shards."""
     return max(1, min(count // FEWEST, most))
 
 
 def each_shard(shards: int, work: Callable[[int], None]) -> None:
-    """work(0) … work(shards − 1), at once, the last here; what any raises is raised."""
+    """Call work(0) … work(shards − 1) in parallel, the last one in this thread. An error of any of them is raised."""
     if shards == 1:
         work(0)
         return
@@ -31,5 +31,5 @@ def each_shard(shards: int, work: Callable[[int], None]) -> None:
 
 
 def split(count: int, shards: int, s: int) -> tuple[int, int]:
-    """The part [first, last) of `count` items that shard s has."""
+    """Return the range [first, last) of `count` items that belongs to shard `s`."""
     return count * s // shards, count * (s + 1) // shards

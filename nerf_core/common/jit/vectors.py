@@ -1,7 +1,7 @@
-"""Sixteen floats at once: what numba's own vocabulary lacks for the hot loops, as a few LLVM instructions each.
+"""Vector operations on rows of 16 floats for the hot loops. numba has none of them; each is a few LLVM instructions.
 
-A row is 16 float32 = 64 bytes: one cache line and one vector register of AVX-512 (elsewhere LLVM splits it). All arrays
-are one-dimensional float32 whose rows begin at multiples of 64 bytes; `corners` holds the offsets of 8 rows.
+A row is 16 float32 = 64 bytes: one cache line, and one vector register of AVX-512 (on other processors LLVM splits it).
+All arrays are one-dimensional float32 whose rows begin at multiples of 64 bytes; `corners` holds the offsets of 8 rows.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from numba.extending import intrinsic as _intrinsic
 
 from nerf_core.common.jit.cache import cache_folder
 
-# numba reads the environment only when it is imported, which may be long ago
+# numba reads the environment only when it is imported, and it may be imported already
 config.CACHE_DIR = cache_folder()  # pyright: ignore[reportAttributeAccessIssue]  set there by name
-# fast mathematics but for the promise that nothing is infinite or no number, on which the compiler would drop the
-# questions whether it is: a damaged ray would then be followed to a cell that no grid has
+# Fast mathematics without the promise that nothing is infinite or NaN. With that promise the compiler would drop the
+# checks for such values, and a damaged ray would index a cell outside the grid.
 NEARLY_EXACT = {"nsz", "arcp", "contract", "afn", "reassoc"}
 FAST = ("fast",)  # sums may be reordered and contracted to fused multiply-adds
 _FLOAT, _I8, _I32, _I64 = ir.FloatType(), ir.IntType(8), ir.IntType(32), ir.IntType(64)
@@ -27,12 +27,12 @@ _ROW = ir.VectorType(_FLOAT, 16)
 
 
 def jit(function: Any) -> Any:
-    """Compiled once and cached on disk; runs without the GIL; divisions do not ask for zero first."""
+    """Compile a function with numba: cached on disk, without the GIL, and without a check for division by zero."""
     return njit(nogil=True, cache=True, fastmath=NEARLY_EXACT, error_model="numpy")(function)
 
 
 def intrinsic(function: Any) -> Any:
-    """A function of LLVM instructions; callers leave its first argument, numba's typing context, out."""
+    """Define a function of LLVM instructions. Callers leave out its first argument, which is numba's typing context."""
     return _intrinsic(function)
 
 
@@ -128,7 +128,7 @@ def smooth(typing: Any, gradient: Any, rows: Any, corners: Any, first: Any, stre
 
 @intrinsic
 def prefetch(typing: Any, rows: Any, corners: Any, first: Any) -> Any:
-    """Ask the memory for the 8 rows, so that they are there when their turn comes: the loads are random."""
+    """Prefetch the 8 rows into the cache: their addresses are random, so that the processor cannot guess them."""
     signature = types.void(rows, corners, types.int64)
 
     def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -159,10 +159,10 @@ def _as_float(typing: Any, bits: Any) -> Any:
 
 @jit
 def exp(x: Any) -> Any:
-    """eˣ in float32, relative error under 2e-7, clamped to e^±87 (beyond lie infinity and zero).
+    """eˣ in float32 with a relative error under 2e-7. x is clamped to ±87, beyond which float32 has infinity and zero.
 
-    x = n ln 2 + r: 2ⁿ is made of bits, eʳ for |r| ≤ ln 2 / 2 is a polynomial (the minimax one of Cephes). A call
-    into the C library takes longer than the rest of a sample's arithmetic.
+    x = n ln 2 + r: the bits of 2ⁿ are set directly, and eʳ for |r| ≤ ln 2 / 2 is the minimax polynomial of Cephes. A
+    call into the C library would take longer than the rest of a sample's arithmetic.
     """
     x = min(max(x, np.float32(-87)), np.float32(87))
     n = np.floor(x * np.float32(1.44269504) + np.float32(0.5))

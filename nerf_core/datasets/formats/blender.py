@@ -22,7 +22,7 @@ def _file(folder: Path, split: str) -> Path:
 
 @DATASETS.register("blender")
 class Blender:
-    """Known bounds and z up; `near` and `far` (z-depths) in transforms_train.json replace 2 and 6."""
+    """Known bounds and z up. `near` and `far` (z-depths) in transforms_train.json replace the bounds 2 and 6."""
 
     rank: ClassVar[int] = 0
     files: ClassVar[str] = "transforms_train.json"
@@ -34,7 +34,7 @@ class Blender:
 
     @staticmethod
     def read(path: Path, options: LoadOptions) -> Capture:
-        """Photos of all splits. Raises UserError naming file, field and remedy."""
+        """Read the photos of all splits. Raises UserError that names file, field and remedy."""
         folder = path if path.is_dir() else path.parent
         train = _file(folder, "train")
         if not train.exists():

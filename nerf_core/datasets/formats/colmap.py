@@ -1,4 +1,4 @@
-"""COLMAP's sparse models: several cameras, portrait and landscape, lenses up to k1, k2, p1, p2, sparse points."""
+"""COLMAP's sparse models: several cameras, portrait and landscape photos, lenses with k1, k2, p1, p2, sparse points."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from nerf_core.datasets.photo_paths import find_photos, photo_name
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.lens import Lens
 
-READ_SECONDS = 60.0  # a model of ten thousand photos takes some twenty
-LENSES = {  # parameters by camera model, in COLMAP's order; f stands for both focal lengths
+READ_SECONDS = 60.0  # a model of ten thousand photos takes about twenty
+LENSES = {  # {camera model: its parameters in COLMAP's order}; f stands for both focal lengths
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
     "PINHOLE": ("fx", "fy", "cx", "cy"),
     "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
@@ -30,14 +30,14 @@ LENSES = {  # parameters by camera model, in COLMAP's order; f stands for both f
     "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
 }
 LIMIT = 1e12  # beyond any unit of length
-GOOD_TRACK = 3  # photos that see a point: where just two do, its depth is often wrong
+GOOD_TRACK = 3  # photos that see a point: if only two do, its depth is often wrong
 ENOUGH_POINTS = 100
 Model = dict[str, np.ndarray]
 
 
 @DATASETS.register("colmap")
 class Colmap:
-    """Photos without a pose are left out and counted; of several models the one with most photos is taken."""
+    """Photos without a pose are left out, with a note. Of several models the one with most photos is read."""
 
     rank: ClassVar[int] = 2
     files: ClassVar[str] = "sparse/0 with cameras, images and points3D"
@@ -48,7 +48,7 @@ class Colmap:
 
     @staticmethod
     def read(path: Path, options: LoadOptions) -> Capture:
-        """Photos sorted by name, poses turned to OpenGL axes, sparse points. Raises UserError."""
+        """Read the photos sorted by name, their poses in OpenGL axes, and the sparse points. Raises UserError."""
         root = path if path.is_dir() else path.parent
         folder, notes = _largest(root)
         model = read_model(folder)
@@ -85,9 +85,9 @@ def _largest(root: Path) -> tuple[Path, tuple[str, ...]]:
 
 
 def read_model(folder: Path) -> Model:
-    """What `colmap_reader` writes of a model, read by pycolmap in a process of its own, in at most READ_SECONDS.
+    """Read a model with pycolmap in a separate process (`colmap_reader`), within READ_SECONDS.
 
-    Raises UserError for damaged models, and where pycolmap is not installed.
+    Raises UserError for damaged models, and if pycolmap is not installed.
     """
     if importlib.util.find_spec("pycolmap") is None:
         raise UserError(f"{folder} is a COLMAP model: to read it, run `pip install pycolmap`")
@@ -95,7 +95,7 @@ def read_model(folder: Path) -> Model:
     program = Path(__file__).parents[1] / "colmap_reader.py"
     with tempfile.TemporaryDirectory() as scratch:
         out = Path(scratch) / "model.npz"
-        # -P: the program's folder is this package's; its files are no top-level modules
+        # -P: the program lies in this package's folder, whose files must not be imported as top-level modules
         command = [sys.executable, "-P", str(program), str(folder.resolve()), str(out)]
         try:
             done = run_limited(command, READ_SECONDS)
@@ -111,7 +111,7 @@ def read_model(folder: Path) -> Model:
 
 
 def _by_name(model: Model, folder: Path) -> Model:
-    """The same with its photos sorted by their whole names."""
+    """The model with its photos sorted by their full names."""
     if suffix_of(folder) == ".txt":
         names = text_names(folder)
         model["names"] = np.array([names[image] for image in model["ids"].tolist()])
@@ -120,7 +120,7 @@ def _by_name(model: Model, folder: Path) -> Model:
 
 
 def _camera(model: Model, index: int, folder: Path) -> Camera:
-    """World to camera with OpenCV's axes (y down, z forward) → camera to world with OpenGL's."""
+    """Convert world-to-camera in OpenCV axes (y down, z forward) to camera-to-world in OpenGL axes."""
     photo, kind = shorten(str(model["names"][index])), str(model["models"][index])
     if kind not in LENSES:
         raise UserError(
@@ -135,19 +135,19 @@ def _camera(model: Model, index: int, folder: Path) -> Camera:
     numbers = np.array([width, height, fx, fy, *values.values(), *pose.ravel()])
     if not (np.abs(numbers) <= LIMIT).all() or min(width, height) < 1 or min(fx, fy) < 1e-4 * width:
         raise UserError(
-            f"{folder}: photo {photo} of {width:g}×{height:g} pixels has the focal lengths {fx:g}, {fy:g} or numbers "
-            f"that are none: {AGAIN}"
+            f"{folder}: photo {photo} of {width:g}×{height:g} pixels has the focal lengths {fx:g}, {fy:g} or values "
+            f"that are not numbers: {AGAIN}"
         )
     rotation = pose[:, :3]
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6):
-        raise UserError(f"{folder}: the pose of photo {photo} is no rotation: {AGAIN}")
+        raise UserError(f"{folder}: the pose of photo {photo} is not a rotation: {AGAIN}")
     c2w = np.column_stack([rotation.T * (1, -1, -1), -rotation.T @ pose[:, 3]])
     cx, cy = values.pop("cx"), values.pop("cy")
     return Camera(int(width), int(height), fx, fy, cx, cy, c2w, Lens(**values))
 
 
 def _photo_folder(root: Path, model: Path, names: Sequence[str], downscale: int) -> tuple[PhotoFolder, tuple[str, ...]]:
-    """Where the photos lie: in images or images_N beside the model or up to two folders above it, else in `root`."""
+    """Find the photos: in images or images_N beside the model or up to two folders above it, else in `root`."""
     homes = [root, root.parent, root.parent.parent] if model == root else [root]
     folders = next((found for home in homes if (found := photo_folders(home))), ())
     if not folders:
@@ -168,7 +168,7 @@ def _photo_folder(root: Path, model: Path, names: Sequence[str], downscale: int)
 
 
 def _good_points(model: Model) -> np.ndarray | None:
-    """Points that three photos or more agree on, if there are enough of them; None if there are no points at all."""
+    """The points that three or more photos see, if there are enough, else all; None if there are no points."""
     points, tracks = model["points"], model["tracks"]
     sane = (np.abs(points) <= LIMIT).all(axis=1)
     good = sane & (tracks >= GOOD_TRACK)

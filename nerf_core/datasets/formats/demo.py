@@ -1,4 +1,4 @@
-"""The scene that is installed with the program, stored in Blender's format."""
+"""The demo scene, which is installed with the program in Blender's format."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import ClassVar
 
 from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions
 
-# What is worth a look from the first step on: a name, and where it lies in the first training photo, in shares of it.
+# Rays that the demo pins from the start: {name: position in the first training photo, as shares of its size}.
 LANDMARKS = (("glossy ball", 0.43, 0.59), ("vase", 0.61, 0.60), ("past the ball", 0.30, 0.20))
 
 
 @DATASETS.register("demo")
 class Demo:
-    """Opened by name, or when no dataset is named: no folder is recognised as it."""
+    """The demo is opened by name, or if no dataset is named. No folder is recognised as it."""
 
     rank: ClassVar[int] = -1
     files: ClassVar[str] = "installed with the program"

@@ -1,4 +1,4 @@
-"""Local light field fusion: poses_bounds.npy beside folders of photos, in many sizes, of one lens."""
+"""Local light field fusion (LLFF): poses_bounds.npy beside folders with the photos of one lens in several sizes."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from nerf_core.geometry.camera import Camera
 
 FILE = "poses_bounds.npy"
 COLUMNS = 17  # a 3×5 matrix [rotation | position | height, width, focal], then near and far
-LIMIT = 1e12  # beyond any unit of length, and its inverse below any
-STRETCH = 1.05  # ratio of a rotation's axes above which it is no rounding but a shear
+LIMIT = 1e12  # larger than any length in any unit; its inverse is smaller than any
+STRETCH = 1.05  # a larger ratio between the lengths of a rotation's axes is a shear, not rounding
 AGAIN = "export it again with LLFF's imgs2poses.py"
 
 
 @DATASETS.register("llff")
 class Llff:
-    """Forward-facing or not; h, w and focal length are those of the full-size photos, the lens has no distortion."""
+    """LLFF captures, forward-facing or not. Sizes and focal length are those of the full-size photos; no distortion."""
 
     rank: ClassVar[int] = 3
     files: ClassVar[str] = f"{FILE} with images"
@@ -35,7 +35,7 @@ class Llff:
 
     @staticmethod
     def read(path: Path, options: LoadOptions) -> Capture:
-        """The photos of the best complete folder, in the order of their names, as the rows are. Raises UserError."""
+        """Read the photos of the best complete folder, sorted by name like the rows of the table. Raises UserError."""
         root = path if path.is_dir() else path.parent
         table = read_table(root / FILE)
         folder, notes = _folder(root, len(table), options.downscale)
@@ -54,12 +54,13 @@ class Llff:
 
 
 def read_table(file: Path) -> np.ndarray:
-    """poses_bounds.npy → (N, 17) float64. Nothing is unpickled, and nothing allocated that the file does not hold.
+    """Read poses_bounds.npy as (N, 17) float64.
 
-    Raises UserError for other types and shapes, for a file that breaks off, and for numbers that are not finite.
+    Nothing is unpickled, and no more memory is allocated than the file has bytes.
+    Raises UserError for other types and shapes, for a file that is cut off, and for numbers that are not finite.
     """
     if not file.is_file():
-        raise UserError(f"{file} is no regular file: name a folder that holds LLFF's {FILE}")
+        raise UserError(f"{file} is not a regular file: name a folder that holds LLFF's {FILE}")
     size = file.stat().st_size
     with file.open("rb") as stream:
         try:
@@ -67,7 +68,7 @@ def read_table(file: Path) -> np.ndarray:
             header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
             shape, _, dtype = header(stream)
         except (ValueError, SyntaxError, TypeError, tokenize.TokenError, RecursionError) as error:
-            raise UserError(f"{file} is no array that NumPy knows ({shorten(str(error))}): {AGAIN}") from error
+            raise UserError(f"{file} is not an array that NumPy can read ({shorten(str(error))}): {AGAIN}") from error
         if dtype.kind not in "fiu":
             raise UserError(f"{file} holds {shorten(str(dtype))} values: numbers are needed, {AGAIN}")
         if len(shape) != 2 or shape[1] != COLUMNS or shape[0] < 1:
@@ -96,7 +97,7 @@ def _bounds(table: np.ndarray, file: Path) -> np.ndarray:
 
 
 def _camera(row: np.ndarray, file: Path, index: int) -> Camera:
-    """Stored axes are [down, right, back]: x = right, y = −down, z = back."""
+    """The camera of a row. The stored axes are [down, right, back]: x = right, y = −down, z = back."""
     matrix = row[:15].reshape(3, 5)
     height, width, focal = matrix[:, 4]
     if min(height, width) < 1 or width != round(width) or height != round(height) or focal < 1e-4 * width:
@@ -106,7 +107,7 @@ def _camera(row: np.ndarray, file: Path, index: int) -> Camera:
         )
     axes = np.stack([matrix[:, 1], -matrix[:, 0], matrix[:, 2]], axis=1)
     u, lengths, vt = np.linalg.svd(axes)
-    rotation = u @ vt  # the nearest one (polar decomposition): files hold rounded axes
+    rotation = u @ vt  # the nearest rotation (polar decomposition), because files hold rounded axes
     if not 0 < lengths[0] < STRETCH * lengths[2] or np.linalg.det(rotation) < 0:
         raise UserError(f"{file}: the axes of row {index} are sheared, singular or mirrored: a rotation is needed")
     c2w = np.column_stack([rotation, matrix[:, 3]])

@@ -1,4 +1,4 @@
-"""transforms.json of instant-ngp and nerfstudio: posed photos with a lens, for all frames or for each."""
+"""transforms.json of instant-ngp and nerfstudio: posed photos with one lens for all frames or one for each."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from nerf_core.geometry.scene import SPLITS
 
 @DATASETS.register("transforms")
 class Transforms:
-    """Poses are taken as they stand: scale, offset, aabb_scale and applied_transform are other programs' frames."""
+    """Poses are read as they are. scale, offset, aabb_scale and applied_transform are for other programs' frames."""
 
     rank: ClassVar[int] = 1
     files: ClassVar[str] = "transforms.json"
@@ -27,7 +27,7 @@ class Transforms:
 
     @staticmethod
     def read(path: Path, options: LoadOptions) -> Capture:
-        """Photos sorted by name, as nerfstudio does before it splits. Raises UserError."""
+        """Read the photos sorted by name, like nerfstudio before it splits them. Raises UserError."""
         file = path / "transforms.json" if path.is_dir() else path
         document = read_json(file)
         frames = sorted(frames_of(document), key=lambda frame: frame.listed)
@@ -40,7 +40,7 @@ class Transforms:
 def _with_named_splits(
     capture: Capture, document: Fields, frames: Sequence[Frame], index: Sequence[int | None]
 ) -> Capture:
-    """nerfstudio's {train,val,test}_filenames; frames in none of them are left out, as nerfstudio does."""
+    """Apply nerfstudio's {train,val,test}_filenames. Frames in none of them are left out, as in nerfstudio."""
     names = {split: document.texts(key) for split in SPLITS if (key := f"{split}_filenames") in document}
     if not names:
         return capture

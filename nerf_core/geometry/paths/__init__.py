@@ -1,4 +1,4 @@
-"""Camera paths to render as a video: one file a kind."""
+"""Camera paths for videos, one file per kind."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from nerf_core.geometry.scene import Scene
 class CameraPath(Protocol):
     """A kind of camera path.
 
-    label: for menus. summary: a few words for the command line. default_frames: their number if none is asked for;
-    None: as many as the scene has. options: what only this kind can be asked for, by keyword of `cameras`, with a
-    sentence of help; each is a number.
+    label: its name in menus.
+    summary: a few words for the command line.
+    default_frames: the number of frames if the user gives none; None: as many as the scene has views for.
+    options: the numbers that only this kind takes: {keyword of `cameras`: a sentence of help}.
     """
 
     label: ClassVar[str]
@@ -27,9 +28,16 @@ class CameraPath(Protocol):
     def cameras(
         scene: Scene, frames: int | None = None, width: int | None = None, height: int | None = None, **options: Any
     ) -> tuple[Camera, ...]:
-        """One camera for each frame, all of one size; None: the path's or the training photos' own.
+        """Return one camera per frame, all of one size.
 
-        Raises UserError for values that give no path.
+        Args:
+            scene: the scene.
+            frames: the number of frames; None takes the kind's default.
+            width, height: the size of a frame in pixels; None takes the training photos' size.
+            options: values for `options`.
+
+        Raises:
+            UserError: for values without a path.
         """
         ...
 

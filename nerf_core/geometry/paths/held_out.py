@@ -1,4 +1,4 @@
-"""Through the views that training does not see."""
+"""A path through the held-out views."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class HeldOut:
     def cameras(
         scene: Scene, frames: int | None = None, width: int | None = None, height: int | None = None
     ) -> tuple[Camera, ...]:
-        """The held-out cameras in their order, each with its own lens; at most `frames` of them, by default all.
+        """Return the held-out cameras in their order, each with its own lens; at most `frames` of them, by default all.
 
-        A video has one size: cameras of another aspect keep their vertical field of view, unstretched.
-        Raises UserError when the capture holds nothing out.
+        A video has one size. A camera of another aspect ratio keeps its vertical field of view; nothing is stretched.
+        Raises UserError if the capture has no held-out views.
         """
         name, indices = scene.held_out()
         if not indices:
@@ -40,7 +40,7 @@ class HeldOut:
 
 
 def _fitted(camera: Camera, width: int, height: int) -> Camera:
-    """The camera over width × height pixels: vertical field of view and the pixels' shape kept, sides cut or added."""
+    """The camera with width × height pixels. It keeps its vertical field of view and the shape of its pixels."""
     scale = height / camera.height
     cx = width / 2 + (camera.cx - camera.width / 2) * scale
     resized = camera.resized(width, height)

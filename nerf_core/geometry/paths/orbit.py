@@ -1,4 +1,4 @@
-"""Around the scene's centre."""
+"""A path around the scene's centre."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from nerf_core.geometry.paths.steps import capture_distance, checked, pinhole, t
 from nerf_core.geometry.scene import Scene
 from nerf_core.geometry.turntable import angles_from, rotation_from
 
-ELEVATION = 25.0  # degrees: looks down a little, so that the ground gives the scene a hold
+ELEVATION = 25.0  # degrees: the camera looks down a little, so that the ground is visible
 
 
 @PATHS.register("orbit")
@@ -41,16 +41,24 @@ class Orbit:
         radius: float | None = None,
         fov_y_degrees: float | None = None,
     ) -> tuple[Camera, ...]:
-        """One turn around scene.center about scene.up, starting beside the first training view.
+        """Return one turn around scene.center about scene.up, which starts near the first training view.
 
-        elevation: degrees above the horizon. radius: in scene units, by default the capture's own (`capture_distance`).
-        width, height and the field of view default to the training photos'. A scene in NDC ends at its frustum: there
-        the path is `spiral`'s.
-        Raises UserError for values that give no path.
+        A scene in NDC ends at its frustum; it gets the path of `spiral` instead.
+
+        Args:
+            scene: the scene.
+            frames: the number of frames.
+            width, height: the size of a frame in pixels; None takes the training photos' size.
+            elevation: degrees above the horizon.
+            radius: in scene units; None takes the cameras' median distance (`capture_distance`).
+            fov_y_degrees: the vertical field of view; None takes the training photos'.
+
+        Raises:
+            UserError: for values without a path.
         """
         if not -90 <= elevation <= 90:
             raise UserError(f"an orbit's elevation of {elevation:g}° does not exist: take one from -90 to 90")
-        if radius is not None and not 0 < radius <= 1e6:  # beyond, float32 has no digits left for the scene
+        if radius is not None and not 0 < radius <= 1e6:  # farther away, float32 positions cannot resolve the scene
             raise UserError(
                 f"an orbit's radius of {radius:g}: it must be greater than 0 and at most a million scene units"
             )

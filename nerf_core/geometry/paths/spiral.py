@@ -1,4 +1,4 @@
-"""A spiral in front of the scene."""
+"""A spiral path in front of the scene."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from nerf_core.geometry.paths import PATHS
 from nerf_core.geometry.paths.steps import capture_distance, checked, pinhole, training_views
 from nerf_core.geometry.scene import Scene
 
-TURNS = 2  # official LLFF: two turns, while the depth swings once, so the path closes
-FAR_SHARE = 0.75  # official LLFF: the focus lies 3/4 of the way, in disparity, to 5 × the far bound
+TURNS = 2  # official LLFF: two turns while the depth oscillates once, so that the path closes
+FAR_SHARE = 0.75  # official LLFF: in disparity, the focus lies 3/4 of the way to 5 × the far bound
 FORWARD_COSINE = 0.5  # a capture whose views all lie within 60° of their mean is forward-facing
-LOCAL_RADIUS = 0.15  # radius over distance, where the capture surrounds the scene and has no mean view
+LOCAL_RADIUS = 0.15  # radius divided by distance, for a capture that surrounds the scene and has no mean view
 
 
 @PATHS.register("spiral")
@@ -36,12 +36,12 @@ class Spiral:
         *,
         fov_y_degrees: float | None = None,
     ) -> tuple[Camera, ...]:
-        """The official LLFF render path: two turns around the mean view, always looking at one focus.
+        """Return the official LLFF render path: two turns around the mean view that always look at one focus.
 
-        Position k lies at (r_x cos θ, −r_y sin θ, −r_z sin(θ/2)) in the mean camera's frame, r being the 90th
-        percentiles of the cameras' distances from the mean along its axes, and looks at the point on the mean's
-        axis at depth 1 / (0.25/near + 0.75/(5 far)) (render_path_spiral of the NeRF code). A capture that surrounds
-        its scene has no mean view: there the spiral is a small one about its first view, focused at the centre's depth.
+        Frame k lies at (r_x cos θ, −r_y sin θ, −r_z sin(θ/2)) in the mean camera's frame. r is the 90th percentile of
+        the cameras' distances from the mean along each axis. The focus lies on the mean camera's axis at depth
+        1 / (0.25/near + 0.75/(5 far)) (render_path_spiral of the NeRF code). A capture that surrounds its scene has no
+        mean view: it gets a small spiral about its first view, focused at the depth of the centre.
         """
         lens = pinhole(scene, width, height, fov_y_degrees)
         count = checked(Spiral.default_frames if frames is None else frames, "frames")
@@ -59,7 +59,7 @@ def _spiral_frame(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The spiral's middle camera (3, 4), its radii (3,) along that camera's axes, and the focus (3,)."""
     poses = np.stack([v.camera.c2w for v in training_views(scene)])
     up, back, position = poses[:, :, 1:].mean(0).T
-    # The mean of unit vectors is short where they disagree: then no direction, or no top, is common to the photos.
+    # The mean of unit vectors is short where they disagree: the photos then have no common direction, or no common up.
     agree = min(np.linalg.norm(up), np.linalg.norm(back)) > FORWARD_COSINE
     if agree and (poses[:, :, 2] @ back).min() > FORWARD_COSINE * np.linalg.norm(back):
         middle = _look_at(position, position - back, up)
@@ -72,7 +72,7 @@ def _spiral_frame(scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _look_at(position: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """c2w (3, 4) at `position` looking at `target`, the image's top towards `up` (not parallel to the view)."""
+    """c2w (3, 4) at `position` that looks at `target` with the image's top towards `up` (not parallel to the view)."""
     back = (position - target) / np.linalg.norm(position - target)
     right = np.cross(up, back)
     right /= np.linalg.norm(right)

@@ -1,4 +1,4 @@
-"""Steps that camera paths share."""
+"""Helpers that the camera paths share."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from nerf_core.geometry.scene import Scene, View
 
 
 def training_size(scene: Scene) -> tuple[int, int]:
-    """Width and height that most training photos have."""
+    """Return the width and height of most training photos."""
     return Counter((v.camera.width, v.camera.height) for v in training_views(scene)).most_common(1)[0][0]
 
 
 def capture_distance(scene: Scene) -> float:
-    """The median distance of the training cameras to the scene's centre, in scene units.
+    """Return the median distance of the training cameras from the scene's centre, in scene units.
 
-    A capture that turned on the spot has none: there it is the scene's radius.
+    It is the scene's radius for a camera that only turned on the spot.
     """
     distances = [np.linalg.norm(v.camera.c2w[:, 3] - scene.center) for v in training_views(scene)]
     median = float(np.median(distances))
@@ -28,19 +28,19 @@ def capture_distance(scene: Scene) -> float:
 
 
 def training_views(scene: Scene) -> list[View]:
-    """The views of the training split; of a scene without one, all."""
+    """Return the views of the training split, or all views of a scene without one."""
     return [scene.views[i] for i in scene.split("train")] or list(scene.views)
 
 
 def checked(value: int, name: str) -> int:
-    """`value`, if it is at least 1. Raises UserError."""
+    """Return `value`. Raises UserError if it is below 1."""
     if value < 1:
         raise UserError(f"a camera path of {value} {name} is empty: take 1 or more")
     return value
 
 
 def video_size(scene: Scene, width: int | None, height: int | None) -> tuple[int, int]:
-    """Width and height of a path's pictures: those asked for, else those of most training photos."""
+    """Return the width and height of a path's frames: those given, else those of most training photos."""
     own = training_size(scene)
     return (
         own[0] if width is None else checked(width, "pixels' width"),
@@ -49,7 +49,7 @@ def video_size(scene: Scene, width: int | None, height: int | None) -> tuple[int
 
 
 def pinhole(scene: Scene, width: int | None, height: int | None, fov_y_degrees: float | None) -> Camera:
-    """A pinhole without distortion at the origin: a path's cameras but for their poses."""
+    """Return a pinhole camera at the origin; a path's cameras are this one at other poses."""
     width, height = video_size(scene, width, height)
     own = training_size(scene)
     like = next(v.camera for v in training_views(scene) if (v.camera.width, v.camera.height) == own)

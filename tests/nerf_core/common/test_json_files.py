@@ -33,7 +33,7 @@ def test_marks_and_comments_are_accepted(tmp_path: Path, data: bytes) -> None:
         (b" \n ", "is empty"),
         (b"<!DOCTYPE html><html>", "is a web page, not JSON"),
         (b'{"frames": [{"file_path": ', "breaks off or is no JSON at line 1"),
-        (b'{"a": "\xff\xfe\xfd"}', "is no text"),
+        (b'{"a": "\xff\xfe\xfd"}', "is not text"),
         (b"[1, 2]", "an object with frames is needed"),
         (b'{"a": {"b": [1, NaN]}}', r"a\.b\[1\]' is nan: a finite number is needed"),
         (b'{"fl_x": Infinity}', "'fl_x' is inf"),
@@ -54,7 +54,7 @@ def test_broken_files_are_told_in_one_line(tmp_path: Path, data: bytes, text: st
 
 
 def test_folders_and_huge_files_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="no regular file"):
+    with pytest.raises(UserError, match="not a regular file"):
         read_json(tmp_path)
     with (tmp_path / "t.json").open("wb") as file:
         file.truncate(10**10)  # sparse: takes no disk

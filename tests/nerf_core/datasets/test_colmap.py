@@ -183,7 +183,7 @@ def test_reduced_folders_serve_downscale(folder: Path) -> None:
     [
         ("OPENCV_FISHEYE 24 16 30 30 12 8 0 0 0 0", "has the camera model OPENCV_FISHEYE; .*image_undistorter"),
         ("PINHOLE 24 16 0 30 12 8", "'cam 0/0000.png' of 24×16 pixels has the focal lengths 0, 30"),
-        ("PINHOLE 24 16 30 30 nan 8", "pycolmap cannot read|numbers that are none"),
+        ("PINHOLE 24 16 30 30 nan 8", "pycolmap cannot read|values that are not numbers"),
         ("MYSTERY 24 16 30 30 12 8", "pycolmap cannot read the model"),
     ],
 )

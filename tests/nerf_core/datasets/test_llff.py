@@ -98,13 +98,13 @@ def header(text: str) -> bytes:
 @pytest.mark.parametrize(
     ("content", "text"),
     [
-        (b"", "is no array that NumPy knows"),
-        (b"<html>", "is no array that NumPy knows"),
-        (b"\x93NUMPY\x01\x00", "is no array that NumPy knows"),
+        (b"", "is not an array that NumPy can read"),
+        (b"<html>", "is not an array that NumPy can read"),
+        (b"\x93NUMPY\x01\x00", "is not an array that NumPy can read"),
         (header("{'descr': '<f8', 'fortran_order': False, 'shape': (9000000000, 17)}"), "its header claims 1,2"),
         (header("{'descr': '|O', 'fortran_order': False, 'shape': (5, 17)}") + b"cos\nsystem", "'object' values"),
         (header("{'descr': '<f8', 'fortran_order': False, 'shape': (-5, 17)}"), "has the shape"),
-        (header("{'descr': '<f8', 'fortran_order': False, 'shape': ((((("), "is no array that NumPy knows"),
+        (header("{'descr': '<f8', 'fortran_order': False, 'shape': ((((("), "is not an array that NumPy can read"),
     ],
 )
 def test_files_that_are_no_table_are_named(folder: Path, content: bytes, text: str) -> None:

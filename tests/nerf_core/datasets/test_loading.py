@@ -182,7 +182,7 @@ def test_what_is_no_dataset_is_told(tmp_path: Path, transforms_folder: Folder) -
         assert "\n" not in str(caught.value)
 
     refused(folder / "none", "none does not exist: name the folder")
-    refused(folder / "images/0000.png", r"0000\.png is no folder: name the folder of a dataset, or its \.json")
+    refused(folder / "images/0000.png", r"0000\.png is not a folder: name the folder of a dataset, or its \.json")
     refused(
         folder / "images",
         r"images holds 10 photos without poses; formats that carry poses: blender \(tran.*colmap.*llff",
@@ -190,7 +190,7 @@ def test_what_is_no_dataset_is_told(tmp_path: Path, transforms_folder: Folder) -
     (folder / "outer").mkdir()
     shutil.copytree(folder / "images", folder / "outer/inner/images")
     shutil.copy(folder / "transforms.json", folder / "outer/inner")
-    refused(folder / "outer", r"outer is no dataset itself, but .*inner is one: open that")
+    refused(folder / "outer", r"outer is not a dataset itself, but .*inner is one: open that")
     (folder / "empty").mkdir()
     refused(folder / "empty", "empty holds no dataset; known are: blender")
 

@@ -155,7 +155,7 @@ def test_an_empty_ray_says_so(opened: Opened) -> None:
         (met_nothing(opened), {"the ray met nothing", "no samples"}),
         (with_pass(opened, [3.0], [3.1], [0.01]), {"the ray met nothing"}),
         (with_pass(opened, [3.0], [3.1], [0.06]), set()),
-        (odd_opened(), {"the ray's weights are no numbers"}),
+        (odd_opened(), {"the ray's weights are not numbers"}),
     ):
         axes = axes_of(some)
         assert {text.get_text() for part in (axes["top"], axes["middle"]) for text in part.texts} == said
@@ -354,7 +354,7 @@ FLAT = {"width": 4, "height": 4, "fx": 4, "fy": 4, "cx": 2, "cy": 2, "c2w": np.e
     [
         ([], r"camera\.json holds \[\]: an object as an opened ray's file has under \"camera\" \(width, height, fx, "),
         ({}, r"holds no camera \(field width is missing\): an object as an opened ray's file has under \"camera\""),
-        ({"camera": 5}, r"holds no camera \(5 is no object\)"),
+        ({"camera": 5}, r"holds no camera \(5 is not an object\)"),
         ({"camera": {"width": 4, "height": 4, "fx": 4, "fy": 4, "cx": 2, "cy": 2}}, r"\(field c2w is missing\)"),
         (FLAT | {"fx": "4"}, r"\(fx is '4': a number is needed\)"),
         (FLAT | {"cy": None}, r"\(cy is None: a number is needed\)"),

@@ -155,7 +155,7 @@ def test_a_pickle_is_never_loaded(tmp_path: Path) -> None:
         ):
             Lpips(tmp_path / name)
     torch.save({"features.0.weight": torch.zeros(1)}, tmp_path / "torch.pth")
-    with pytest.raises(UserError, match=r"torch\.pth are no safetensors file"):
+    with pytest.raises(UserError, match=r"torch\.pth are not a safetensors file"):
         Lpips(tmp_path / "torch.pth")
     assert not (tmp_path / "ran").exists()
 
@@ -164,7 +164,7 @@ def test_files_that_are_not_the_weights(weights: dict[str, torch.Tensor], file: 
     with pytest.raises(UserError, match=r"cannot read .*none\.safetensors: No such file"):
         Lpips(tmp_path / "none.safetensors")
     (tmp_path / "empty.safetensors").touch()
-    with pytest.raises(UserError, match=r"no safetensors file"):
+    with pytest.raises(UserError, match=r"not a safetensors file"):
         Lpips(tmp_path / "empty.safetensors")
     (tmp_path / "short.safetensors").write_bytes(file.read_bytes()[:5000])
     with pytest.raises(UserError, match="damaged"):

@@ -256,9 +256,11 @@ def screen(display: str, tmp_path: Path) -> dict[str, str]:
     return {"DISPLAY": display, "WAYLAND_DISPLAY": ""} | home
 
 
-def test_a_window_does_the_same(screen: dict[str, str], tmp_path: Path) -> None:
+def test_a_window_does_the_same(screen: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in screen.items():
+        monkeypatch.setenv(name, value)
     shot = tmp_path / "window.png"
-    done = process(*TINY, "--steps", "3", "--click", "0.5", "0.5", "--screenshot", str(shot), env=screen)
+    done = viewer(*TINY, "--steps", "3", "--click", "0.5", "0.5", "--screenshot", str(shot))
     assert done.returncode == 0, done.stderr
     assert iio.imread(shot).shape[2] == 3
 
@@ -304,10 +306,11 @@ def test_offscreen_with_nothing_asked_for_leaves_a_picture_an_orbit_and_a_ray(
     assert imageio_ffmpeg.count_frames_and_secs(str(folder / "orbit.mp4"))[0] == 40
 
 
-def test_a_window_without_a_display_works_offscreen(tmp_path: Path) -> None:
+def test_a_window_without_a_display_works_offscreen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.setenv(name, "")
     shot = tmp_path / "shot.png"
-    env = {"DISPLAY": "", "WAYLAND_DISPLAY": ""}
-    done = process(*TINY, "--steps", "2", "--screenshot", str(shot), env=env)
+    done = viewer(*TINY, "--steps", "2", "--screenshot", str(shot))
     assert done.returncode == 0, done.stderr
     assert "offscreen" in done.stdout
     assert shot.is_file()
