@@ -1,4 +1,4 @@
-"""How a field is sampled, supervised, rendered and opened up: one file a method."""
+"""Methods: each one defines a field, how rays sample it, how it learns and how it explains itself. One file each."""
 
 from __future__ import annotations
 
@@ -19,8 +19,13 @@ if TYPE_CHECKING:
 
 
 class Draw(NamedTuple):
-    """What a step asks for: so many rays, all of one photo or of any, from the middle `crop` of it, of photos that are
-    averaged over `shrink` × `shrink` pixels."""
+    """The pixels that a training step asks for.
+
+    rays: their number.
+    one_image: take all of them from one photo.
+    crop: take them from the middle of photos; the share of each side.
+    shrink: take them from photos averaged over shrink × shrink pixels.
+    """
 
     rays: int
     one_image: bool = False
@@ -31,8 +36,8 @@ class Draw(NamedTuple):
 class Config(Protocol):
     """A method's constants: a frozen dataclass whose fields `nerf_core.common.configs` describes.
 
-    total_steps: length of the training schedule. train_images: how many training photos are used, evenly spread;
-    0: all of them.
+    total_steps: the length of the training schedule.
+    train_images: how many training photos are used, evenly spread; 0: all.
     """
 
     @property
@@ -42,17 +47,17 @@ class Config(Protocol):
     def train_images(self) -> int: ...
 
     def to_json(self) -> dict[str, Any]:
-        """JSON values by name: what a checkpoint stores and `Method.restore` reads."""
+        """Return JSON values by name. A checkpoint stores them and `Method.restore` reads them."""
         ...
 
 
 class Renderable(Protocol):
     """A model that draws pictures.
 
-    coarse: what draws the cheaper picture, for menus; empty if there is none.
-    alone: whether a ray's colour is the same, within 1e-6, whichever rays are computed with it. A network of low
-        precision rounds differently for other shapes; an opened ray is then computed with its neighbours.
-    device: where the model runs, whatever was asked for.
+    coarse: the name of the cheaper picture, for menus; empty if there is none.
+    alone: whether a ray's colour stays the same, within 1e-6, whichever rays are computed with it. A network in low
+        precision rounds differently for other shapes; an opened ray is then computed together with its neighbours.
+    device: where the model really runs, whichever device was asked for.
     """
 
     coarse: ClassVar[str]
@@ -61,20 +66,28 @@ class Renderable(Protocol):
 
     @property
     def tile(self) -> int:
-        """How many rays one call of `render` works on at a time. A preview asks for no more, so that it can stop."""
+        """The number of rays that `render` computes at a time. A preview asks for no more, so that it can stop."""
         ...
 
     @property
     def born(self) -> int:
-        """The step at which what draws the picture began to learn."""
+        """The training step at which the model that draws the picture began to learn."""
         ...
 
     def render(self, rays: Rays, quality: str = "fine") -> Rendering:
-        """Colours, opacities and depths of any number of rays; "coarse" is the cheaper picture if there is one."""
+        """Render any number of rays.
+
+        Args:
+            rays: R rays.
+            quality: "fine", or "coarse" for the cheaper picture if there is one.
+
+        Returns:
+            Colours, opacities and depths of the rays.
+        """
         ...
 
     def frozen(self) -> Self:
-        """A copy for pictures: training this model further does not change it."""
+        """Return a copy for pictures; training this model further does not change the copy."""
         ...
 
 
@@ -83,7 +96,7 @@ class Traceable(Renderable, Protocol):
     """A model whose pixels are composited from samples: `nerf_core.probe` can open them."""
 
     def trace(self, rays: Rays) -> Trace:
-        """`render` with everything it composited kept."""
+        """Render rays and keep all the samples that were composited."""
         ...
 
 
@@ -92,7 +105,7 @@ class Radiant(Protocol):
     """A model that has a colour at a point: the radiance panel and the view-dependence mode show it."""
 
     def radiance(self, points: Tensor, directions: Tensor) -> Tensor:
-        """Colours (P, K, 3) that world points (P, 3) emit against the ray directions (K, 3), camera to point."""
+        """Return the colours (P, K, 3) of world points (P, 3), seen along K ray directions (K, 3), camera to point."""
         ...
 
 
@@ -101,7 +114,10 @@ class Dense(Protocol):
     """A model that has a density at a point: normals come from its gradient."""
 
     def density(self, points: Tensor) -> Tensor:
-        """σ (P,) at world points (P, 3): that of `Samples.sigma` where space is not bent, else per unit of the box."""
+        """Return the density σ (P,) at world points (P, 3).
+
+        It has the unit of `Samples.sigma`, except in NDC and contracted space, where it is per unit of the box.
+        """
         ...
 
 
@@ -110,7 +126,7 @@ class Explainable(Protocol):
     """A model that shows its own stages of a pixel."""
 
     def explain(self, rays: Rays) -> tuple[Stage, ...]:
-        """What happens to one ray between its beginning and its colour, with its own values."""
+        """Return the stages that turn one ray into its colour, with the ray's own values."""
         ...
 
 
@@ -121,7 +137,7 @@ class Trainable(Protocol):
 
     @property
     def stage(self) -> str:
-        """What the user should know about the progress of training; empty: nothing."""
+        """A remark about the progress of training for the user; empty if there is none."""
         ...
 
     @property
@@ -130,36 +146,44 @@ class Trainable(Protocol):
         ...
 
     def undo(self, step: int) -> Callable[[], None]:
-        """A function that takes back what training step `step` has changed when it is abandoned, but random numbers.
+        """Return a function that restores the model if training step `step` is abandoned. Call it before the step.
 
-        Called before the step begins.
+        The function does not restore random generators; the trainer does that.
         """
         ...
 
     def draw(self, step: int) -> Draw:
-        """The pixels that training step `step` asks for; `train` is given pixels that were drawn like that."""
+        """Return which pixels training step `step` needs. The trainer draws them and passes them to `train`."""
         ...
 
     def train(
         self, rays: Rays, truth: Tensor, step: int, steps: int | None, yield_callback: Callable[[], None]
     ) -> float:
-        """One optimiser step on R rays and their colours (R, 3); returns the mean squared error of the final colour.
+        """Make one optimiser step.
 
-        `yield_callback` is called between pieces of at most some 10 ms on a CPU, so that a preview can be served.
-        What it raises abandons the step; the trainer then restores `generators` and calls what `undo` returned.
+        Args:
+            rays: R rays.
+            truth: (R, 3) the photos' colours.
+            step: the number of this step.
+            steps: the length of the run; None: as the configuration says.
+            yield_callback: called between pieces of about 10 ms on a CPU, so that previews can be drawn. If it
+                raises, the step is abandoned: the trainer restores `generators` and calls the function of `undo`.
+
+        Returns:
+            The mean squared error of the final colour.
         """
         ...
 
     def halve(self) -> bool:
-        """Use half the memory in `train` from now on, at the price of speed; False if that is not possible."""
+        """Use half the memory in `train` from now on, which is slower. Returns False if that is not possible."""
         ...
 
     def state(self) -> dict[str, Tensor]:
-        """Weights, optimiser and random state, by name: what a checkpoint stores."""
+        """Return weights, optimiser and random state by name, for a checkpoint."""
         ...
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
-        """Continue from `state`. Raises KeyError, RuntimeError or ValueError if it does not fit."""
+        """Continue from `state`. Raises KeyError, RuntimeError or ValueError if it does not fit this model."""
         ...
 
     def parameters(self) -> list[Tensor]:
@@ -168,13 +192,14 @@ class Trainable(Protocol):
 
 
 class Method(Renderable, Trainable, Protocol):
-    """A model of one scene with its optimiser; owned by one thread.
+    """A model of one scene with its optimiser. One thread owns it.
 
-    summary: the sentence that menus show. constants: the dataclass of its `Config`, whose fields are declared with
-    `nerf_core.common.configs.constant`. presets: names of sets of constants besides "auto".
+    summary: the sentence that menus show.
+    constants: the dataclass of its `Config`; its fields are declared with `nerf_core.common.configs.constant`.
+    presets: the names of sets of constants besides "auto".
 
-    `Traceable`, `Radiant`, `Dense` and `Explainable` are what a method may be besides. Where it is not, panels and
-    probes say so (`lacking`).
+    `Traceable`, `Radiant`, `Dense` and `Explainable` are optional. Panels and probes say what a method lacks; see
+    `lacking`.
     """
 
     summary: ClassVar[str]
@@ -183,19 +208,19 @@ class Method(Renderable, Trainable, Protocol):
 
     @staticmethod
     def configure(scene: Scene, preset: str, changes: Mapping[str, str], device: torch.device) -> Config:
-        """The configuration of `preset` with `changes` by name. Raises UserError."""
+        """Return the configuration of `preset` for this scene and device, with `changes` by name. Raises UserError."""
         ...
 
     @staticmethod
     def restore(config: Mapping[str, Any]) -> Config:
-        """The configuration that a checkpoint stores as a JSON object. Raises UserError."""
+        """Rebuild the configuration that a checkpoint stores as a JSON object. Raises UserError."""
         ...
 
     def __init__(self, scene: Scene, config: Any, device: torch.device, seed: int) -> None: ...
 
 
 class Defaults:
-    """What most methods answer: no coarse picture, nothing to tell, nothing to undo. A method may inherit from it."""
+    """Defaults that a method may inherit: no coarse picture, no remark on progress, nothing to undo."""
 
     coarse: ClassVar[str] = ""
     alone: ClassVar[bool] = True
@@ -225,14 +250,19 @@ ABSENT = {
 
 
 def lacking(method: str, ability: str) -> str:
-    """A sentence if the method of this name lacks `ability` (a key of ABSENT); empty if it has it or is unknown."""
+    """Return a sentence if the method lacks an ability; empty if it has it or is unknown.
+
+    Args:
+        method: the method's name.
+        ability: a key of ABSENT.
+    """
     if not method or method not in METHODS.names() or hasattr(METHODS.get(method), ability):
         return ""
     return f"method {method} {ABSENT[ability]}"
 
 
 def traced(method: Method, rays: Rays) -> Trace:
-    """`method.trace(rays)`. Raises UserError if the method keeps no samples."""
+    """Call `method.trace(rays)`. Raises UserError if the method keeps no samples."""
     if not isinstance(method, Traceable):
         raise UserError(f"{lacking(METHODS.name_of(type(method)), 'trace')}: its pixels cannot be opened")
     return method.trace(rays)

@@ -1,4 +1,4 @@
-"""What a checkpoint holds of torch's Adam."""
+"""Store the state of torch's Adam in a checkpoint and restore it."""
 
 from __future__ import annotations
 
@@ -10,22 +10,24 @@ from torch import Tensor
 
 
 def adam_state(optimizer: torch.optim.Adam) -> dict[str, Tensor]:
-    """Moments and step counts as adam.<parameter>.<name>."""
+    """Return moments and step counts by name, as adam.<parameter>.<name>."""
     states = optimizer.state_dict()["state"]
     return {f"adam.{i}.{name}": value for i, slots in states.items() for name, value in slots.items()}
 
 
 def load_adam(optimizer: torch.optim.Adam, parameters: Sequence[Tensor], state: Mapping[str, Tensor]) -> None:
-    """Be where `adam_state` was taken. Raises ValueError where it does not fit the parameters.
+    """Restore an optimiser from `adam_state`. Raises ValueError if the state does not fit the parameters.
 
-    Before the first step there are none. The fused kernel trusts them: past the end of one that is too small it would
-    write all the same.
+    A state from before the first step has no moments. Shapes are checked here because the fused kernel does not check
+    them: it would write past the end of a tensor that is too small.
     """
     slots: dict[int, dict[str, Any]] = {}
     for key, value in state.items():
         if key.startswith("adam."):
             _, i, slot = key.split(".")
-            slots.setdefault(int(i), {})[slot] = value.clone()  # Adam keeps what it is given and writes into it
+            slots.setdefault(int(i), {})[slot] = (
+                value.clone()
+            )  # a copy, because Adam keeps the tensor and writes into it
     for i, parameter in enumerate(parameters if slots else ()):
         shapes = {name: (value.shape, value.dtype) for name, value in slots.get(i, {}).items()}
         moment = (parameter.shape, parameter.dtype)

@@ -1,4 +1,4 @@
-"""What a method has to tell of one ray, from where it looks to the light that arrives: a walk of several stages."""
+"""The stages by which a method explains one ray, from its samples to its colour, and the charts they consist of."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class Stems(NamedTuple):
-    """A value y (S,) at each sample t (S,); name says what it is, on the axis."""
+    """A chart of values y (S,) at the samples t (S,); `name` labels its axis."""
 
     name: str
     t: np.ndarray
@@ -21,14 +21,14 @@ class Stems(NamedTuple):
 
 
 class Marks(NamedTuple):
-    """Places t (S,) on the ray, within bins whose edges are `edges` (empty: none are shown)."""
+    """A chart of positions t (S,) on the ray, with the edges of their bins (empty: no bins)."""
 
     t: np.ndarray
     edges: np.ndarray
 
 
 class BarCode(NamedTuple):
-    """Numbers as coloured bars, a row of them for each name: values, (N,) each; signed, `peak` the largest."""
+    """A chart of signed numbers as coloured bars: one row of values (N,) per name; `peak` is the largest size."""
 
     names: tuple[str, ...]
     values: tuple[np.ndarray, ...]
@@ -36,7 +36,7 @@ class BarCode(NamedTuple):
 
 
 class Transfer(NamedTuple):
-    """Inverse-transform sampling: the CDF (E,) over edges (E,); levels u (D,), and where they fall, draws (D,)."""
+    """A chart of inverse-transform sampling: the CDF (E,) over edges (E,), levels u (D,) and their draws (D,)."""
 
     edges: np.ndarray
     cdf: np.ndarray
@@ -45,7 +45,7 @@ class Transfer(NamedTuple):
 
 
 class Colors(NamedTuple):
-    """Colours (N, 3), named."""
+    """A chart of named colours (N, 3)."""
 
     names: tuple[str, ...]
     rgb: np.ndarray
@@ -56,7 +56,7 @@ Chart = Stems | Marks | BarCode | Transfer | Colors
 
 @dataclass(frozen=True)
 class Stage:
-    """A step of the method with this ray's values. sentence: what happens there. rows: labelled figures."""
+    """One stage of a method with the ray's own values. sentence: what happens in it. rows: labelled figures."""
 
     title: str
     sentence: str
@@ -73,12 +73,12 @@ def triple(values: np.ndarray) -> str:
 
 
 def nothing_stage() -> Stage:
-    """Of a ray without samples."""
-    return Stage("No samples", "Nothing along this ray is worth a look: what comes back is the background alone.")
+    """Return the stage of a ray without samples."""
+    return Stage("No samples", "There is nothing along this ray: its colour is the background.")
 
 
 def field_stage(samples: Samples, sentence: str, title: str = "Density and colour") -> Stage:
-    """Density and colour along the first ray of `samples`."""
+    """Return the stage with density and colour along the first ray of `samples`."""
     t, sigma, rgb = (v[0].float().cpu().numpy() for v in (samples.t, samples.sigma, samples.rgb))
     strongest = int(np.argmax(samples.weights[0].cpu().numpy()))
     rows = (("largest σ", number(float(sigma.max()))), ("colour of the strongest", triple(rgb[strongest])))
@@ -86,28 +86,28 @@ def field_stage(samples: Samples, sentence: str, title: str = "Density and colou
 
 
 def absorption_stage(samples: Samples, title: str = "α, T and w") -> Stage:
-    """What the first ray of `samples` composites."""
+    """Return the stage with α, T and w along the first ray of `samples`."""
     t, alpha, transmittance, weights = (
         v[0].float().cpu().numpy() for v in (samples.t, samples.alpha, samples.transmittance, samples.weights)
     )
     total = float(weights.sum())
     sentence = (
-        "Each sample absorbs α = 1 − exp(−σδ) of the light that reaches it; T is what is left of the light before it, "
-        "the product of all (1 − α) in front; its weight in the pixel is w = T α."
+        "Each sample absorbs the share α = 1 − exp(−σδ) of the light that reaches it. The transmittance T, the product "
+        "of all (1 − α) in front of it, is the share that reaches it. Its weight in the pixel is w = T α."
     )
     rows = (("Σ w", number(total)), ("left for what is behind", number(1 - total)))
     return Stage(title, sentence, (Stems("α", t, alpha), Stems("T", t, transmittance), Stems("w", t, weights)), rows)
 
 
 def skipped_stage(samples: Samples, cells: Cells, step: float) -> Stage:
-    """Where the first ray looks at all: in cells that may hold something. step: cells between two samples."""
+    """Return the stage with the occupied cells, where the first ray takes samples. step: cells between two samples."""
     count = 0 if samples.count is None else int(samples.count[0])
     t = samples.t[0, :count].cpu().numpy()
     share = np.count_nonzero(cells.occupied.cpu().numpy()) / cells.occupied.numel()
     return Stage(
         "Skipped space",
-        f"Of {cells.occupied.numel():,} cells {share:.1%} may hold something. The ray leaps over the others and takes "
-        f"a sample every {step:g} cells where it is worth it: {count} in all.",
+        f"{share:.1%} of {cells.occupied.numel():,} cells may hold something. The ray skips the others and takes a "
+        f"sample every {step:g} cells: {count} in all.",
         (Marks(t, np.zeros(0, np.float32)),),
         (("grid", " × ".join(f"{n:,}" for n in cells.size)), ("samples", f"{count:,}")),
     )

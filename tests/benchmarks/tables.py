@@ -109,7 +109,7 @@ def learn(scene: Scene, row: Row, seed: int) -> dict[str, Any]:
             curve.append((trainer.seconds, held_out_psnr(trainer)))
     found = {"curve": curve, "steps": trainer.step_count, "peak_gib": peak_gib()}
     if isinstance(trainer.method, GuidedNerf):
-        found["samples_a_ray"] = trainer.method.average
+        found["samples_a_ray"] = trainer.method.samples_per_ray
     return found
 
 

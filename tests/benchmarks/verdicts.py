@@ -103,7 +103,7 @@ def with_photos(scene: Scene, other: Scene) -> Scene:
 def thinned(method: Method) -> Method:
     """The same model with so much less density that light passes: σ = softplus(s + bias), and its inverse."""
     assert isinstance(method, Voxels)
-    for rows in (method.grid.rows, method.average):
+    for rows in (method.grid.rows, method.ema_rows):
         sigma = THINNED * torch.nn.functional.softplus(rows[:, DENSITY] + method.config.bias).clamp(min=1e-20)
         rows[:, DENSITY] = sigma + torch.log(-torch.expm1(-sigma)) - method.config.bias
     return method

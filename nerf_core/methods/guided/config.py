@@ -1,4 +1,4 @@
-"""The constants of the guided method: the paper's network, and how long its guide learns."""
+"""The constants of the guided method: those of the paper's network and of its proposal grid."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from nerf_core.geometry.scene import Scene
 from nerf_core.methods.mlp.config import MlpConfig
 from nerf_core.methods.voxels.config import VoxelConfig
 
-GUIDE = "guide."  # what the grid's constants are set with: --set guide.growth=1.5
+GUIDE = "guide."  # prefix of the proposal grid's constants, as in --set guide.growth=1.5
 
 
 @dataclass(frozen=True)

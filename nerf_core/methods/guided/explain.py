@@ -34,13 +34,13 @@ class GuidedStages(MlpModel):
         found = (
             Stage(
                 "The guide",
-                "A voxel grid that was trained first knows where the ray meets something: its samples' weights.",
-                (Stems("guide's w", t, weights),),
+                "A voxel grid was trained first: the proposal grid. Its weights say where the ray meets something.",
+                (Stems("proposal w", t, weights),),
             ),
             Stage(
                 "Placed samples",
-                f"Those that weigh more than {self.config.least:g} are kept, {count} of {len(t)}: only they are put to "
-                "the network, where the paper's method would ask at 256.",
+                f"Samples that weigh more than {self.config.least:g} are kept, {count} of {len(t)}. Only these go to "
+                "the network; the paper's method would evaluate it at 256.",
                 (Marks(fine.t[0, :count].cpu().numpy(), np.zeros(0, np.float32)),),
             ),
         )
@@ -49,6 +49,6 @@ class GuidedStages(MlpModel):
         return (
             *found,
             self.code_stage(rays, fine),
-            field_stage(fine, f"The paper's network is asked at each: how dense, and which colour {self.towards}?"),
+            field_stage(fine, f"The paper's network gives each of them a density and a colour {self.towards}."),
             absorption_stage(fine),
         )

@@ -1,10 +1,9 @@
-"""The paper's NeRF made fast without touching its model: a voxel grid, trained first, says where samples are spent.
+"""The paper's NeRF made fast: a voxel grid, the proposal grid, is trained first and places the network's samples.
 
-The network, its encoding and volume rendering are those of `nerf_core.methods.nerf.method`. What the paper's coarse
-network is for, finding the few depths that matter, a voxel grid does better after seconds: of the samples that it
-takes along a ray, those that weigh more than `least` in its own picture are kept, with their δ, and only they are put
-to the network.
-A ray then needs some 3 samples instead of 192 + 64, and one that hits nothing needs none.
+Network, encoding and volume rendering are those of `nerf_core.methods.nerf.method`. The proposal grid replaces the
+paper's coarse network: it takes samples along a ray and keeps those whose weight is above `least`, with their δ. Only
+these samples are evaluated by the network. A ray then needs about 3 samples instead of 64 + 192, and a ray that hits
+nothing needs none.
 """
 
 from __future__ import annotations
@@ -28,20 +27,22 @@ from nerf_core.methods.voxels.model import VoxelModel
 from nerf_core.volume.packed import Packed, opened
 
 CPU = torch.device("cpu")
-TILE = 512  # rays: some 10 ms on two cores
-PIECE = 1024  # samples whose gradient is computed at once on a CPU: some 10 ms
-# Rows of one evaluation where pictures are drawn: always the same, so that what a pixel is does not depend on its
-# neighbours (a matrix product's rounding depends on its size).
+TILE = 512  # rays: about 10 ms on two cores
+PIECE = 1024  # samples whose gradient is computed at once on a CPU: about 10 ms
+# Rows of one evaluation when pictures are drawn. The number is fixed, so that a pixel does not depend on its
+# neighbours: the rounding of a matrix product depends on its size.
 ROWS = 1024
-BLOCK = 256  # rows in training are rounded up to a multiple: oneDNN compiles a kernel for every size it has not seen
+BLOCK = (
+    256  # rows in training are rounded up to a multiple of this, because oneDNN compiles a kernel for every new size
+)
 
 
 @METHODS.register("nerf-guided")
 class GuidedNerf(GuidedStages):
-    """See the module."""
+    """The guided method; see the module."""
 
     summary: ClassVar[str] = "The paper's network, its samples placed by a voxel grid trained first: minutes on a CPU."
-    coarse: ClassVar[str] = "the guide's picture"
+    coarse: ClassVar[str] = "the proposal grid's picture"
     alone: ClassVar[bool] = False
 
     constants: ClassVar[type[GuidedConfig]] = GuidedConfig
@@ -57,14 +58,14 @@ class GuidedNerf(GuidedStages):
         self.space = self.guide.space
         self.kernels = packed_kernels(device)
         self.tile = config.tile or TILE
-        self.guided = 0  # steps that the guide has had
-        self.average = 8.0  # samples a ray needed lately
+        self.guided = 0  # training steps that the proposal grid has made
+        self.samples_per_ray = 8.0  # a running mean
 
     @property
     def stage(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]  only read
         if self._ready:
             return ""
-        return f"the guide learns, {self.guided:,} of {self.config.guide_steps:,} steps: the picture is its own"
+        return f"the proposal grid learns, {self.guided:,} of {self.config.guide_steps:,} steps: it draws the picture"
 
     @property
     def born(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]  only read
@@ -77,9 +78,10 @@ class GuidedNerf(GuidedStages):
     # ---- sampling ---------------------------------------------------------------------------------------------------
 
     def _placed(self, rays: Rays, offsets: Tensor) -> Packed:
-        """The samples that the network is asked about, on its device.
+        """The samples that the network evaluates, on its device.
 
-        Where space has no end, all that the guide sees beyond `far` becomes one sample there whose δ is `last_delta`.
+        In contracted space, all weight that the proposal grid finds beyond `far` becomes one sample at `far` whose δ is
+        `last_delta`.
         """
         near = rays.to(CPU)
         found = self.guide.traced(near, offsets)
@@ -99,14 +101,14 @@ class GuidedNerf(GuidedStages):
     # ---- evaluating -------------------------------------------------------------------------------------------------
 
     def _inputs(self, p: Parametrised, samples: Packed, rows: int) -> tuple[Tensor, Tensor]:
-        """x and γ(d) of all samples, filled up to a multiple of `rows`."""
+        """x and γ(d) of all samples, padded to a multiple of `rows`."""
         ray = samples.ray
         x = p.origins[ray] + samples.t[:, None] * p.directions[ray]
         missing = -len(x) % rows
         return functional.pad(x, (0, 0, 0, missing)), functional.pad(p.encoded[ray], (0, 0, 0, missing))
 
     def _tau(self, raw: Tensor, p: Parametrised, samples: Packed) -> Tensor:
-        """Optical depth: ReLU density times δ (NeRF, Eq. 3), nothing on rays that do not exist under NDC."""
+        """Optical depth: ReLU density times δ (NeRF, Eq. 3). It is 0 on rays that do not exist in NDC."""
         ray = samples.ray
         return torch.relu(raw) * samples.width * p.length[ray] * p.exists[ray]
 
@@ -121,7 +123,7 @@ class GuidedNerf(GuidedStages):
     def train(
         self, rays: Rays, truth: Tensor, step: int, steps: int | None, yield_callback: Callable[[], None]
     ) -> float:
-        """First the guide's steps; then MSE of the network's colour, Adam under an exponential decay."""
+        """Train the proposal grid first, then the network: MSE of its colour, Adam with an exponential decay."""
         if not self._ready:
             error = self.guide.train(rays, truth, step, None, yield_callback)
             self.guided += 1
@@ -130,7 +132,7 @@ class GuidedNerf(GuidedStages):
             return error
         self.begin_step(step, steps)
         offsets = torch.rand(len(rays), generator=self.generator)
-        piece = max(1, int(PIECE / self.average)) if self.device == CPU else len(rays)
+        piece = max(1, int(PIECE / self.samples_per_ray)) if self.device == CPU else len(rays)
         error, found = 0.0, 0
         for start in range(0, len(rays), piece):
             part = slice(start, start + piece)
@@ -138,11 +140,11 @@ class GuidedNerf(GuidedStages):
             error, found = error + one, found + count
             yield_callback()
         self.optimizer.step()
-        self.average = max(1.0, 0.9 * self.average + 0.1 * found / len(rays))
+        self.samples_per_ray = max(1.0, 0.9 * self.samples_per_ray + 0.1 * found / len(rays))
         return error / truth.numel()
 
     def _accumulate(self, rays: Rays, offsets: Tensor, truth: Tensor, scale: float) -> tuple[float, int]:
-        """Add the gradient of `scale`/2 times the squared error; returns that error, and how many samples it took."""
+        """Add the gradient of `scale`/2 times the squared error. Returns that error and the number of samples."""
         p, samples = self.parametrise(rays), self._placed(rays, offsets)
         count = len(samples.t)
         raw, rgb = (v[:count] for v in self.final(*self._inputs(p, samples, BLOCK)))
@@ -157,7 +159,7 @@ class GuidedNerf(GuidedStages):
 
     @torch.no_grad()
     def _evaluated(self, rays: Rays) -> tuple[Packed, Tensor, Tensor, Tensor]:
-        """Samples of at most a tile of rays, their optical depths and colours, and the pixels (R, 5)."""
+        """Evaluate at most a tile of rays. Returns samples, optical depths, colours and the pixels (R, 5)."""
         p, samples = self.parametrise(rays), self._placed(rays, torch.full((len(rays),), 0.5))
         count = len(samples.t)
         x, d = self._inputs(p, samples, ROWS)
@@ -167,7 +169,7 @@ class GuidedNerf(GuidedStages):
         return samples, tau, rgb, self.kernels.composite(tau, rgb, samples, self.background)
 
     def render(self, rays: Rays, quality: str = "fine") -> Rendering:
-        """ "coarse", and all there is before the network begins: the guide's picture."""
+        """Render rays. The picture is the proposal grid's under "coarse", and until the network begins to learn."""
         if quality == "coarse" or not self._ready:
             return self.guide.render(rays).to(self.device)
         rays = rays.to(self.device)
@@ -175,7 +177,7 @@ class GuidedNerf(GuidedStages):
         return Rendering.cat([self.space.rendering(part, self._evaluated(part)[3]) for part in parts])
 
     def trace(self, rays: Rays) -> Trace:
-        """The guide's pass, before those of its samples that the network was asked about."""
+        """Return the proposal grid's pass, then the network's pass over the samples that it kept."""
         guide = self.guide.trace(rays)
         if not self._ready:
             return guide
@@ -198,13 +200,16 @@ class GuidedNerf(GuidedStages):
         return frozen
 
     def state(self) -> dict[str, Tensor]:
-        numbers = {"guided": torch.tensor(self.guided), "average": torch.tensor(self.average, dtype=torch.float64)}
+        numbers = {
+            "guided": torch.tensor(self.guided),
+            "average": torch.tensor(self.samples_per_ray, dtype=torch.float64),
+        }
         guide = self.guide.grid_state() if self._ready else self.guide.state()
         return super().state() | numbers | {f"guide.{k}": v for k, v in guide.items()}
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
-        guided, average = int(state["guided"]), float(state["average"])
-        if guided < 0 or not 1 <= average < 1e6:
+        guided, samples = int(state["guided"]), float(state["average"])
+        if guided < 0 or not 1 <= samples < 1e6:
             raise ValueError("the guide's progress is not of the kind that is written")
         guide = {k.removeprefix("guide."): v for k, v in state.items() if k.startswith("guide.")}
         if guided >= self.config.guide_steps:
@@ -213,4 +218,4 @@ class GuidedNerf(GuidedStages):
         else:
             self.guide.load_state(guide)
         super().load_state(state)
-        self.guided, self.average = guided, average
+        self.guided, self.samples_per_ray = guided, samples

@@ -12,12 +12,12 @@ from nerf_core.common.configs import changed, check_ranges, constant, restored
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.geometry.scene import Scene
 
-MOST_FEATURES = 2**28  # 1 GiB, and as much again for the gradient, each moment and the average
+MOST_FEATURES = 2**28  # 1 GiB, and the same again for the gradient, for each moment and for the EMA
 
 
 @dataclass(frozen=True)
 class HashConfig:
-    """The paper's constants (arXiv:2201.05989), for CUDA; `configure` makes them smaller for a CPU."""
+    """The paper's constants (arXiv:2201.05989), which suit CUDA. `configure` makes them smaller for a CPU."""
 
     samples: int = constant(2**18, "samples per step, about; the number of rays follows", least=1, most=2**22)
     most_rays: int = constant(2**15, "most rays per step", least=1, most=2**18)
@@ -56,7 +56,7 @@ class HashConfig:
 
     @staticmethod
     def configure(scene: Scene, preset: str, changes: Mapping[str, str], device: torch.device) -> HashConfig:
-        """The paper's constants on CUDA; fewer levels of a smaller table, and smaller batches, on a CPU."""
+        """Return the paper's constants on CUDA; on a CPU, fewer levels, a smaller table and smaller batches."""
         if preset != "auto":
             raise UserError(f"--preset {shorten(preset)}: method hash has none but auto; change constants with --set")
         config = HashConfig()

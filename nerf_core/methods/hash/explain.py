@@ -14,12 +14,12 @@ from nerf_core.volume.occupancy import Occupancy
 
 
 class HashStages:
-    """`Explainable` for the hash method; the attributes are the method's."""
+    """`Explainable` for the hash method. The method has the attributes declared here."""
 
     device: torch.device
     occupancy: Occupancy
     step_cells: float
-    shown: HashField
+    ema_field: HashField
 
     def trace(self, rays: Rays) -> Trace:
         raise NotImplementedError
@@ -36,9 +36,9 @@ class HashStages:
         strongest = int(samples.weights[0].argmax())
         rays = rays.to(self.device)
         point = rays.origins + samples.t[:, strongest, None] * rays.directions
-        features = self.shown.encode(self._unit(point))
-        _, geometry = self.shown.geometry(features)
-        resolutions = self.shown.levels.resolutions
+        features = self.ema_field.encode(self._unit(point))
+        _, geometry = self.ema_field.geometry(features)
+        resolutions = self.ema_field.levels.resolutions
         levels = features[0].view(len(resolutions), -1).cpu().numpy()
         vector, harmonics = geometry[0].cpu().numpy(), spherical_harmonics(rays.directions)[0].cpu().numpy()
         peak = max(float(np.abs(vector).max()), float(np.abs(harmonics).max()))
@@ -46,16 +46,16 @@ class HashStages:
             skipped,
             Stage(
                 "Hash grid",
-                f"{len(levels)} grids, each finer than the last, hold {levels.shape[1]} numbers a corner; the finer "
-                "ones share their rows by a hash. The heaviest sample's are blended within its cell on each level.",
+                f"{len(levels)} grids, each finer than the one before, hold {levels.shape[1]} numbers per corner; the "
+                "finer ones share rows through a hash. Each level is blended within the heaviest sample's cell.",
                 (BarCode(tuple(f"{r}³" for r in resolutions), tuple(levels), float(np.abs(levels).max())),),
             ),
             Stage(
                 "Networks",
-                "A small network turns them into 16 numbers, of which the first is the density's logarithm; a second "
-                "one turns those and the direction's spherical harmonics into colour.",
+                "A small network turns them into 16 numbers; the first is the logarithm of the density. A second "
+                "network turns these and the spherical harmonics of the direction into colour.",
                 (BarCode(("geometry", "Y(d)"), (vector, harmonics), peak),),
             ),
-            field_stage(samples, "The same at every sample that the occupancy grid let through."),
+            field_stage(samples, "The same is done at every sample in an occupied cell."),
             absorption_stage(samples),
         )

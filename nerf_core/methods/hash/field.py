@@ -10,12 +10,17 @@ from torch import Tensor, nn
 from nerf_core.kernels.packed_kernels import HashLevels, PackedKernels
 from nerf_core.volume.encodings import spherical_harmonics
 
-FEATURES = 16  # of the density network's output; the first is the raw density
+FEATURES = 16  # outputs of the density network; the first is the raw density
 DIRECTIONS = 16  # spherical harmonics up to degree 3
 
 
 class HashField(nn.Module):
-    """table (L, T, F); density: features → 16, of which the first is raw; color: (16, SH of d) → 3."""
+    """The field (x, d) → (raw density, colour).
+
+    table: (L, T, F) features.
+    density: a network from L · F features to 16 outputs; the first is the raw density.
+    color: a network from those 16 and the spherical harmonics of d to 3 channels.
+    """
 
     def __init__(self, levels: HashLevels, rows: int, width: int, hidden: int, kernels: PackedKernels) -> None:
         super().__init__()
@@ -30,7 +35,7 @@ class HashField(nn.Module):
 
     @torch.no_grad()
     def initialise(self, generator: torch.Generator) -> None:
-        """The table uniform in ±1e-4, as in the paper; layers as torch initialises its own."""
+        """Initialise the table uniformly in ±1e-4, as in the paper, and the layers like torch."""
         self.table.uniform_(-1e-4, 1e-4, generator=generator)
         for layer in self.modules():
             if isinstance(layer, nn.Linear):
@@ -42,22 +47,22 @@ class HashField(nn.Module):
         return [p for name, p in self.named_parameters() if name != "table"]
 
     def encode(self, x: Tensor) -> Tensor:
-        """Features (M, L · F) at x (M, 3) in [0, 1]; no graph: `encode_gradient` takes their gradient further."""
+        """Return features (M, L · F) at x (M, 3) in [0, 1]. It builds no graph; `encode_gradient` is its backward."""
         return self.kernels.encode(self.table.detach(), self.levels, x)
 
     def geometry(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """Raw density (M,) and the vector (M, 16) that the colour network sees."""
+        """Return raw density (M,) and the vectors (M, 16) for the colour network."""
         out = self.density(features)
         return out[:, 0], out
 
     def radiance(self, geometry: Tensor, d: Tensor) -> Tensor:
-        """Colours (M, 3) in [0, 1] for unit directions (M, 3)."""
+        """Return colours (M, 3) in [0, 1] for unit directions (M, 3)."""
         return torch.sigmoid(self.color(torch.cat([geometry, spherical_harmonics(d)], -1)))
 
     def colors(self, geometry: Tensor, d: Tensor) -> Tensor:
-        """`radiance` of every vector (P, 16) in every unit direction (D, 3): (P, D, 3).
+        """Return `radiance` of every vector (P, 16) in every unit direction (D, 3), as (P, D, 3).
 
-        The first layer is linear before its ReLU: its two inputs' parts are computed once each, and added.
+        The first layer is linear before its ReLU, so that the parts of its two inputs are computed once and added.
         """
         first, others = self.color[0], self.color[1:]
         assert isinstance(first, nn.Linear)
@@ -67,5 +72,5 @@ class HashField(nn.Module):
 
 
 def _relu() -> nn.Module:
-    """In place: layers this narrow spend their time on memory."""
+    """A ReLU in place, because such narrow layers are limited by memory bandwidth."""
     return nn.ReLU(inplace=True)

@@ -1,7 +1,7 @@
-"""The hash method's training step on shapes that never change, so that CUDA can replay it as one graph.
+"""The hash method's training step with fixed shapes, so that CUDA can replay it as one graph.
 
-Launching some hundred small kernels one by one takes a GPU longer than running them. A graph records them once; what
-changes from step to step is copied into tensors that stay where they are.
+A step consists of about a hundred small kernels, and launching them takes longer than running them. A graph records
+them once. Each step copies its inputs into the tensors that the graph reads.
 """
 
 from __future__ import annotations
@@ -18,15 +18,18 @@ from nerf_core.methods.hash.field import HashField
 from nerf_core.volume.cells import Cells
 from nerf_core.volume.occupancy import softened
 
-EAGER = 3  # steps before the recording: kernels are compiled and libraries set up in them
+EAGER = 3  # steps before the recording, in which kernels are compiled and libraries initialised
 
 
 class FixedStep:
-    """Gradients and updates for `rays` rays with at most `room` samples in all.
+    """Compute gradients and update the model, for `rays` rays with at most `capacity` samples in all.
 
-    A ray whose samples do not all find room has no say in the step: it would be composited wrongly.
-    step: of the march, in cells; length: of a sample, which turns density into optical depth. into: the table's
-    gradient. update: what follows the gradients, the optimisers' steps; recorded as well.
+    A ray whose samples do not all fit is left out of the step, because it would be composited wrongly.
+
+    step: the distance between samples in cells.
+    length: the length of a sample in box coordinates; it turns density into optical depth.
+    into: the tensor that receives the table's gradient.
+    update: makes the optimisers' steps after the gradients; it is recorded too.
     """
 
     def __init__(
@@ -45,7 +48,7 @@ class FixedStep:
         self.graph: torch.cuda.CUDAGraph | None = None
 
     def __call__(self, cells: Cells, rays: BoxRays, offsets: Tensor, truth: Tensor) -> tuple[float, int]:
-        """One step; returns the summed squared error, rays without room counted like the others, and the samples."""
+        """Make one step. Returns the summed squared error, scaled up for the rays left out, and the samples found."""
         for f in fields(BoxRays):
             getattr(self.rays, f.name).copy_(getattr(rays, f.name))
         self.offsets.copy_(offsets)
@@ -55,7 +58,7 @@ class FixedStep:
         self.calls += 1
         if self.background.device.type != "cuda":
             self.run()
-        elif self.calls <= EAGER:  # on a stream of its own, as recording will be
+        elif self.calls <= EAGER:  # on a separate stream, like the recording
             stream = torch.cuda.Stream()
             stream.wait_stream(torch.cuda.current_stream())
             with torch.cuda.stream(stream):
@@ -70,7 +73,7 @@ class FixedStep:
         return float(self.error), int(self.found)
 
     def run(self) -> None:
-        """The step itself: nothing in it waits for the device, and every shape is known before it begins."""
+        """The step itself. Nothing in it waits for the device, and every shape is known in advance."""
         samples = self.kernels.march(self.cells, self.rays, self.step, self.offsets, self.capacity)
         total = samples.row_offsets[-1]
         place = torch.arange(self.capacity, device=total.device)

@@ -1,9 +1,9 @@
-"""A multiresolution hash grid with two small networks, sampled where an occupancy grid says that something may be.
+"""Instant-ngp: a multiresolution hash grid with two small networks, sampled where an occupancy grid allows.
 
-Müller et al. 2022 ("instant-ngp", arXiv:2201.05989). Features are looked up in L grids of growing resolution whose
-vertices share a table of T rows by a spatial hash; collisions are left to the networks to sort out. Samples of all rays
-lie packed in one list, since rays need different numbers of them. Pictures show the average of the last steps' weights
-(Polyak and Juditsky 1992), in which the noise of single batches has settled.
+Müller et al. 2022 (arXiv:2201.05989). Features are looked up in L grids of growing resolution. The vertices of a grid
+share a table of T rows through a spatial hash, and the networks learn to cope with collisions. Rays need different
+numbers of samples, so the samples of all rays are packed into one list. Pictures show an EMA (exponential moving
+average) of the weights, in which the noise of single batches averages out (Polyak and Juditsky 1992).
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ from nerf_core.volume.cells import Cells
 from nerf_core.volume.occupancy import Occupancy, softened
 from nerf_core.volume.packed import to_trace
 
-TILE = 2048  # rays drawn at once on a CPU: some 10 ms
+TILE = 2048  # rays drawn at once on a CPU: about 10 ms
 TILE_SAMPLES = 1 << 20  # drawn at once on a GPU: enough to keep it busy, under a gigabyte of activations
-PIECE = 1 << 13  # samples between two calls of the yield callback on a CPU: some 10 ms
-FIRST_CAPACITY = 1.25  # times the samples asked for: so many a recorded step can hold
-FEWEST = 1 << 12  # samples a step that can still be halved
-AVERAGE_EVERY = 4  # steps: the table is large, and neighbouring steps differ little
-FOLLOW = 0.1  # of the way to the weights that the average then goes: it spans some 40 steps
-YOUNG = 4.0  # in its first moves the average spans a quarter of the steps made: those before are old already
-STOP = 1e-3  # transmittance behind which no colour is looked up: it could not change an 8-bit pixel by one step
+PIECE = 1 << 13  # samples between two calls of the yield callback on a CPU: about 10 ms
+FIRST_CAPACITY = 1.25  # capacity of a recorded step, in multiples of the samples asked for
+FEWEST = 1 << 12  # samples per step below which `halve` refuses
+AVERAGE_EVERY = 4  # steps between updates of the EMA: the table is large, and neighbouring steps differ little
+FOLLOW = 0.1  # rate of the EMA per update: it spans about 40 steps
+YOUNG = 4.0  # at its update k the EMA spans only the last k/YOUNG updates: older weights are outdated
+STOP = 1e-3  # transmittance below which no colour is evaluated: it could not change an 8-bit pixel by one step
 
 
 @METHODS.register("hash")
 class Hash(Defaults, HashStages):
-    """See the module."""
+    """The hash method; see the module."""
 
     summary: ClassVar[str] = "Instant-ngp (2022): a hash grid and two small MLPs; made for a GPU."
 
@@ -69,7 +69,7 @@ class Hash(Defaults, HashStages):
         self.occupancy = Occupancy(cells, config.empty, config.decay)
         pixel = pixel_size(scene, self.space)
         self.step_cells = float(config.pixels * pixel / voxel[0])
-        self.length = config.pixels * pixel  # of a sample, in box coordinates
+        self.length = config.pixels * pixel  # length of a sample in box coordinates
         finest = config.finest or max(config.coarsest, round(float(sides.max()) / pixel))
         growth = (finest / config.coarsest) ** (1 / max(1, config.levels - 1))
         resolutions = tuple(int(config.coarsest * growth**i + 1e-6) for i in range(config.levels))
@@ -78,10 +78,10 @@ class Hash(Defaults, HashStages):
         )
         self.field.initialise(torch.Generator().manual_seed(seed))
         self.field.to(device)
-        self.shown = deepcopy(self.field).requires_grad_(False)  # the average, which pictures show
+        self.ema_field = deepcopy(self.field).requires_grad_(False)  # pictures show this one
         self.table_gradient = torch.zeros_like(self.field.table)
         self.moments = torch.zeros_like(self.field.table), torch.zeros_like(self.field.table)
-        # what changes from step to step lies in tensors: a recorded step reads it there
+        # values that change from step to step are kept in tensors, where a recorded step reads them
         self.rate, self.numbers = torch.tensor(config.learning_rate, device=device), torch.zeros(3, device=device)
         self.optimizer = torch.optim.Adam(
             self.field.networks(), lr=self.rate, betas=(BETA1, BETA2), eps=EPSILON, fused=True,
@@ -90,7 +90,7 @@ class Hash(Defaults, HashStages):
         for parameter in self.field.networks():
             parameter.grad = torch.zeros_like(parameter)
         self.updates = 0
-        self.needed = 4.0 * config.cells  # samples a ray took lately
+        self.samples_per_ray = 4.0 * config.cells  # a running mean
         self.fixed: FixedStep | None = None
 
     # ---- training ---------------------------------------------------------------------------------------------------
@@ -102,8 +102,8 @@ class Hash(Defaults, HashStages):
         return clear
 
     def draw(self, step: int) -> Draw:
-        count = int(min(max(self.config.samples / self.needed, 64), self.config.most_rays))
-        if self.kernels.fixed_shapes:  # one of few numbers, since each takes a recording
+        count = int(min(max(self.config.samples / self.samples_per_ray, 64), self.config.most_rays))
+        if self.kernels.fixed_shapes:  # one of a few numbers, because each needs its own recording
             now = len(self.fixed.rays) if self.fixed is not None else 0
             count = now if 0.4 * count <= now <= 1.1 * count else 2 ** int(math.log2(count))
         return Draw(count)
@@ -111,11 +111,11 @@ class Hash(Defaults, HashStages):
     def train(
         self, rays: Rays, truth: Tensor, step: int, steps: int | None, yield_callback: Callable[[], None]
     ) -> float:
-        """Mean squared error; Adam on the networks and on the table's touched rows."""
+        """Make one step: mean squared error, Adam on the networks and on the table's rows that have a gradient."""
         rate = self.config.learning_rate / (1 + step / self.config.slowdown)
         self.numbers.copy_(adam_numbers(rate, self.updates + 1))
         self.rate.fill_(rate)
-        for group in self.optimizer.param_groups:  # loading a state puts another tensor there
+        for group in self.optimizer.param_groups:  # loading a state replaces the tensor
             group["lr"] = self.rate
         self.optimizer.zero_grad(set_to_none=False)
         offsets = torch.rand(len(rays), generator=self.generator).to(self.device)
@@ -126,8 +126,8 @@ class Hash(Defaults, HashStages):
             self._update()
         self.updates += 1
         if self.updates % AVERAGE_EVERY == 0:
-            self._follow(self.updates // AVERAGE_EVERY)
-        self.needed = max(1.0, 0.9 * self.needed + 0.1 * found / len(rays))
+            self._update_ema(self.updates // AVERAGE_EVERY)
+        self.samples_per_ray = max(1.0, 0.9 * self.samples_per_ray + 0.1 * found / len(rays))
         if self.updates % self.config.update_every == 0:
             whole = self.updates <= self.config.update_every * self.config.warm_updates
             self.occupancy.update(self._tau, whole, self.generator)
@@ -136,9 +136,9 @@ class Hash(Defaults, HashStages):
     def _pieces(
         self, rays: Rays, offsets: Tensor, truth: Tensor, yield_callback: Callable[[], None]
     ) -> tuple[float, int]:
-        """The gradient of all rays; returns the summed squared error and the number of samples."""
+        """Compute the gradient of all rays in pieces. Returns the summed squared error and the number of samples."""
         error, found = 0.0, 0
-        piece = max(1, int((PIECE if self.device.type == "cpu" else self.config.samples) / self.needed))
+        piece = max(1, int((PIECE if self.device.type == "cpu" else self.config.samples) / self.samples_per_ray))
         for start in range(0, len(rays), piece):
             part = slice(start, start + piece)
             one, samples = self._accumulate(rays[part], offsets[part], truth[part], 2 / truth.numel())
@@ -148,7 +148,7 @@ class Hash(Defaults, HashStages):
 
     def _fixed(self, rays: int) -> FixedStep:
         if self.fixed is None or len(self.fixed.rays) != rays:
-            self.fixed = None  # its memory first
+            self.fixed = None  # frees its memory first
             self.fixed = FixedStep(
                 self.field, self.kernels, self.occupancy.cells, rays, int(FIRST_CAPACITY * self.config.samples),
                 self.step_cells, self.length, self.background, self.table_gradient, self._update,
@@ -156,10 +156,10 @@ class Hash(Defaults, HashStages):
         return self.fixed
 
     @torch.no_grad()
-    def _follow(self, move: int) -> None:
-        """Take the average, in its move 1, 2, …, some of the way to the weights."""
+    def _update_ema(self, move: int) -> None:
+        """Move the EMA towards the weights, for the time number `move` (from 1)."""
         share = max(FOLLOW, YOUNG / (YOUNG + move - 1))
-        for mean, now in zip(self.shown.parameters(), self.field.parameters(), strict=True):
+        for mean, now in zip(self.ema_field.parameters(), self.field.parameters(), strict=True):
             mean.lerp_(now, share)
 
     def _update(self) -> None:
@@ -167,11 +167,13 @@ class Hash(Defaults, HashStages):
         self.kernels.adam(self.field.table.detach(), self.table_gradient, self.moments, self.numbers)
 
     def _accumulate(self, rays: Rays, offsets: Tensor, truth: Tensor, scale: float) -> tuple[float, int]:
-        """Add the gradient of `scale`/2 times the squared error; returns that error, and how many samples it took."""
+        """Add the gradient of `scale`/2 times the squared error. Returns that error and the number of samples."""
         samples = self.kernels.march(self.occupancy.cells, self.space.rays(rays), self.step_cells, offsets)
         features = self.field.encode(samples.x)
-        with torch.no_grad():  # what lies in the dark has no gradient: it is left out before anything costly begins
-            lit = self._lit(softened(self.field.geometry(features)[0]) * self.length, samples)
+        with (
+            torch.no_grad()
+        ):  # samples that no light reaches have no gradient: they are left out before the costly part
+            lit = self._reached(softened(self.field.geometry(features)[0]) * self.length, samples)
         samples, features = samples.at(lit), features[lit].requires_grad_()
         raw, geometry = self.field.geometry(features)
         rgb = self.field.radiance(geometry, rays.directions[samples.ray])
@@ -188,8 +190,8 @@ class Hash(Defaults, HashStages):
     def _tau(self, x: Tensor) -> Tensor:
         return softened(self.field.geometry(self.field.encode(x))[0]) * self.length
 
-    def _lit(self, tau: Tensor, samples: Samples) -> Tensor:
-        """Indices of the samples that light still reaches."""
+    def _reached(self, tau: Tensor, samples: Samples) -> Tensor:
+        """The indices of the samples whose transmittance is above STOP."""
         return (torch.exp(-samples.before(tau)) > STOP).nonzero()[:, 0]
 
     def halve(self) -> bool:
@@ -202,18 +204,18 @@ class Hash(Defaults, HashStages):
 
     @property
     def tile(self) -> int:
-        return TILE if self.device.type == "cpu" else int(min(max(TILE_SAMPLES / self.needed, 2**10), 2**17))
+        return TILE if self.device.type == "cpu" else int(min(max(TILE_SAMPLES / self.samples_per_ray, 2**10), 2**17))
 
     @torch.no_grad()
     def _evaluated(self, rays: Rays) -> tuple[Samples, Tensor, Tensor, Tensor]:
-        """The samples of at most a tile of rays, with their optical depths and colours, and the pixels (R, 5)."""
+        """Evaluate at most a tile of rays. Returns samples, optical depths, colours and the pixels (R, 5)."""
         offsets = torch.full((len(rays),), 0.5, device=self.device)
         samples = self.kernels.march(self.occupancy.cells, self.space.rays(rays), self.step_cells, offsets)
-        raw, geometry = self.shown.geometry(self.shown.encode(samples.x))
+        raw, geometry = self.ema_field.geometry(self.ema_field.encode(samples.x))
         tau, ray = softened(raw) * self.length, samples.ray
-        lit = self._lit(tau, samples)
+        lit = self._reached(tau, samples)
         rgb = torch.zeros(len(tau), 3, device=self.device)
-        rgb[lit] = self.shown.radiance(geometry[lit], rays.directions[ray[lit]])
+        rgb[lit] = self.ema_field.radiance(geometry[lit], rays.directions[ray[lit]])
         return samples, tau, rgb, self.kernels.composite(tau, rgb, samples, self.background)
 
     def render(self, rays: Rays, quality: str = "fine") -> Rendering:
@@ -229,20 +231,20 @@ class Hash(Defaults, HashStages):
     @torch.no_grad()
     def radiance(self, points: Tensor, directions: Tensor) -> Tensor:
         _, geometry = self._geometry(points)
-        return self.shown.colors(geometry, directions.to(self.device, torch.float32))
+        return self.ema_field.colors(geometry, directions.to(self.device, torch.float32))
 
     @torch.no_grad()
     def density(self, points: Tensor) -> Tensor:
-        """Where the occupancy grid lets rays look; 0 elsewhere."""
+        """Return the density in occupied cells, and 0 elsewhere, because rays take no samples there."""
         raw, _ = self._geometry(points)
         cell, _ = self.occupancy.cells.cells_of(self.space.points(points.to(self.device, torch.float32)))
         return torch.where(self.occupancy.cells.occupied[tuple(cell.unbind(-1))], softened(raw) / self.space.extent, 0)
 
     def _geometry(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        return self.shown.geometry(self.shown.encode(self._unit(points)))
+        return self.ema_field.geometry(self.ema_field.encode(self._unit(points)))
 
     def _unit(self, points: Tensor) -> Tensor:
-        """World points (P, 3) → (P, 3) in [0, 1], as the field sees them."""
+        """Map world points (P, 3) to the field's coordinates (P, 3) in [0, 1]."""
         box = self.space.points(points.to(self.device, torch.float32))
         cells = self.occupancy.cells
         low, sides = (torch.from_numpy(v).to(box) for v in (cells.origin, cells.voxel * np.array(cells.size)))
@@ -253,7 +255,7 @@ class Hash(Defaults, HashStages):
     def frozen(self) -> Hash:
         copy = object.__new__(Hash)
         copy.__dict__ |= self.__dict__
-        copy.field = copy.shown = deepcopy(self.shown)
+        copy.field = copy.ema_field = deepcopy(self.ema_field)
         copy.fixed = None
         copy.occupancy = Occupancy(self.occupancy.cells, self.config.empty, self.config.decay)
         return copy
@@ -263,11 +265,11 @@ class Hash(Defaults, HashStages):
 
     def state(self) -> dict[str, Tensor]:
         state = {f"field.{k}": v for k, v in self.field.state_dict().items()}
-        state |= {f"shown.{k}": v for k, v in self.shown.state_dict().items()}
+        state |= {f"shown.{k}": v for k, v in self.ema_field.state_dict().items()}
         return state | adam_state(self.optimizer) | {
             "table_mean": self.moments[0], "table_square": self.moments[1], "absorbed": self.occupancy.absorbed,
             "occupied": self.occupancy.cells.occupied, "updates": torch.tensor(self.updates),
-            "needed": torch.tensor(self.needed, dtype=torch.float64), "generator": self.generator.get_state(),
+            "needed": torch.tensor(self.samples_per_ray, dtype=torch.float64), "generator": self.generator.get_state(),
         }  # fmt: skip
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
@@ -279,9 +281,9 @@ class Hash(Defaults, HashStages):
         updates, needed = int(state["updates"]), float(state["needed"])
         if updates < 0 or not 1 <= needed < 1e9:
             raise ValueError("the progress of training is not of the kind that is written")
-        self.fixed = None  # what it recorded writes to the optimiser's old moments
+        self.fixed = None  # its recording writes to the optimiser's old moments
         self.table_gradient.zero_()
-        for own, name in ((self.field, "field"), (self.shown, "shown")):
+        for own, name in ((self.field, "field"), (self.ema_field, "shown")):
             own.load_state_dict({k: state[f"{name}.{k}"] for k in own.state_dict()})
         load_adam(self.optimizer, self.field.networks(), state)
         for own, name in zip(self.moments, ("table_mean", "table_square"), strict=True):
@@ -289,5 +291,5 @@ class Hash(Defaults, HashStages):
         self.occupancy.absorbed.copy_(state["absorbed"])
         c = self.occupancy.cells
         self.occupancy.cells = Cells.of(c.origin, c.voxel, state["occupied"].to(self.device, copy=True), c.contracted)
-        self.updates, self.needed = updates, needed
+        self.updates, self.samples_per_ray = updates, needed
         self.generator.set_state(state["generator"].cpu())

@@ -1,4 +1,4 @@
-"""The constants of the paper's network and of its training, whatever places its samples."""
+"""The constants of the paper's network and of its training, for all methods that use it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class MlpConfig:
     """Defaults: the official configuration for Blender scenes (arXiv:2003.08934 and its code)."""
 
     rays: int = constant(1024, "rays per step", least=1, most=2**22)
-    # 2³¹ times a coordinate is past what float32 can tell apart
+    # float32 cannot resolve a coordinate times 2³¹
     position_frequencies: int = constant(10, "frequencies of the encoding of positions, L in Eq. 4", most=32)
     direction_frequencies: int = constant(4, "frequencies of the encoding of directions", most=32)
     include_input: bool = constant(True, "whether the encoding keeps the bare coordinates too")

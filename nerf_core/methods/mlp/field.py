@@ -1,4 +1,4 @@
-"""The paper's network: eight layers for density, one more for colour."""
+"""The paper's network: eight layers for density and one more for colour."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from torch.nn import functional
 
 from nerf_core.volume import encodings
 
-SKIP_AFTER = 4  # the encoded position enters again at the input of the sixth layer, as in the official code
+SKIP_AFTER = 4  # the sixth layer takes the encoded position once more, as in the official code
 
 
 class MlpField(nn.Module):
     """(x, d) → raw density, colour: NeRF, figure 7 (arXiv:2003.08934), with the official code's details.
 
-    Density is linear from the trunk (ReLU at rendering). A feature of the trunk's width without activation, joined
-    by γ(d), feeds one ReLU layer of half the width, then sigmoid RGB. Without view directions colour is linear
-    from the trunk. 595,844 parameters at the official size.
+    Density is a linear output of the trunk; rendering applies the ReLU. A feature vector of the trunk's width, without
+    activation, and γ(d) feed one ReLU layer of half the width, and a sigmoid gives RGB. Without view directions colour
+    is a linear output of the trunk. The official size has 595,844 parameters.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class MlpField(nn.Module):
         self.rgb = nn.Linear(width // 2 if view_directions else width, 3)
 
     def initialise(self, generator: torch.Generator) -> None:
-        """Glorot-uniform weights and zero biases, as the official Keras layers have."""
+        """Initialise weights Glorot-uniformly and biases with 0, like the official Keras layers."""
         for layer in self.modules():
             if isinstance(layer, nn.Linear):
                 bound = (6 / (layer.in_features + layer.out_features)) ** 0.5
@@ -57,18 +57,20 @@ class MlpField(nn.Module):
                     layer.bias.zero_()
 
     def encode_directions(self, directions: Tensor) -> Tensor:
-        """γ(d): unit (R, 3) → (R, D)."""
+        """Encode unit directions (R, 3) as γ(d) (R, D)."""
         return encodings.frequency(directions, self.direction_frequencies, self.include_input, self.pi)
 
     def encode_positions(self, x: Tensor) -> Tensor:
-        """γ(x): (P, 3) → (P, E)."""
+        """Encode positions (P, 3) as γ(x) (P, E)."""
         return encodings.frequency(x, self.position_frequencies, self.include_input, self.pi)
 
     def geometry(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """x (P, 3) → raw density (P,) float32, trunk output (P, width) in the compute precision."""
+        """Return raw density (P,) in float32 and the trunk's output (P, width) in compute precision, at x (P, 3)."""
         with self._autocast():
             encoded = self.encode_positions(x)
-            if self.position_frequencies:  # 8 bits hold sines and cosines, but not bare coordinates
+            if (
+                self.position_frequencies
+            ):  # bfloat16's 8 bits hold sines and cosines well enough, but not bare coordinates
                 encoded = encoded.to(self.precision)
             h = encoded[:, :0]
             for i, layer in enumerate(self.trunk):
@@ -77,7 +79,7 @@ class MlpField(nn.Module):
             return self.density(h).squeeze(-1).float(), h
 
     def _joined(self, layer: nn.Module, encoded: Tensor, h: Tensor) -> Tensor:
-        """A layer that the encoded position enters, in front of the trunk's h; in float32 where that is float32."""
+        """A layer over the encoded position and the trunk's h. The position's part is in float32 if `encoded` is."""
         assert isinstance(layer, nn.Linear)
         if encoded.dtype == self.precision:
             return layer(torch.cat([encoded, h], -1) if h.shape[1] else encoded)
@@ -88,7 +90,7 @@ class MlpField(nn.Module):
         return (exact + rest).to(self.precision)
 
     def color(self, trunk: Tensor, encoded_directions: Tensor) -> Tensor:
-        """Trunk output (P, width), γ(d) (P, D) → sRGB-encoded colour (P, 3) in [0, 1], float32."""
+        """Return sRGB-encoded colours (P, 3) in [0, 1], float32, from the trunk's output (P, width) and γ(d) (P, D)."""
         with self._autocast():
             if self.feature is not None and self.branch is not None:
                 joined = torch.cat([self.feature(trunk), encoded_directions.to(self.precision)], -1)
@@ -96,9 +98,9 @@ class MlpField(nn.Module):
             return torch.sigmoid(self.rgb(trunk).float())
 
     def colors(self, trunk: Tensor, encoded_directions: Tensor) -> Tensor:
-        """`color` of every point with every direction: (P, width), (K, D) → (P, K, 3).
+        """Return `color` of every point in every direction: (P, width), (K, D) → (P, K, 3).
 
-        The branch layer is linear before its ReLU, so that its two inputs' parts are computed once each, and added.
+        The branch layer is linear before its ReLU, so that the parts of its two inputs are computed once and added.
         """
         with self._autocast():
             if self.feature is None or self.branch is None:
@@ -110,7 +112,7 @@ class MlpField(nn.Module):
         return torch.sigmoid(self.rgb(functional.relu(of_points[:, None] + of_directions)))
 
     def forward(self, x: Tensor, encoded_directions: Tensor) -> tuple[Tensor, Tensor]:
-        """x (P, 3), γ(d) (P, D) → raw density (P,), colour (P, 3)."""
+        """Return raw density (P,) and colours (P, 3) at x (P, 3) for γ(d) (P, D)."""
         raw, trunk = self.geometry(x)
         return raw, self.color(trunk, encoded_directions)
 

@@ -1,4 +1,4 @@
-"""The paper's networks with their optimiser, and rays as the networks see them; methods differ in placing samples."""
+"""The paper's networks with their optimiser, shared by the methods that use them; methods differ in placing samples."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from nerf_core.methods.stages import BarCode, Stage, triple
 
 
 class Parametrised(NamedTuple):
-    """Rays in the space that the network sees: x = origins + u · directions, u in [near, far]; see `Ndc`."""
+    """Rays in the coordinates of the network: x = origins + u · directions with u in [near, far]; see `Ndc`."""
 
     origins: Tensor
     directions: Tensor
     near: Tensor
     far: Tensor
-    length: Tensor  # of `directions`: what turns steps of u into δ
-    exists: Tensor  # rays that never enter the frustum of NDC show background
+    length: Tensor  # length of `directions`; it turns steps of u into δ
+    exists: Tensor  # False for rays that never enter the frustum of NDC; they show the background
     encoded: Tensor  # γ(d)
 
 
 class MlpModel(Defaults):
-    """Networks by name, the last one making the picture. `config`: some `MlpConfig`."""
+    """Networks by name; the last one draws the picture. `config` is an `MlpConfig`."""
 
     def __init__(
         self, scene: Scene, config: Any, device: torch.device, generator: torch.Generator, names: Sequence[str]
@@ -46,7 +46,9 @@ class MlpModel(Defaults):
         self.optimizer = torch.optim.Adam(
             self.parameters(), lr=config.learning_rate, eps=config.adam_epsilon, fused=True
         )
-        for parameter in self.parameters():  # Adam skips what has no gradient: a resumed run must not differ by that
+        for parameter in (
+            self.parameters()
+        ):  # Adam skips parameters without a gradient; with zeros a resumed run does the same as the first
             parameter.grad = torch.zeros_like(parameter)
 
     def _network(self, start: torch.Generator) -> MlpField:
@@ -61,7 +63,7 @@ class MlpModel(Defaults):
 
     @property
     def final(self) -> MlpField:
-        """The network that makes the picture."""
+        """The network that draws the picture."""
         return list(self.networks.values())[-1]
 
     def parametrise(self, rays: Rays) -> Parametrised:
@@ -74,7 +76,7 @@ class MlpModel(Defaults):
         return Parametrised(origins, directions, first, one, directions.norm(dim=-1), exists, encoded)
 
     def begin_step(self, step: int, steps: int | None) -> None:
-        """Gradients cleared, the learning rate where its exponential decay has it."""
+        """Clear gradients and set the learning rate of the exponential decay."""
         rate = self.config.learning_rate * self.config.decay ** (step / (steps or self.config.decay_steps))
         for group in self.optimizer.param_groups:
             group["lr"] = rate
@@ -82,7 +84,7 @@ class MlpModel(Defaults):
 
     @torch.no_grad()
     def radiance(self, points: Tensor, directions: Tensor) -> Tensor:
-        """The trunk once a point, then only the view branch over the directions (K, 3)."""
+        """Return colours (P, K, 3): the trunk is evaluated once per point, and the view branch for each direction."""
         _, trunk = self.final.geometry(self._seen(points))
         encoded = self.final.encode_directions(directions.to(self.device, torch.float32))
         return self.final.colors(trunk, encoded)
@@ -92,35 +94,35 @@ class MlpModel(Defaults):
         return torch.relu(self.final.geometry(self._seen(points))[0])
 
     def _seen(self, points: Tensor) -> Tensor:
-        """World points (P, 3) as the networks see them."""
+        """Map world points (P, 3) to the networks' coordinates (P, 3)."""
         x = points.to(self.device, torch.float32)
         return x if self.ndc is None else self.ndc.point(x)
 
     @torch.no_grad()
     def code_stage(self, rays: Rays, samples: Samples) -> Stage:
-        """γ at the heaviest of the first ray's samples: what the network is given of it."""
+        """The encoding γ of the first ray's sample with the largest weight: the input of the network."""
         strongest = int(samples.weights[0].argmax())
         point = (rays.origins + samples.t[:1, strongest, None].to(rays.origins) * rays.directions).to(self.device)
         x, field = self._seen(point), self.final
         position = field.encode_positions(x)[0].float().cpu().numpy()
         direction = self.parametrise(rays.to(self.device)).encoded[0].float().cpu().numpy()
         codes = {"γ(x)": position, "γ(d)": direction} if self.config.view_directions else {"γ(x)": position}
-        what = "The network is given bare coordinates, without sines and cosines: near points look alike to it. "
+        what = "The network gets bare coordinates, without sines and cosines: near points look alike to it. "
         if self.config.position_frequencies:
-            what = ("The network is not given bare coordinates: γ adds sines and cosines of doubling frequency, so "
+            what = ("The network does not get bare coordinates: γ adds sines and cosines of doubling frequency, so "
                     "that near points look different to it. ")  # fmt: skip
         return Stage(
             "Encoding",
             what
             + "Here the heaviest sample's place x"
-            + (", and the direction d." if self.config.view_directions else "; of the direction it is told nothing."),
+            + (", and the direction d." if self.config.view_directions else "; it gets no direction."),
             (BarCode(tuple(codes), tuple(codes.values()), max(float(np.abs(code).max()) for code in codes.values())),),
             (("x", triple(x[0].cpu().numpy())), ("numbers", " + ".join(str(len(code)) for code in codes.values()))),
         )
 
     @property
     def towards(self) -> str:
-        """Whom the network's colours are for."""
+        """The words that say for whom the network's colours are."""
         return "towards the camera" if self.config.view_directions else "to all sides"
 
     def frozen(self) -> Self:
@@ -141,5 +143,7 @@ class MlpModel(Defaults):
             net.load_state_dict({k: state[f"{name}.{k}"] for k in net.state_dict()})
         load_adam(self.optimizer, self.parameters(), state)
         generator = state["generator"].cpu()
-        if len(generator) == len(self.generator.get_state()):  # else of another kind of device: draws begin at the seed
+        if len(generator) == len(
+            self.generator.get_state()
+        ):  # a state from another kind of device does not fit: the generator then starts at the seed
             self.generator.set_state(generator)

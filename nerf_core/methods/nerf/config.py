@@ -1,4 +1,4 @@
-"""Every constant of the paper's method, its official values, and the presets that change a few of them."""
+"""The constants of the paper's method, their official values, and presets that change a few of them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from nerf_core.methods.mlp.config import MlpConfig
 
 @dataclass(frozen=True)
 class NerfConfig(MlpConfig):
-    """The paper's network and how it places samples; the official values for Blender scenes."""
+    """The paper's network and its placement of samples, with the official values for Blender scenes."""
 
     coarse_samples: int = constant(64, "samples per ray of the coarse network, N_c", least=3, most=2**14)
     fine_samples: int = constant(
@@ -33,10 +33,10 @@ class NerfConfig(MlpConfig):
 
     @staticmethod
     def configure(scene: Scene, preset: str, changes: Mapping[str, str], device: torch.device) -> NerfConfig:
-        """Official values for this kind of scene, then the preset's, then `changes` ({"rays": "256"})."""
+        """Start with the official values for this kind of scene, then apply the preset, then `changes`."""
         config = NerfConfig()
         if not scene.synthetic:
-            # LLFF's official configuration; other captures of real photos have none of their own
+            # LLFF's official configuration; there is none for other captures of real photos
             config = replace(
                 config, rays=4096, one_image=False, decay_steps=250_000, total_steps=200_000, density_noise=1.0
             )
@@ -50,7 +50,7 @@ class NerfConfig(MlpConfig):
         return restored(NerfConfig, config, "nerf")
 
 
-# The rows of the ablation table (NeRF, table 2) differ from the complete model in nothing but what they say.
+# The rows of the ablation table (NeRF, table 2). Each differs from the complete model only in what its name says.
 PRESETS: dict[str, dict[str, Any]] = {
     "complete": {},
     "no-pe-viewdirs-hierarchy": {
@@ -63,9 +63,9 @@ PRESETS: dict[str, dict[str, Any]] = {
     "fewer-images": {"train_images": 50},
     "fewer-frequencies": {"position_frequencies": 5, "direction_frequencies": 2},
     "more-frequencies": {"position_frequencies": 15, "direction_frequencies": 6},
-    # Not of the table: the same method, smaller, where a machine does hundreds of rays a second of the whole model.
-    # In its first minutes it gains most from many small steps over all photos; half the width and fewer samples give
-    # three times as many.
+    # Not a row of the table: the same method made smaller, for machines that trace only hundreds of rays a second with
+    # the complete model. In the first minutes many small steps over all photos help most; half the width and fewer
+    # samples allow three times as many steps.
     "quick": {
         "width": 128, "coarse_samples": 24, "fine_samples": 32, "rays": 64, "chunk_rays": 64, "one_image": False,
         "learning_rate": 1.5e-3,
@@ -75,7 +75,7 @@ PRESETS: dict[str, dict[str, Any]] = {
 
 
 def preset_name(preset: str, device: torch.device) -> str:
-    """`auto` is "complete" on CUDA and "quick" on a CPU, where the official batch takes seconds a step."""
+    """Replace `auto` by "complete" on CUDA and by "quick" on a CPU, where the official batch takes seconds a step."""
     if preset == "auto":
         return "complete" if device.type == "cuda" else "quick"
     if preset not in PRESETS:

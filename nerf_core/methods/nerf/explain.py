@@ -34,13 +34,13 @@ class NerfStages(MlpModel):
         stages = [
             Stage(
                 "Stratified samples",
-                f"{u.shape[1]} depths, evenly spaced in {spacing}. In training each is drawn anew from its bin, so "
-                "that in the long run every depth is looked at; for a picture they stay where they are here.",
+                f"{u.shape[1]} depths, evenly spaced in {spacing}. In training each is drawn at random from its bin, "
+                "so that in time every depth is sampled; for a picture they stay where they are here.",
                 (Marks(world(u), world(edges)),),
             ),
             self.code_stage(rays, passes[0]),
-            field_stage(passes[0], "A network is asked at every sample: how dense is it there, and which colour "
-                          f"does it emit {self.towards}?"),
+            field_stage(passes[0], "The coarse network gives every sample a density and the colour that it "
+                          f"emits {self.towards}."),
             absorption_stage(passes[0]),
         ]  # fmt: skip
         if len(passes) > 1:
@@ -51,16 +51,14 @@ class NerfStages(MlpModel):
             stages += [
                 Stage(
                     "Resampling",
-                    f"The coarse weights, made a PDF, say where {count} more samples are worth it: evenly spaced "
-                    "levels (random ones in training), sent through the inverse of its sum, fall where that climbs.",
+                    f"The coarse weights, normalised to a PDF, place {count} more samples. Evenly spaced levels "
+                    "(random in training) go through the inverse of its CDF; most fall where the CDF is steep.",
                     (
                         Stems("PDF, a bin's share", world((middle[:, 1:] + middle[:, :-1]) / 2), np.diff(cdf)),
                         Transfer(world(middle), cdf, levels, world(draws)),
                     ),
                 ),
-                field_stage(
-                    passes[1], "The fine network is asked at all samples, old and new.", "Fine density, colour"
-                ),
+                field_stage(passes[1], "The fine network evaluates all samples, old and new.", "Fine density, colour"),
                 absorption_stage(passes[1], "Fine α, T and w"),
             ]
         return tuple(stages)

@@ -20,18 +20,18 @@ from nerf_core.methods.nerf.explain import NerfStages
 from nerf_core.volume.compositing import absorb, composite, expected_depth
 from nerf_core.volume.sampling import inverse_transform, spaced, stratified
 
-# A gradient is needed only where it is not zero. Behind ReLU, empty space has none: when less than this share of
-# samples is alive, evaluating everything without a graph and the living again with one is cheaper than one dense
-# pass (forward : backward = 1 : 2, hence 1 + 3f < 3).
+# Samples of density 0 have no gradient, because of the ReLU; the others are called alive. If less than this share f is
+# alive, it is cheaper to evaluate all samples without a graph and the living ones again with one than to make one dense
+# pass (a backward pass costs two forward passes, hence 1 + 3f < 3).
 SPARSE_BELOW = 0.6
-# Their number is rounded up to a multiple of this: oneDNN compiles a kernel for every number of rows it has not seen,
-# which takes longer than to run it.
+# The number of living samples is rounded up to a multiple of this, because oneDNN compiles a kernel for every new
+# number of rows, which takes longer than running it.
 BLOCK = 256
-TILE_PRODUCTS = 2.5e9  # multiplications of one tile on a CPU: some 10 ms on two cores that are fast at bfloat16
+TILE_PRODUCTS = 2.5e9  # multiplications of one tile on a CPU: about 10 ms on two cores that are fast at bfloat16
 
 
 class _Pass(NamedTuple):
-    """One network along R rays: parameters u, and what was composited."""
+    """One network along R rays: the parameters u of its samples, and what was composited."""
 
     name: str
     u: Tensor
@@ -45,7 +45,7 @@ class _Pass(NamedTuple):
 
 @METHODS.register("nerf")
 class Nerf(NerfStages):
-    """The published method, complete; on a CPU its matrix products run in bfloat16 where that is fast."""
+    """The published method. On a CPU its matrix products run in bfloat16 if that is fast there."""
 
     summary: ClassVar[str] = (
         "The paper's NeRF (2020): two MLPs, every sample through a network; slow, and the reference."
@@ -69,10 +69,10 @@ class Nerf(NerfStages):
         self._alive = dict.fromkeys(self.networks, 1.0)
 
     def _fitting_tile(self) -> int:
-        """As many rays as make products large enough for the device to be fast, and small enough to be done soon."""
+        """The number of rays whose matrix products are large enough to be efficient and small enough to end soon."""
         if self.device.type != "cpu":
             return 4096
-        # a sample takes about as many multiplications as its network has weights
+        # a sample takes about as many multiplications as the network has weights
         ray = sum(self._samples(name) * sum(p.numel() for p in net.parameters()) for name, net in self.networks.items())
         return 2 ** int(min(max(math.log2(TILE_PRODUCTS / ray), 3), 9))
 
@@ -83,7 +83,7 @@ class Nerf(NerfStages):
         return stratified(u, self.generator) if random else u
 
     def _fine_u(self, coarse_u: Tensor, weights: Tensor, random: bool) -> Tensor:
-        """The sorted union of the coarse depths and N_f draws from their weights (ends left out, as in the code)."""
+        """Merge and sort the coarse depths and N_f draws from their weights (without the end bins, as in the code)."""
         middle = (coarse_u[:, 1:] + coarse_u[:, :-1]) / 2
         draws = inverse_transform(
             middle, weights[:, 1:-1], self.config.fine_samples, self.generator if random else None
@@ -93,7 +93,7 @@ class Nerf(NerfStages):
     # ---- evaluating -----------------------------------------------------------------------------------------------
 
     def _field(self, name: str, p: Parametrised, u: Tensor, index: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """Raw density (P,) and colour (P, 3) at all samples u (R, S), or at the flat `index` of some."""
+        """Raw density (P,) and colour (P, 3) at the samples u (R, S), or only at those of the flat `index`."""
         samples = u.shape[1]
         x = (p.origins[:, None] + u[..., None] * p.directions[:, None]).flatten(0, 1)
         if index is None:
@@ -123,7 +123,7 @@ class Nerf(NerfStages):
     def train(
         self, rays: Rays, truth: Tensor, step: int, steps: int | None, yield_callback: Callable[[], None]
     ) -> float:
-        """Loss: MSE of the coarse colour plus MSE of the fine one; Adam under an exponential decay."""
+        """Make one step: MSE of the coarse colour plus MSE of the fine colour, Adam with an exponential decay."""
         self.begin_step(step, steps)
         scale = 1 / truth.numel()
         error, alive = self._gradients(rays, truth, scale, yield_callback)
@@ -135,7 +135,7 @@ class Nerf(NerfStages):
     def _gradients(
         self, rays: Rays, truth: Tensor, scale: float, yield_callback: Callable[[], None]
     ) -> tuple[Tensor, dict[str, int]]:
-        """Add up the gradient over all chunks; returns the summed squared error and how many samples were alive."""
+        """Add up the gradient over all chunks. Returns the summed squared error and the number of living samples."""
         error = torch.zeros((), device=self.device)
         alive = dict.fromkeys(self.networks, 0)
         for start in range(0, len(rays), self.config.chunk_rays):
@@ -148,13 +148,13 @@ class Nerf(NerfStages):
                 weights, squared, living = self._supervise(name, p, u, truth[chunk], scale)
                 alive[name] += living
                 yield_callback()
-            error = error + squared  # of the last network: the one that makes the picture
+            error = error + squared  # after the loop, of the last network, which draws the picture
         return error, alive
 
     def _supervise(
         self, name: str, p: Parametrised, u: Tensor, truth: Tensor, scale: float
     ) -> tuple[Tensor, Tensor, int]:
-        """Add one network's gradient of the loss; returns weights, summed squared error, number of living samples."""
+        """Add one network's gradient of the loss. Returns weights, summed squared error, number of living samples."""
         dense = self._alive[name] >= SPARSE_BELOW
         with torch.set_grad_enabled(dense):
             raw, rgb = self._field(name, p, u)
@@ -166,7 +166,7 @@ class Nerf(NerfStages):
         living = ((raw_grad != 0) | (rgb_grad != 0).any(-1)).nonzero().squeeze(-1)
         alive = len(living)
         if not dense and alive:
-            living = functional.pad(living, (0, -alive % BLOCK))  # samples that are there again, without a gradient
+            living = functional.pad(living, (0, -alive % BLOCK))  # pads with repeated samples that get no gradient
             raw, rgb = self._field(name, p, u, living)
             raw_grad, rgb_grad = raw_grad[living], rgb_grad[living]
             raw_grad[alive:], rgb_grad[alive:] = 0, 0
@@ -187,7 +187,7 @@ class Nerf(NerfStages):
 
     @torch.no_grad()
     def _tile(self, rays: Rays, quality: str) -> Trace:
-        """At most `tile` rays, always evaluated as a full tile: what a pixel is does not depend on its neighbours."""
+        """Evaluate at most `tile` rays, always as a full tile, so that a pixel does not depend on its neighbours."""
         count = len(rays)
         padded = rays.to(self.device).padded(self.tile)
         p = self.parametrise(padded)
@@ -201,7 +201,7 @@ class Nerf(NerfStages):
             passes.append(self._composite(name, p, u, *self._field(name, p, u), noise=False))
         color, opacity = composite(passes[-1].weights, passes[-1].rgb, self.background)
         depth = expected_depth(passes[-1].weights, passes[-1].u)
-        if self.ndc is not None:  # averaged in t′, then mapped
+        if self.ndc is not None:  # the mean is taken in t′, then mapped to the world
             depth = self.ndc.world_t(padded.origins, padded.directions, depth[:, None])[:, 0]
         samples = tuple(self._exported(done, padded, count) for done in passes)
         return Trace(Rendering(color[:count], opacity[:count], depth[:count]), samples)

@@ -15,7 +15,7 @@ from nerf_core.geometry.scene import Scene
 
 @dataclass(frozen=True)
 class VoxelConfig:
-    """The grid becomes finer level by level; photos shrink along with it."""
+    """The grid becomes finer level by level, and the photos are shrunk to match it."""
 
     rays: int = constant(12288, "rays per step", least=1, most=2**22)
     first_rays: int = constant(
@@ -62,7 +62,9 @@ class VoxelConfig:
         if preset != "auto":
             raise UserError(f"--preset {shorten(preset)}: method voxels has none but auto; change constants with --set")
         config = VoxelConfig()
-        if not scene.synthetic:  # places fill the space that an object leaves empty, and fewer rays tell about a part
+        if (
+            not scene.synthetic
+        ):  # a place fills space that is empty around an object, so that each part of it is seen by fewer rays
             config = replace(config, prune=0.02, smoothness=1e-4, step=1.0)
         return changed(config, changes, "voxels")
 

@@ -1,4 +1,4 @@
-"""What happens to one ray in the voxel grid, with its own values."""
+"""The stages of one ray through the voxel grid."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from nerf_core.volume.voxel_grid import DENSITY
 
 @torch.no_grad()
 def explain(model: VoxelModel, rays: Rays) -> tuple[Stage, ...]:
-    """The stages of one ray through the grid: skipped space, blending, colour, density, compositing."""
+    """Return the stages: skipped space, blending, colour, density, compositing."""
     samples = model.trace(rays).passes[0]
     count = 0 if samples.count is None else int(samples.count[0])
     skipped = skipped_stage(samples, model.grid, model.config.step)
@@ -34,8 +34,8 @@ def explain(model: VoxelModel, rays: Rays) -> tuple[Stage, ...]:
     corners = torch.cartesian_prod(*[torch.arange(2)] * 3)
     weights = torch.where(corners == 1, within, 1 - within).prod(-1).numpy()
     index = model.grid.row_of(cell + corners)
-    raw = torch.where(index >= 0, model.average[index.clamp(min=0), DENSITY], 0).numpy()
-    row, d = model.shown.interpolate(cell, within)[0], rays.directions
+    raw = torch.where(index >= 0, model.ema_rows[index.clamp(min=0), DENSITY], 0).numpy()
+    row, d = model.ema_grid.interpolate(cell, within)[0], rays.directions
     basis = model.basis(d)[0].numpy()
     coefficients = row[:DENSITY].view(3, 4).numpy()
     return (
@@ -43,7 +43,7 @@ def explain(model: VoxelModel, rays: Rays) -> tuple[Stage, ...]:
         Stage(
             "Grid",
             "The heaviest sample lies in a cell whose 8 corners each hold a raw density s and coefficients of "
-            "colour. They are blended by how near the sample is to each.",
+            "colour. Corners count more the nearer the sample is to them.",
             (BarCode(("blend", "s"), (weights, raw), max(1.0, float(np.abs(raw).max()))),),
             (("cell", ", ".join(str(v) for v in cell[0].tolist())),
              ("density", f"softplus({number(float(row[DENSITY]))} + {number(model.config.bias)})")),
@@ -56,7 +56,7 @@ def explain(model: VoxelModel, rays: Rays) -> tuple[Stage, ...]:
              Colors(("towards this camera",), torch.sigmoid(torch.from_numpy(coefficients @ basis))[None].numpy())),
         ),
         field_stage(
-            samples, f"At each of its {count} samples the grid is looked up like this: there is no network to ask."
+            samples, f"The grid is looked up like this at all {count} samples; there is no network."
         ),
         absorption_stage(samples),
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""A grid of density and spherical-harmonic colour, trained directly: `nerf_core.methods.voxels.model`, as a method."""
+"""The voxel method: the grid of `nerf_core.methods.voxels.model` as a registered method."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from nerf_core.methods.voxels.model import VoxelModel
 
 @METHODS.register("voxels")
 class Voxels(VoxelModel):
-    """See the module."""
+    """The voxel method; see `VoxelModel`."""
 
     summary: ClassVar[str] = "A voxel grid with view-dependent colour, trained directly: seconds on a CPU."
 

@@ -1,16 +1,15 @@
 """A grid of density and spherical-harmonic colour, trained directly, coarse to fine: fast on a plain CPU.
 
-An "RGBα volume" carried to its end. Every vertex of the occupied cells holds a raw density s and, for each
-colour channel, the four coefficients k of spherical harmonics up to degree 1. Between vertices they are interpolated
-trilinearly; then σ = softplus(s + bias), c(d) = sigmoid(Σ_b k_b Y_b(d)), and pixels follow from volume rendering (NeRF
-Eq. 3). There is no network: a sample touches 8 rows, and so does its gradient. Close relatives are Plenoxels
-(arXiv:2112.05131) and DVGO (arXiv:2111.11215).
+Every vertex of the occupied cells holds a raw density s and, for each colour channel, the four coefficients k of
+spherical harmonics up to degree 1. They are interpolated trilinearly between vertices. Then σ = softplus(s + bias) and
+c(d) = sigmoid(Σ_b k_b Y_b(d)), and volume rendering gives the pixel (NeRF Eq. 3). There is no network: a sample reads 8
+rows, and its gradient changes the same 8. Plenoxels (arXiv:2112.05131) and DVGO (arXiv:2111.11215) are similar.
 
-Pictures show each row's average over its last steps (Polyak and Juditsky 1992), in which the noise of single batches
-has settled.
+Pictures show an EMA (exponential moving average) of the rows, in which the noise of single batches averages out (Polyak
+and Juditsky 1992).
 
-Training begins on a coarse grid and shrunken photos. When a level is done, cells that absorb no light are dropped, the
-others are divided, and a finer level begins: time goes where surfaces are.
+Training begins with a coarse grid and shrunken photos. At the end of a level, cells that absorb no light are dropped
+and the others are divided for the next, finer level. So the time is spent where surfaces are.
 """
 
 from __future__ import annotations
@@ -36,17 +35,22 @@ from nerf_core.volume.cells import grow
 from nerf_core.volume.packed import to_trace
 from nerf_core.volume.voxel_grid import BRICK, DENSITY, ROWS, VoxelGrid, bricks_of
 
-PIECE = 4096  # rays between two calls of the yield callback: some 5 ms on two cores
-BRICKS = 2048  # of a new grid between two calls of the yield callback: some 10 ms on two cores
+PIECE = 4096  # rays between two calls of the yield callback: about 5 ms on two cores
+BRICKS = 2048  # bricks of a new grid between two calls of the yield callback: about 10 ms on two cores
 TILE = 8192
-SHORTEST_LEVEL = 1.25  # a last level that is less finer than the one before is not worth a refinement
-SMALLEST = 1e-5  # a cell's side, as a share of the box: finer than any configuration allows
+SHORTEST_LEVEL = 1.25  # the last level must be finer than the one before by at least this factor
+SMALLEST = 1e-5  # a cell's side as a share of the box: no configuration allows smaller ones
 YOUNG = 4.0  # early in a level, at its step k, average only the last k/YOUNG steps: older rows are outdated
 SH = (0.28209479, 0.48860251)  # 1/√4π, √(3/4π): real spherical harmonics of degree 0 and 1
 
 
 class Level(NamedTuple):
-    """scale: how many times larger its cells are than the finest. begin: its first step. shrink: of photos."""
+    """A level of the grid.
+
+    scale: how many times larger its cells are than the finest.
+    begin: its first step.
+    shrink: photos are averaged over shrink × shrink pixels.
+    """
 
     scale: float
     begin: int
@@ -54,10 +58,10 @@ class Level(NamedTuple):
 
 
 class VoxelModel(Defaults):
-    """See the module."""
+    """The voxel grid with its optimiser; see the module."""
 
     def __init__(self, scene: Scene, config: VoxelConfig, device: torch.device, seed: int) -> None:
-        # on a CPU whatever the device: its kernels are made for one
+        # on a CPU whatever the device, because the fast kernels run on a CPU
         self.config, self.device = config, torch.device("cpu")
         self.space = Space.of(scene)
         self.background = torch.tensor(scene.background)
@@ -78,20 +82,20 @@ class VoxelModel(Defaults):
         everything = torch.ones(*size.tolist(), dtype=torch.bool)
         self.grid = VoxelGrid.over(low, voxel, everything, self.space.kind == "contracted")
         self.moments = torch.zeros_like(self.grid.rows)
-        self.average = self.grid.rows.clone()
-        self.updates = 0  # of Adam since the level began
+        self.ema_rows = self.grid.rows.clone()
+        self.updates = 0  # Adam's updates since the level began
 
     # ---- training ---------------------------------------------------------------------------------------------------
 
     def undo(self, step: int) -> Callable[[], None]:
-        """Drops gradients; if the step begins with a finer level, also brings the coarser one back."""
-        before = self.grid, self.moments, self.average, self.level, self.updates
+        """Return a function that drops gradients, and restores the coarser grid if the step began a new level."""
+        before = self.grid, self.moments, self.ema_rows, self.level, self.updates
         seen = self.kernels.seen(self.grid) if self.level < self._level_at(step) else None
 
         def back() -> None:
             self.kernels.forget()
             if seen is not None:
-                self.grid, self.moments, self.average, self.level, self.updates = before
+                self.grid, self.moments, self.ema_rows, self.level, self.updates = before
                 self.kernels.see(self.grid, seen)
 
         return back
@@ -106,7 +110,10 @@ class VoxelModel(Defaults):
     def train(
         self, rays: Rays, truth: Tensor, step: int, steps: int | None, yield_callback: Callable[[], None]
     ) -> float:
-        """Mean squared error; its gradient is a ray's own, so that Adam's ε means the same for every batch."""
+        """Make one step on the mean squared error.
+
+        Gradients are not divided by the number of rays, so that Adam's ε means the same for every batch size.
+        """
         rays, truth = rays.to(self.device), truth.to(self.device)
         c, error = self.config, 0.0
         while self.level < self._level_at(step):
@@ -124,7 +131,7 @@ class VoxelModel(Defaults):
         correction1, correction2 = (1 / (1 - beta**self.updates) for beta in (c.keep, c.keep_square))
         ema_rate = max(1 - c.average, YOUNG / (YOUNG + self.updates - 1))
         self.kernels.update(
-            self.grid, self.moments, self.average,
+            self.grid, self.moments, self.ema_rows,
             Adam(
                 c.rate_color * slower, c.rate_density * slower, c.keep, c.keep_square,
                 correction1, correction2, c.epsilon, ema_rate,
@@ -134,43 +141,46 @@ class VoxelModel(Defaults):
         return error / (3 * len(rays))
 
     def _drop_cells(self, since: int) -> None:
-        """After so many steps of a level. Nothing abandons it half done."""
-        if self._half_way(since):
-            self._look_anew()  # ignore the first half of a level: it is mostly fog
+        """Drop empty cells at the times of the schedule; `since` is the number of steps in this level.
+
+        No yield callback is called here, so that it is never abandoned half way.
+        """
+        if self._is_half_way(since):
+            self._reset_seen()  # the first half of a level is mostly fog, so that it does not count
         elif self.level == len(self.levels) - 1 and since % self.config.prune_every == 0:
-            cells = self._filled() & self.grid.occupied
-            if cells.any():  # a picture of nothing but background must still be able to change
+            cells = self._seen_cells() & self.grid.occupied
+            if cells.any():  # a picture of pure background must keep cells that can learn
                 self.grid = self.grid.with_cells(cells)
-            self._look_anew()
+            self._reset_seen()
 
     @property
-    def shown(self) -> VoxelGrid:
-        """The grid as pictures show it: its rows' average, in which the noise of single steps has settled."""
-        return replace(self.grid, rows=self.average)
+    def ema_grid(self) -> VoxelGrid:
+        """The grid that pictures show: the EMA of the rows."""
+        return replace(self.grid, rows=self.ema_rows)
 
     def _march(self, offsets: Tensor, smoothness: float = 0.0, threshold: float = 1.0) -> March:
         return March(self.config.step, self.config.bias, self.background, offsets, smoothness, threshold)
 
     # ---- coarse to fine ---------------------------------------------------------------------------------------------
 
-    def _half_way(self, since: int) -> bool:
+    def _is_half_way(self, since: int) -> bool:
         last = self.level == len(self.levels) - 1
         end = self.config.prune_every if last else self.levels[self.level + 1].begin - self.levels[self.level].begin
         return since == end // 2
 
-    def _look_anew(self) -> None:
+    def _reset_seen(self) -> None:
         self.kernels.see(self.grid, torch.zeros(len(self.grid.rows), dtype=torch.bool, device=self.device))
 
-    def _filled(self) -> Tensor:
-        """Cells that were part of some pixel since last asked, and their neighbours."""
+    def _seen_cells(self) -> Tensor:
+        """The cells that were part of a pixel since the last reset, and their neighbours."""
         x, y, z = self.grid.size
         return grow(self.grid.dense(self.kernels.seen(self.grid))[:x, :y, :z])
 
     def _refine(self, yield_callback: Callable[[], None]) -> None:
-        """The next level: a smaller box around what is there, divided into smaller cells."""
+        """Begin the next level: a smaller box around the seen cells, divided into smaller cells."""
         old, level = self.grid, self.levels[self.level + 1]
-        cells = self._filled() & old.occupied
-        if not cells.any():  # nothing learnt yet: begin with everything once more
+        cells = self._seen_cells() & old.occupied
+        if not cells.any():  # nothing has been learnt yet: keep all cells
             cells = old.occupied
         found = cells.nonzero()
         low, high = found.amin(0).numpy(), found.amax(0).numpy() + 1
@@ -186,19 +196,18 @@ class VoxelModel(Defaults):
             if rows <= self.config.most_rows:
                 break
             voxel = voxel * max(1.05, (rows / self.config.most_rows) ** (1 / 3))
-        grid, shown = VoxelGrid.over(origin, voxel, occupied, old.contracted), self.shown
+        grid, shown = VoxelGrid.over(origin, voxel, occupied, old.contracted), self.ema_grid
         ratio = float(np.prod(voxel / old.voxel) ** (1 / 3))
         for first in range(0, grid.bricks, BRICKS):
             yield_callback()
             last = min(first + BRICKS, grid.bricks)
             self.kernels.resample(shown, grid, first, last)
             raw = grid.rows[ROWS * first : ROWS * last, DENSITY]
-            # density is per cell: a smaller one absorbs as much less
-            # 1e-30: what underflows would have no logarithm
+            # density is per cell, so that a smaller cell has less of it; 1e-30 keeps the logarithm finite
             sigma = (functional.softplus(raw + self.config.bias) * ratio).clamp(min=1e-30)
-            raw.copy_(sigma + torch.log(-torch.expm1(-sigma)) - self.config.bias)  # softplus, inverted
+            raw.copy_(sigma + torch.log(-torch.expm1(-sigma)) - self.config.bias)  # the inverse of softplus
         self.level += 1
-        self.grid, self.moments, self.average, self.updates = grid, torch.zeros_like(grid.rows), grid.rows.clone(), 0
+        self.grid, self.moments, self.ema_rows, self.updates = grid, torch.zeros_like(grid.rows), grid.rows.clone(), 0
 
     # ---- rendering --------------------------------------------------------------------------------------------------
 
@@ -208,7 +217,7 @@ class VoxelModel(Defaults):
 
     def _tile(self, rays: Rays) -> Rendering:
         march = self._march(torch.full((len(rays),), 0.5))
-        return self.space.rendering(rays, self.kernels.render(self.shown, self.space.rays(rays), march))
+        return self.space.rendering(rays, self.kernels.render(self.ema_grid, self.space.rays(rays), march))
 
     def trace(self, rays: Rays) -> Trace:
         rays = rays.to(self.device)
@@ -216,11 +225,11 @@ class VoxelModel(Defaults):
         return to_trace("voxels", self.space, rays, found, self.tau(found), found.rgb, found.pixel)
 
     def traced(self, rays: Rays, offsets: Tensor) -> Traced:
-        """The samples of `rays`, the first `offsets` (R,) of a step behind where the box begins."""
-        return self.kernels.trace(self.shown, self.space.rays(rays), self._march(offsets))
+        """Return the samples of `rays`. The first lies `offsets` (R,) of a step behind the box's front."""
+        return self.kernels.trace(self.ema_grid, self.space.rays(rays), self._march(offsets))
 
     def tau(self, found: Traced) -> Tensor:
-        """Optical depths (M,) of samples."""
+        """Return the optical depths (M,) of samples."""
         return functional.softplus(found.raw) * self.config.step
 
     @torch.no_grad()
@@ -231,12 +240,12 @@ class VoxelModel(Defaults):
 
     @staticmethod
     def basis(d: Tensor) -> Tensor:
-        """Y (K, 4) at unit directions (K, 3)."""
+        """Return the spherical harmonics Y (K, 4) at unit directions (K, 3)."""
         return torch.stack([torch.full_like(d[:, 0], SH[0]), SH[1] * d[:, 1], SH[1] * d[:, 2], SH[1] * d[:, 0]], -1)
 
     @torch.no_grad()
     def density(self, points: Tensor) -> Tensor:
-        """0 in cells that no ray looks into."""
+        """Return the density (P,); it is 0 in empty cells, where rays take no samples."""
         rows, cell = self._rows_at(points)
         unit = float(np.prod(self.grid.voxel) ** (1 / 3)) * self.space.extent
         sigma = functional.softplus(rows[:, DENSITY] + self.config.bias) / unit
@@ -245,28 +254,28 @@ class VoxelModel(Defaults):
     def _rows_at(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Interpolated rows (P, 16) at world points (P, 3), and their cells (P, 3)."""
         cell, within = self.grid.cells_of(self.space.points(points.to(self.device, torch.float32)))
-        return self.shown.interpolate(cell, within), cell
+        return self.ema_grid.interpolate(cell, within), cell
 
     # ---- state ------------------------------------------------------------------------------------------------------
 
     def frozen(self) -> Self:
-        """The same picture, whatever training does meanwhile."""
+        """Return a copy whose picture stays the same while training goes on."""
         copy = object.__new__(type(self))
         copy.__dict__ |= self.__dict__
-        copy.average = self.average.clone()
+        copy.ema_rows = self.ema_rows.clone()
         return copy
 
     def parameters(self) -> list[Tensor]:
         return [self.grid.rows]
 
     def finish(self) -> None:
-        """Give up what only training needs: there will be no more."""
-        self.grid = self.shown
-        self.average = self.grid.rows
+        """End training: free everything that pictures do not need."""
+        self.grid = self.ema_grid
+        self.ema_rows = self.grid.rows
         self.moments, self.kernels = self.moments[:0].clone(), voxel_kernels(self.device)
 
     def grid_state(self) -> dict[str, Tensor]:
-        """What pictures need."""
+        """Return the tensors that pictures need, by name."""
         return {f"grid.{k}": v for k, v in self.grid.state().items()}
 
     def state(self) -> dict[str, Tensor]:
@@ -274,13 +283,13 @@ class VoxelModel(Defaults):
         return (
             self.grid_state()
             | {k: torch.tensor(v) for k, v in numbers.items()}
-            | {"moments": self.moments, "average": self.average}
+            | {"moments": self.moments, "average": self.ema_rows}
             | {"seen": self.kernels.seen(self.grid), "generator": self.generator.get_state()}
         )
 
     def load_grid(self, state: Mapping[str, Tensor]) -> None:
         self.grid = self._restored(state)
-        self.average = self.grid.rows
+        self.ema_rows = self.grid.rows
 
     def _restored(self, state: Mapping[str, Tensor]) -> VoxelGrid:
         grid = VoxelGrid.restored(
@@ -302,14 +311,14 @@ class VoxelModel(Defaults):
             raise ValueError("what was seen does not fit the voxel grid")
         if not 0 <= level < len(self.levels) or int(state["updates"]) < 0:
             raise ValueError(f"level {level} of {len(self.levels)}, {int(state['updates'])} updates")
-        self.grid, self.moments, self.average = grid, *(torch.empty_like(v).copy_(v) for v in (moments, average))
+        self.grid, self.moments, self.ema_rows = grid, *(torch.empty_like(v).copy_(v) for v in (moments, average))
         self.kernels.see(self.grid, state["seen"])
         self.level, self.updates = level, int(state["updates"])
         self.generator.set_state(state["generator"])
 
 
 def finest_cells(scene: Scene, space: Space, c: VoxelConfig) -> np.ndarray:
-    """Sides (3,) of the finest cells in box coordinates: `pixels` pixels of a photo, as seen at the scene's centre."""
+    """Return the sides (3,) of the finest cells in box coordinates: `pixels` photo pixels at the scene's centre."""
     cameras = [scene.views[i].camera for i in scene.split("train")]
     if space.kind == "ndc":
         width, height = (max(getattr(v, side) for v in cameras) for side in ("width", "height"))
@@ -320,7 +329,7 @@ def finest_cells(scene: Scene, space: Space, c: VoxelConfig) -> np.ndarray:
 
 
 def planned(scene: Scene, space: Space, c: VoxelConfig, finest: np.ndarray) -> list[Level]:
-    """From `start` cells to the finest in steps of `growth`, the last one as large as it must be."""
+    """Return the levels: from `start` cells to the finest ones in steps of `growth`, and the last step as needed."""
     coarsest = (space.high - space.low).max() / c.start / finest.min()
     count = max(0, math.ceil(math.log(max(coarsest, 1) / SHORTEST_LEVEL) / math.log(c.growth)))
     levels, begin, steps = [], 0, float(c.level_steps)

@@ -213,7 +213,7 @@ def test_the_walk_says_what_the_network_is_given(scene: Scene, preset: str, bare
     assert isinstance(method, Explainable)
     stages = {stage.title: stage for stage in method.explain(some_rays(scene, 1)[0])}
     code = stages["Encoding"]
-    assert ("is given bare coordinates" in code.sentence) == bare
+    assert ("gets bare coordinates" in code.sentence) == bare
     assert isinstance(code.charts[0], BarCode)
     assert ("γ(d)" in code.charts[0].names) == told
     assert len(code.charts[0].values[0]) == (3 if bare else 63)

@@ -60,7 +60,7 @@ def test_until_the_guide_is_done_its_picture_is_shown_and_then_stays_as_it_is(sc
     assert torch.equal(method.guide.grid.rows, rows)
     assert not torch.equal(method.parameters()[0], begun[0])
     early = guided(run(scene, 59))
-    assert early.stage == "the guide learns, 59 of 60 steps: the picture is its own"
+    assert early.stage == "the proposal grid learns, 59 of 60 steps: it draws the picture"
     assert torch.equal(early.render(rays).color, early.guide.render(rays).color)
     assert [p.name for p in early.trace(rays).passes] == ["voxels"]
     where = torch.zeros(1, 3), torch.eye(3)
@@ -148,7 +148,7 @@ def test_it_learns_with_few_samples_a_ray(scene: Scene) -> None:
     trainer = run(scene, 61, learning_rate=2e-3)
     losses = [trainer.step().loss for _ in range(150)]
     assert sum(losses[-10:]) < 0.5 * sum(losses[:10])
-    assert guided(trainer).average < 16
+    assert guided(trainer).samples_per_ray < 16
 
 
 def test_an_unknown_preset_and_a_useless_threshold_are_refused(scene: Scene) -> None:

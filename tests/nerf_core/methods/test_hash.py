@@ -57,11 +57,11 @@ def test_fewer_samples_a_ray_make_more_rays_a_step(scene: Scene) -> None:
     trainer = Trainer(scene, RunSettings(method="hash", changes=SMALL | {"samples": "4000"}))
     method = trainer.method
     assert isinstance(method, Hash)
-    before = method.needed
+    before = method.samples_per_ray
     counts = [trainer.step().rays for _ in range(60)]
-    assert method.needed < before / 2
+    assert method.samples_per_ray < before / 2
     assert counts[-1] > 1.5 * counts[0]
-    assert method.draw(60).rays == int(max(4000 / method.needed, 64))
+    assert method.draw(60).rays == int(max(4000 / method.samples_per_ray, 64))
 
 
 def test_pictures_show_the_average_of_every_fourth_steps_weights(scene: Scene) -> None:
@@ -76,7 +76,7 @@ def test_pictures_show_the_average_of_every_fourth_steps_weights(scene: Scene) -
         share = max(0.1, 4 / (3 + move))
         mean = now if mean is None else [m + share * (n - m) for m, n in zip(mean, now, strict=True)]
     assert mean is not None
-    for shown, expected in zip(method.shown.parameters(), mean, strict=True):
+    for shown, expected in zip(method.ema_field.parameters(), mean, strict=True):
         torch.testing.assert_close(shown.double(), expected, rtol=1e-4, atol=1e-6)
     rays = camera_rays(scene.views[0].camera, scene.near, scene.far)
     before, frozen = method.render(rays).color, method.frozen()
@@ -87,7 +87,7 @@ def test_pictures_show_the_average_of_every_fourth_steps_weights(scene: Scene) -
             p.add_(1.0)
     assert torch.equal(method.render(rays).color, before)
     with torch.no_grad():
-        for p in method.shown.parameters():
+        for p in method.ema_field.parameters():
             p.add_(1.0)
     assert not torch.equal(method.render(rays).color, before)
     assert torch.equal(frozen.render(rays).color, before)

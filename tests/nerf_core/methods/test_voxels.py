@@ -144,7 +144,7 @@ def voxels_of(trainer: Trainer) -> Voxels:
 
 def test_a_finer_grid_holds_the_same_density_in_the_same_places(scene: Scene) -> None:
     method = voxels_of(run(scene, 6))
-    old, kept, bias = method.shown, method._filled() & method.grid.occupied, method.config.bias
+    old, kept, bias = method.ema_grid, method._seen_cells() & method.grid.occupied, method.config.bias
     method._refine(nothing)
     new = method.grid
     assert (new.voxel < 0.9 * old.voxel).all()
@@ -158,26 +158,26 @@ def test_a_finer_grid_holds_the_same_density_in_the_same_places(scene: Scene) ->
     i, j, k = np.minimum(((centres - old.origin) / old.voxel).astype(int), np.array(old.size) - 1).T
     assert torch.equal(new.occupied.flatten(), kept[i, j, k])
     assert (method.updates, int(method.moments.count_nonzero())) == (0, 0)
-    assert torch.equal(method.average, new.rows)
+    assert torch.equal(method.ema_rows, new.rows)
 
 
 def test_pictures_show_the_average_of_the_last_steps(scene: Scene) -> None:
     """A mean over more steps the longer a level has lasted; its rows are what a picture shows, and a finer grid."""
     trainer = run(scene, 1, average=0.9, level_steps=40)
     method, camera = voxels_of(trainer), scene.views[0].camera
-    assert torch.equal(method.average, method.grid.rows)  # there is nothing yet to take a mean of
+    assert torch.equal(method.ema_rows, method.grid.rows)  # there is nothing yet to take a mean of
     rays = camera_rays(camera, scene.near, scene.far)
     for updates in range(2, 12):
-        rows, mean = method.grid.rows.clone(), method.average.clone()
+        rows, mean = method.grid.rows.clone(), method.ema_rows.clone()
         trainer.step()
         moved = (method.grid.rows != rows).any(-1)
         follow = max(0.1, 4 / (4 + updates - 1))
-        torch.testing.assert_close(method.average[moved], mean[moved].lerp(method.grid.rows[moved], follow))
-        assert torch.equal(method.average[~moved], mean[~moved])
+        torch.testing.assert_close(method.ema_rows[moved], mean[moved].lerp(method.grid.rows[moved], follow))
+        assert torch.equal(method.ema_rows[~moved], mean[~moved])
     drawn = method.render(rays).color
     method.grid.rows.add_(1.0)
     assert torch.equal(method.render(rays).color, drawn)
-    method.average.add_(1.0)
+    method.ema_rows.add_(1.0)
     assert not torch.equal(method.render(rays).color, drawn)
 
 
@@ -361,7 +361,7 @@ def test_density_is_exported_per_world_unit(scene: Scene) -> None:
     trainer = run(scene, 30)
     method = trainer.method
     assert isinstance(method, Voxels)
-    method.average[:, DENSITY] = 1.0
+    method.ema_rows[:, DENSITY] = 1.0
     samples = method.trace(camera_rays(scene.views[0].camera, scene.near, scene.far)[130:131]).passes[0]
     cell = float(method.grid.voxel[0]) * method.space.extent
     inside = samples.alpha[0] > 0

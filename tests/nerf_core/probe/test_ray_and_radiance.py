@@ -180,7 +180,7 @@ def test_a_ray_without_samples_shows_none(scene: Scene, method: str) -> None:
         guide = model.guide if isinstance(model, GuidedNerf) else model
         assert isinstance(guide, VoxelModel)
         guide.grid = VoxelGrid.over(guide.space.low, (guide.space.high - guide.space.low) / 8, corner, False)
-        guide.average = guide.grid.rows
+        guide.ema_rows = guide.grid.rows
     ray = open_ray(model, scene, scene.views[0].camera, (8, 8), 3)
     assert [len(one.t) for one in ray.passes] == [0] * len(ray.passes)
     assert (ray.opacity, ray.depth_strongest, ray.depth_median, ray.depth_expected) == (0, None, None, None)
