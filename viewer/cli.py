@@ -18,15 +18,15 @@ from nerf_core.common.signals import Interrupted, Signals
 from nerf_core.training.options import TrainOptions
 from nerf_core.training.settings import RunSettings
 
-WORKER_THREAD = "nerf-worker"  # as `nerf_core.live.worker` names it; importing that takes a second that --help has not
+WORKER_THREAD = "nerf-worker"  # as in `nerf_core.live.worker`, whose import would delay --help by a second
 
 
 @dataclass(frozen=True)
 class ViewerOptions:
     """Watch a neural radiance field learn, fly through it, and open any pixel.
 
-    If any file is asked for, the window does what was asked for and closes. With --headless, or where there is no
-    display, the same happens offscreen. Exit status 0 only if everything asked for was written.
+    If any file is asked for, the window writes it and closes. With --headless, or without a display, the same happens
+    offscreen. The exit status is 0 only if everything was written.
     --version prints the version.
     """
 
@@ -67,7 +67,10 @@ class ViewerOptions:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The exit status: 0; 1 for what the doctor found missing; 2 for what the user can mend; 130, 143 after signals."""
+    """Run the command and return its exit status.
+
+    0: success. 1: the doctor found something missing. 2: an error that the user can mend. 130, 143: after a signal.
+    """
     with Signals() as signals:
         try:
             return run(parse(ViewerOptions, "nerf-viewer", arguments), signals)
@@ -80,14 +83,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run(options: ViewerOptions, signals: Signals) -> int:
-    """What the command does; returns its exit status. Raises UserError."""
+    """Do what the options say. Returns the exit status; raises UserError."""
     if options.doctor:
         from .session.doctor import examine
 
         return 0 if examine(print) else 1
     from .window import DisplayError, load_libraries, open_offscreen, open_window
 
-    load_libraries()  # before anything imports imgui: tells which system packages are missing
+    load_libraries()  # before anything imports imgui, so that missing system packages are named
     from .session import session as sessions
 
     size, settings = sessions.parse_size(options.size), options.train.settings()
@@ -120,7 +123,7 @@ def run(options: ViewerOptions, signals: Signals) -> int:
 
 
 def _agrees(file: Path, settings: RunSettings) -> None:
-    """A checkpoint has its method and constants: raises UserError where others are asked for."""
+    """Raise UserError if the options name another method or other constants than the checkpoint has."""
     from nerf_core.training.checkpoint import describe
 
     description = describe(file)
@@ -147,11 +150,11 @@ def _same(text: str, value: Any) -> bool:
 
 
 def command() -> NoReturn:
-    """`main` as a process of its own, which it ends."""
+    """Run `main` and end the process."""
     status = main()
     if any(thread.name == WORKER_THREAD for thread in threading.enumerate()):
-        # It did not end in time, as in the middle of a huge step. Python's own way out would pull the interpreter
-        # away under torch, which aborts.
+        # The worker did not end in time, for example because it is in the middle of a huge step. A normal exit would
+        # tear down the interpreter while torch still runs in it, and torch would abort.
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(status)

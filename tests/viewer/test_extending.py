@@ -42,7 +42,7 @@ def test_a_panel(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
     app.settle(6)
     eye = app.state.camera.c2w()[:, 3]
     left, top, right, bottom = app.widgets["nearest_photo.go"]
-    app.hand.click((left + right) / 2, (top + bottom) / 2)
+    app.injector.click((left + right) / 2, (top + bottom) / 2)
     app.settle(6)
     gone = app.state.current_view
     distances = {i: np.linalg.norm(SCENE.views[i].camera.c2w[:, 3] - eye) for i in TRAIN}
@@ -54,6 +54,6 @@ def test_a_command_with_a_key(start: Start, monkeypatch: pytest.MonkeyPatch) -> 
     load = pages.loader(monkeypatch)
     load("viewer/commands/actions/first_photo.py", COMMANDS)
     app = start()
-    app.hand.key(imgui.Key.home)
+    app.injector.key(imgui.Key.home)
     app.settle(6)
     assert app.state.current_view == TRAIN[0]

@@ -1,4 +1,4 @@
-"""The window's one loop: read the newest snapshot → panels → send commands → draw."""
+"""The window's loop: read the newest snapshot, run the panels, send commands, draw."""
 
 from __future__ import annotations
 
@@ -31,14 +31,15 @@ from .panel_host import PanelHost, PanelUi, Rect
 from .view_requests import ViewRequests
 from .viewport_panel import ViewportPanel
 
-SHORTEST = 1e-4  # seconds: imgui wants time to pass between frames, even on a clock that stands still
+SHORTEST = 1e-4  # seconds: imgui needs time to pass between frames, even if the clock stands still
 
 
 class App:
-    """Everything that the user sees, on any window. Close it before the window.
+    """The user interface, on any window. Close it before the window.
 
-    layout_file: where the docks are remembered; None (headless, tests): nothing is read or written.
-    panels: all that are registered, unless given. time: a monotonic clock in seconds.
+    layout_file: the file that remembers the docks; None (headless, tests): nothing is read or written.
+    panels: the panels; None: all that are registered.
+    time: a monotonic clock in seconds.
     """
 
     def __init__(
@@ -55,12 +56,14 @@ class App:
         self._time = time
         self.state = AppState(has_display=window.has_display, time=time())
         self._context = imgui.create_context()
-        imgui.set_current_context(self._context)  # creating one leaves an older one current
+        imgui.set_current_context(self._context)  # creating a context does not make it current if there is an older one
         implot.create_context()
         self._connect_clipboard()
         io = imgui.get_io()
         io.config_flags |= imgui.ConfigFlags_.docking_enable
-        io.config_error_recovery_enable_tooltip = False  # a panel's fault is a notice, and a line in the log
+        io.config_error_recovery_enable_tooltip = (
+            False  # a panel's error becomes a notice and a line in the log instead
+        )
         io.config_windows_move_from_title_bar_only = True  # dragging in a plot must not move its panel
         self.theme = DarkTheme()
         self.theme.load_fonts()
@@ -75,29 +78,29 @@ class App:
         self._pacer = Pacer(watched=window.has_display)
         self._actions = Actions(self.state, link)
         self._views = ViewRequests(link)
-        self._answered = 0  # the newest look at a ray that was asked for and came
+        self._answered = 0  # the newest request to open a ray that has been answered
         self._drawn_at = self.state.time
         self._frame_times: deque[float] = deque(maxlen=120)
         self._closed = self._hidden = False
         self._warn(self._layout.load())
-        self.hand = InputInjector(lambda: self.frame(force=True))
+        self.injector = InputInjector(lambda: self.frame(force=True))
 
     # ---- the loop ---------------------------------------------------------------------------------------------
 
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
-        """Until the window is closed or `until()`."""
+        """Run until the window is closed or `until()` is true."""
         while not (self.window.should_close() or until()):
             input_came = self.window.poll(self._pacer.wait(self._time()))
-            self._pacer.note(self._time(), hand=input_came)
+            self._pacer.note(self._time(), user=input_came)
             self.frame()
         self._warn(self._layout.save_if_changed())
 
     def frame(self, force: bool = False) -> bool:
-        """One turn of the loop; whether it drew. force: draw although nothing changed."""
+        """Make one turn of the loop. Returns whether it drew. force: draw although nothing changed."""
         self.state.time = now = self._time()
         self._read()
         moved = self.state.camera.update(now)
-        self._pacer.note(now, hand=moved or force)
+        self._pacer.note(now, user=moved or force)
         drew = False
         if (force or self._pacer.due(now)) and min(self.window.size()) > 0:
             begin = clock.perf_counter()
@@ -107,14 +110,14 @@ class App:
             self.link.painted(seconds)
             self._pacer.drew(now, seconds, self._frames_part())
             drew = True
-            moved = self.state.camera.update(now)  # by what the hands did in this frame
-            self._pacer.note(now, hand=moved)
+            moved = self.state.camera.update(now)  # by the user's input in this frame
+            self._pacer.note(now, user=moved)
         if min(self.window.size()) > 0:
             self._views.update(self.state, now)
         return drew
 
     def _read(self) -> None:
-        """Take what the worker has to say. Notices first: the state that they tell of is there by then."""
+        """Take the worker's notices, then its snapshot: the state that a notice speaks of is then already there."""
         notices = self.link.notices()
         old, new = self.state.snapshot, self.link.snapshot()
         if new is not old:
@@ -129,10 +132,10 @@ class App:
         for notice in notices:
             self._actions.tell(notice)
         if notices:
-            self._pacer.note(self.state.time, hand=True)
+            self._pacer.note(self.state.time, user=True)
 
     def _is_answer(self, snapshot: Snapshot) -> bool:
-        """Whether the ray that was asked for is whole, for the first time."""
+        """Whether this snapshot is the first that has all of the requested ray."""
         asked = self.state.inspect
         if asked is None or asked.look == self._answered or snapshot.opened_look != asked.look:
             return False
@@ -140,8 +143,10 @@ class App:
         return True
 
     def _focus_behind(self) -> None:
-        """A double click lands where the verdict has the surface, as soon as there is one: behind a floater, and not
-        between two surfaces, where the picture's mean depth is."""
+        """Focus on the surface that the verdict names, as soon as a double click's ray has one.
+
+        That surface lies behind a floater, and not between two surfaces like the picture's mean depth.
+        """
         state, opened = self.state, self.state.snapshot.opened
         if state.focus is None or opened is None or opened.verdict is None:
             return
@@ -170,7 +175,7 @@ class App:
         target = self.window.framebuffer
         target.use()
         self.window.context.scissor = None
-        surface = self.theme.surface  # docked panels paint no background of their own
+        surface = self.theme.surface  # docked panels paint no background
         target.clear(surface.x, surface.y, surface.z, 1.0)
         self._renderer.render(imgui.get_draw_data(), target)
         for action in actions:
@@ -178,7 +183,7 @@ class App:
         self._save_screenshots()
 
     def _frames_part(self) -> float:
-        """Half of what training leaves for pictures: the worker's pictures want the other half."""
+        """The share of time for frames: half of what training leaves. The other half is for the worker's pictures."""
         snapshot = self.state.snapshot
         return snapshot.frame_share if snapshot.status == "training" else 1.0
 
@@ -192,7 +197,7 @@ class App:
         state.sample, state.pointed_at = state.pointed_at, None
         keyed, flying = self._keyboard.act(state, imgui.get_io().delta_time)
         held = any(imgui.is_mouse_down(button) for button in range(3))
-        self._pacer.note(self.state.time, hand=flying or held)
+        self._pacer.note(self.state.time, user=flying or held)
         actions = list(bars.draw_menu(ui, state))
         bars.draw_status(ui, state)
         self._wishes()
@@ -212,7 +217,7 @@ class App:
         return actions + keyed + viewport.input.take()
 
     def _save_screenshots(self) -> None:
-        """Those that were asked for in this frame, before it leaves the back buffer."""
+        """Write the screenshots requested in this frame while the frame is still in the back buffer."""
         paths, self._actions.screenshots = self._actions.screenshots, []
         for path in paths:
             try:
@@ -223,9 +228,11 @@ class App:
                 self._actions.tell(Notice("info", f"saved {path}", path))
 
     def _wishes(self) -> None:
-        """What commands and panels ask of the window itself."""
+        """Do what commands and panels ask of the window itself."""
         state = self.state
-        if state.raise_panel and not (self._hidden or self._layout.raising):  # those come first, or would cover it
+        if state.raise_panel and not (
+            self._hidden or self._layout.raising
+        ):  # the tabs that come forward first would cover it
             imgui.set_window_focus(state.raise_panel)
             state.raise_panel = ""
         if state.reset_layout:
@@ -235,7 +242,7 @@ class App:
         state.reset_layout = state.quit = False
 
     def _count_frame(self, now: float) -> None:
-        """Frames of the last second."""
+        """Count the frames of the last second."""
         self._frame_times.append(now)
         while now - self._frame_times[0] > 1:
             self._frame_times.popleft()
@@ -245,16 +252,16 @@ class App:
 
     @property
     def widgets(self) -> dict[str, Rect]:
-        """Where the marked widgets lie that were visible in the last frame; "viewport" is the picture."""
+        """Return the rectangles of the marked widgets visible in the last frame; "viewport" is the picture."""
         return dict(self._ui.widgets)
 
     @property
     def stale(self) -> bool:
-        """Whether the last frame showed a warp of an older picture."""
+        """Return whether the last frame showed a warp of an older picture."""
         return self._viewport.stale
 
     def perform(self, action: Action) -> int:
-        """Do what a panel could have asked for; the number of the command that was sent to the worker, 0 if none."""
+        """Do an action as if a panel had returned it. Returns the number of the command sent to the worker, else 0."""
         return self._actions.perform(action)
 
     def tell(self, notice: Notice) -> None:
@@ -263,7 +270,7 @@ class App:
 
     def pixels(self) -> np.ndarray:
         """Draw a frame and read the whole window: uint8 (H, W, 3)."""
-        self.frame(force=True)  # takes what is waiting
+        self.frame(force=True)  # handles waiting input
         self._draw(self.state.time)
         pixels = self.window.read_pixels()
         self._show()
@@ -271,11 +278,11 @@ class App:
         return pixels
 
     def screenshot(self, path: Path) -> None:
-        """Write the whole window as a PNG. Raises UserError when that fails."""
+        """Write the whole window as a PNG. Raises UserError if that fails."""
         write_png(path, self.pixels())
 
     def settle(self, frames: int = 3) -> None:
-        """Draw until imgui has taken in the input and the layout."""
+        """Draw frames until imgui has processed input and layout."""
         for _ in range(frames):
             self.frame(force=True)
 
@@ -291,7 +298,7 @@ class App:
             self._actions.tell(Notice("warning", text))
 
     def close(self) -> None:
-        """Remember the layout and free everything but the window; calling it again does nothing."""
+        """Save the layout and free everything but the window. A second call does nothing."""
         if self._closed:
             return
         self._closed = True
@@ -304,5 +311,5 @@ class App:
 
 
 def _opened(snapshot: Snapshot) -> tuple[object, ...]:
-    """Differs when something of an opened or pinned ray is new."""
+    """A value that changes when something of an opened or pinned ray changes."""
     return id(snapshot.opened), *((pin.id, id(pin.ray), pin.name, pin.hidden) for pin in snapshot.pins)

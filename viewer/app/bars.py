@@ -1,4 +1,4 @@
-"""The menu bar above, the status bar below."""
+"""The menu bar at the top and the status bar at the bottom."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .panel_host import PanelUi
 
 
 def draw_menu(ui: PanelUi, state: AppState) -> Iterator[Action]:
-    imgui.push_style_var(imgui.StyleVar_.window_border_size, 0.0)  # it would reach into the viewport's first row
+    imgui.push_style_var(imgui.StyleVar_.window_border_size, 0.0)  # a border would reach into the viewport's first row
     begun = imgui.begin_main_menu_bar()
     imgui.pop_style_var()
     if not begun:
@@ -114,7 +114,7 @@ def draw_status(ui: PanelUi, state: AppState) -> None:
 
 
 def _figures(ui: PanelUi, state: AppState) -> list[tuple[str, ImVec4]]:
-    """What the status bar says, from left to right; what is not known is left out."""
+    """The texts of the status bar from left to right. Unknown figures are left out."""
     snapshot, theme = state.snapshot, ui.theme
     found: list[tuple[str, ImVec4]] = []
     if snapshot.scene is not None:

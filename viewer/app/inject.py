@@ -1,4 +1,4 @@
-"""Injects mouse and keyboard input into imgui, one frame an event, for tests and scripts."""
+"""Inject mouse and keyboard input into imgui, one event per frame, for tests and scripts."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from imgui_bundle import imgui
 
 
 class InputInjector:
-    """Presses keys and moves the mouse as a user would.
+    """Press keys and move the mouse like a user.
 
     frame: draws one frame; called after each event. Positions are framebuffer pixels from the window's top left.
     """
@@ -32,7 +32,7 @@ class InputInjector:
         self.move(x, y)
         self.press(button)
         self.release(button)
-        self._frame()  # what the click changed is drawn now
+        self._frame()  # draws what the click changed
 
     def double_click(self, x: float, y: float) -> None:
         self.click(x, y)
@@ -41,7 +41,7 @@ class InputInjector:
     def drag(
         self, start: tuple[float, float], end: tuple[float, float], button: int = 0, steps: int = 4, shift: bool = False
     ) -> None:
-        """From one point to another in `steps` moves."""
+        """Drag from one point to another in `steps` moves."""
         self.move(*start)
         if shift:
             self._key(imgui.Key.mod_shift, True)

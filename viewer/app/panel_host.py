@@ -1,4 +1,4 @@
-"""Draws the registered panels in their windows, and keeps one panel's fault from the others."""
+"""Draw the registered panels in their windows. An error in one panel does not affect the others."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Rect = tuple[float, float, float, float]  # left, top, right, bottom in framebuf
 
 
 class PanelUi:
-    """The `Ui` of ui/contract.py. widgets: where each marked widget lies in this frame."""
+    """The `Ui` of ui/contract.py. widgets: the rectangle of each marked widget in this frame."""
 
     def __init__(self, theme: DarkTheme, textures: TextureCache) -> None:
         self.theme = theme
@@ -39,7 +39,7 @@ class PanelUi:
         return self._textures.get(key, rgba, smooth)
 
     def mark(self, name: str) -> None:
-        if imgui.is_item_visible():  # what is scrolled away cannot be clicked
+        if imgui.is_item_visible():  # a widget that is scrolled away cannot be clicked
             low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
             self.widgets[name] = (low.x, low.y, high.x, high.y)
 
@@ -48,19 +48,19 @@ class PanelHost:
     def __init__(self, panels: Sequence[Panel] | None = None) -> None:
         found = [PANELS.get(name)() for name in PANELS.names()] if panels is None else list(panels)
         self.panels = sorted(found, key=lambda panel: panel.order)
-        self.notices: list[Notice] = []  # faults that nobody has been told of
-        self.in_front: tuple[str, ...] = ()  # the panels that were not behind another's tab when they were last drawn
+        self.notices: list[Notice] = []  # errors that have not been shown yet
+        self.in_front: tuple[str, ...] = ()  # the panels that were not behind another's tab in the last frame
         self._broken: dict[str, str] = {}
-        self._docked: set[str] = set()  # over the cleared framebuffer, which has the panels' colour already
+        self._docked: set[str] = set()  # panels over the cleared framebuffer, which already has the panels' colour
 
     def draw(self, ui: PanelUi, state: AppState) -> Iterator[Action]:
-        """The panels that have a window."""
+        """Draw the panels that have a window."""
         in_front: list[str] = []
         for panel in self.panels:
             if panel.dock == "overlay":
                 continue
             flags = imgui.WindowFlags_.no_background if panel.title in self._docked else imgui.WindowFlags_.none
-            if imgui.begin(panel.title, None, flags)[0]:  # False for a tab that lies behind another
+            if imgui.begin(panel.title, None, flags)[0]:  # False for a tab behind another
                 in_front.append(panel.title)
                 (self._docked.add if in_docks() else self._docked.discard)(panel.title)
                 if panel.title in self._broken:
@@ -71,7 +71,7 @@ class PanelHost:
         self.in_front = tuple(in_front)
 
     def draw_overlays(self, ui: PanelUi, state: AppState) -> Iterator[Action]:
-        """Those that open what they need themselves; a broken one stays away."""
+        """Draw the overlays, which open their own windows. A broken one is not drawn again."""
         for panel in self.panels:
             if panel.dock == "overlay" and panel.title not in self._broken:
                 yield from self._draw_panel(panel, ui, state)
@@ -98,11 +98,11 @@ class PanelHost:
 
 
 def _recover(before: imgui.internal.ErrorRecoveryState, theme: DarkTheme) -> None:
-    """Close what the panel left open, so that the frame can go on."""
+    """Close what a panel left open, so that the frame can go on."""
     io = imgui.get_io()
     asserts, io.config_error_recovery_enable_assert = io.config_error_recovery_enable_assert, False
     imgui.internal.error_recovery_try_to_recover_state(before)
     io.config_error_recovery_enable_assert = asserts
-    implot.destroy_context()  # it has no such recovery: a plot that was left open would spoil every later one
+    implot.destroy_context()  # implot cannot recover: an open plot would spoil all later ones
     implot.create_context()
     theme.apply_to_plots()

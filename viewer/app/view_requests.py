@@ -1,4 +1,4 @@
-"""Tells the worker which picture the viewport wants."""
+"""Tell the worker which picture the viewport needs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..model.state import AppState
 
 
 class ViewRequests:
-    """Each request has a stamp, larger than those before it, which the worker's answer carries."""
+    """Sends view requests. Each has a stamp, larger than the ones before, and the worker's answer carries it."""
 
     def __init__(self, link: Link) -> None:
         self._link = link
@@ -19,7 +19,7 @@ class ViewRequests:
         self._stamp = 0
 
     def update(self, state: AppState, now: float) -> None:
-        """Ask for a picture if the camera, the mode or the scene changed, or the camera came to rest."""
+        """Request a picture if the camera, the mode or the scene changed, or if the camera came to rest."""
         if state.snapshot.scene is None:
             return
         camera, moving = state.camera.camera(*state.viewport), state.camera.moving(now)

@@ -1,4 +1,4 @@
-"""The viewport: the picture, what lies in space over it, and words where there is no picture."""
+"""The viewport: the picture, overlays in space, and a text if there is no picture."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from ..ui.theme import GREEN, SKY, VERMILION
 from ..ui.widgets import color_scale, faded, packed, sample_tooltip
 from .panel_host import PanelUi
 
-FRUSTUM_DEPTH = 0.12  # of the scene's radius: visible beside the scene, not in its way
-SHADE = ImVec4(0.0, 0.0, 0.0, 0.6)  # under bright lines and words, so that they read on any picture
+FRUSTUM_DEPTH = 0.12  # of the scene's radius: visible, but not in front of the scene
+SHADE = ImVec4(0.0, 0.0, 0.0, 0.6)  # under bright lines and texts, so that they are readable on any picture
 
 
 class ViewportPanel:
@@ -33,15 +33,17 @@ class ViewportPanel:
         self._renderer = renderer
         self.input = ViewportInput()
         self.stale = False
-        self._named: moderngl.Texture | None = None  # what the renderer knows of the picture
+        self._named: moderngl.Texture | None = None  # the texture that the renderer knows
 
     def draw(self, ui: PanelUi, state: AppState, alone: bool) -> None:
-        """`alone`: it fills what the bars leave of the window."""
+        """Draw the viewport. alone: it fills the window between the bars."""
         imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(0, 0))
-        imgui.push_style_var(imgui.StyleVar_.window_border_size, 0.0)  # it would cover the picture's outermost pixels
+        imgui.push_style_var(
+            imgui.StyleVar_.window_border_size, 0.0
+        )  # a border would cover the picture's outermost pixels
         imgui.push_style_color(imgui.Col_.window_bg, ui.theme.ground)
         flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
-        if state.snapshot.preview is not None:  # it covers the window
+        if state.snapshot.preview is not None:  # the picture covers the window
             flags |= imgui.WindowFlags_.no_background
         if alone:
             area = imgui.get_main_viewport()
@@ -105,7 +107,7 @@ class ViewportPanel:
             for indices, color in ((train, theme.text), (set(range(len(scene.views))) - train, theme.muted)):
                 cameras = [scene.views[k].camera for k in sorted(indices)]
                 if cameras:
-                    shade = faded(SHADE, 0.5), 2.5 * thin  # for a white ground
+                    shade = faded(SHADE, 0.5), 2.5 * thin  # so that lines show on a white background
                     overlay.lines(*frusta(cameras, depth), shade, (faded(color, 0.55), thin))
         if not state.show_samples:
             return
@@ -154,7 +156,7 @@ class ViewportPanel:
 
 
 def _point_at(ui: PanelUi, state: AppState, overlay: Overlay, ray: RayProbe) -> None:
-    """Say the numbers of the sample under the mouse, and have it marked everywhere."""
+    """Show the numbers of the sample under the mouse, and mark it in all panels."""
     mouse = imgui.get_mouse_pos()
     k = overlay.sample_at(ray, ui.em, mouse.x, mouse.y)
     if k is not None:
@@ -171,14 +173,14 @@ def _draw_rays(ui: PanelUi, overlay: Overlay, rays: list[RayProbe], colors: list
 
 
 def _ends(rays: list[RayProbe]) -> tuple[np.ndarray, np.ndarray]:
-    """Where the rays begin and end in the world, (N, 3) each."""
+    """The ends of the rays in the world, (N, 3) each."""
     places = [(ray.origin + ray.near * ray.direction, ray.origin + ray.far * ray.direction) for ray in rays]
     starts, ends = np.array(places, np.float64).reshape(-1, 2, 3).transpose(1, 0, 2)
     return starts, ends
 
 
 def _why_empty(state: AppState) -> tuple[str, str]:
-    """A line, and a quieter one under it."""
+    """The text for a viewport without a picture: a line, and a quieter one under it."""
     snapshot = state.snapshot
     match snapshot.status:
         case "loading":
@@ -202,7 +204,7 @@ def _centred(ui: PanelUi, draw: imgui.ImDrawList, origin: ImVec2, size: ImVec2, 
 
 
 def _chip(ui: PanelUi, draw: imgui.ImDrawList, place: ImVec2, words: str) -> None:
-    """Words on a dark ground of their own."""
+    """A text on a dark background."""
     size = imgui.calc_text_size(words)
     pad = 0.45 * ui.em
     far = ImVec2(place.x + size.x + 2 * pad, place.y + size.y + pad)
@@ -212,7 +214,7 @@ def _chip(ui: PanelUi, draw: imgui.ImDrawList, place: ImVec2, words: str) -> Non
 
 
 def _scale(ui: PanelUi, draw: imgui.ImDrawList, place: ImVec2, mode: type[Mode]) -> None:
-    """A mode's name and what its colours mean."""
+    """A mode's name and its colour scale."""
     words = f"{mode.label}   {mode.low:g}", f"{mode.high:g} or more"
     widths = [imgui.calc_text_size(text).x for text in words]
     pad, bar, high = 0.45 * ui.em, 8 * ui.em, imgui.get_text_line_height()
@@ -227,7 +229,7 @@ def _scale(ui: PanelUi, draw: imgui.ImDrawList, place: ImVec2, mode: type[Mode])
 
 
 def _axes(ui: PanelUi, draw: imgui.ImDrawList, centre: ImVec2, camera: Camera, up: np.ndarray) -> None:
-    """World x, y, z; the ones that point away first, under the others."""
+    """The world axes x, y, z. Those that point away are drawn first, under the others."""
     named = zip(axis_directions(camera, up), "xyz", (VERMILION, GREEN, SKY), strict=True)
     for (direction, towards, is_up), name, color in sorted(named, key=lambda item: item[0][1]):
         strong = packed(ImVec4(color.x, color.y, color.z, 1.0 if towards > -0.2 else 0.5))

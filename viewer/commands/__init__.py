@@ -1,1 +1,1 @@
-"""What keys, menus and the pointer ask for, and what carries it out."""
+"""The commands of keys, menus and pointer, and how they are carried out."""

@@ -1,4 +1,4 @@
-"""The keys: run the commands whose chords are pressed, and fly the camera while keys are held."""
+"""Keyboard input: run the commands whose keys are pressed, and fly the camera while keys are held."""
 
 from __future__ import annotations
 
@@ -48,16 +48,16 @@ class Keyboard:
         self._ctrl = False  # whether Ctrl was down in the last frame
 
     def act(self, state: AppState, seconds: float) -> tuple[list[Action], bool]:
-        """What the pressed keys ask for, and whether a key is held that moves the camera.
+        """Return the actions of the pressed keys, and whether a key is held that moves the camera.
 
-        A text field has its keys alone. seconds: since the last frame.
+        While a text field has the focus, no key counts here. seconds: since the last frame.
         """
         io = imgui.get_io()
         if io.want_text_input or state.show_palette:
             return [], False
-        # imgui would step through the fields of the last window with Tab; here it hides the panels.
+        # imgui would use Tab to step through the fields of the last window; here Tab hides the panels.
         imgui.internal.set_key_owner(imgui.Key.tab, imgui.get_id("tab hides the panels"))
-        # In a slow frame Ctrl may be up again when its letter has only just come down.
+        # In a slow frame Ctrl may be released in the same frame in which its letter is pressed.
         before, self._ctrl = self._ctrl, io.key_ctrl or io.key_super
         ctrl = self._ctrl or before
         if not ctrl and imgui.is_key_pressed(imgui.Key.escape, False) and _close_what_is_over(state):
@@ -74,7 +74,7 @@ class Keyboard:
 
 
 def _close_what_is_over(state: AppState) -> bool:
-    """Close the open menus and lists, else the help; whether there was anything to close."""
+    """Close open menus and lists, or else the help. Returns whether there was anything to close."""
     anything = imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level
     if imgui.is_popup_open("", anything):
         imgui.internal.close_popup_to_level(0, True)

@@ -1,4 +1,4 @@
-"""Everything that mouse and keys do, for the help and for the documentation's table."""
+"""List everything that mouse and keys do, for the help and for the table in the documentation."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from .registry import SECTIONS, Section, commands
 
 
 def overview() -> list[tuple[Section, list[tuple[str, str]]]]:
-    """Every section that has rows, with them: what is done, and by which gesture or keys."""
+    """Return every section that has rows, with its rows: what is done, and by which gesture or keys."""
     rows: dict[Section, list[tuple[str, str]]] = {section: [] for section in SECTIONS}
     for gesture in GESTURES:
         rows[gesture.section].append((gesture.title, gesture.how))

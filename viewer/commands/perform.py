@@ -1,4 +1,4 @@
-"""Does what panels, keys and menus ask for."""
+"""Carry out the actions of panels, keys and menus."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ class Actions:
     def __init__(self, state: AppState, link: Link) -> None:
         self._state = state
         self._link = link
-        self.screenshots: list[Path] = []  # to be written when the frame is complete
+        self.screenshots: list[Path] = []  # written when the frame is complete
 
     def perform(self, action: Action) -> int:
-        """Do it now; the number of the command that was sent, 0 if none. What cannot be done becomes a notice."""
+        """Carry out an action. Returns the number of the command sent to the worker, else 0. Errors become notices."""
         try:
             return self._perform(action)
         except UserError as error:
@@ -100,7 +100,7 @@ class Actions:
         state.current_view = None
         match action:
             case GoToView(index):
-                if scene is not None and 0 <= index < len(scene.views):  # else another scene was opened since
+                if scene is not None and 0 <= index < len(scene.views):  # another scene may have been opened since
                     state.camera.go_to(scene.views[index].camera)
                     state.current_view = index
             case FocusOn(point):
@@ -112,7 +112,7 @@ class Actions:
 
 
 def film_export(scene: Scene, form: FilmForm) -> ExportPath:
-    """The command that the export form describes. Raises UserError for values that give no film."""
+    """Return the command that the export form describes. Raises UserError for values that give no film."""
     if not (math.isfinite(form.fps) and form.fps > 0):
         raise UserError(f"a film of {form.fps:g} frames per second: the number must be greater than 0")
     file = own_path(Path(form.file.strip()))

@@ -1,4 +1,4 @@
-"""The pointer over the viewport: drags move the camera, clicks open rays."""
+"""Pointer input over the viewport: drags move the camera, clicks open rays."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from ..model.state import Action, AppState, FocusOn
 from ..ui.theme import TEXT_PIXELS
 from .registry import Section
 
-CLICK_PIXELS = 4.0  # a press and release further apart, on a screen of scale 1, is a drag
+CLICK_PIXELS = 4.0  # a larger distance between press and release, on a screen of scale 1, is a drag
 LEFT, RIGHT, MIDDLE = 0, 1, 2
 
 
 class Gesture(NamedTuple):
-    """A line of the help for what is no command. section: where commands are listed too."""
+    """A line of the help for a gesture that is not a command. section: the heading it shares with commands."""
 
     section: Section
     title: str
@@ -50,11 +50,11 @@ class _Press:
     y: float
     last: tuple[float, float]
     dragging: bool = False
-    focused: bool = False  # the second press of a double click has already done its work
+    focused: bool = False  # the second press of a double click has already focused
 
 
 class ViewportInput:
-    """Feed it once a frame; take `actions` afterwards."""
+    """Call `pointer` once per frame, then `take` the actions."""
 
     def __init__(self) -> None:
         self.actions: list[Action] = []
@@ -65,7 +65,7 @@ class ViewportInput:
         return actions
 
     def pointer(self, state: AppState, origin: tuple[float, float], active: bool, hovered: bool, em: float) -> None:
-        """The viewport's widget in this frame. origin: its top left pixel on the screen."""
+        """Process the pointer in this frame. origin: the viewport's top left pixel on the screen."""
         io = imgui.get_io()
         x, y = io.mouse_pos.x - origin[0], io.mouse_pos.y - origin[1]
         width, height = state.viewport
@@ -96,7 +96,7 @@ class ViewportInput:
             point = point_under(state, column, row)
             if point is not None:
                 self.actions.append(FocusOn(point))
-            asked = state.inspect  # of the double click's first press, if that was one and has not moved since
+            asked = state.inspect  # by the double click's first press, if the pointer has not moved since
             camera = state.camera.camera(*state.viewport)
             if asked is None or not same_view(asked.camera, camera) or _apart(asked.pixel, (x, y)) > _reach(em):
                 asked = self._inspect(state, column, row)
@@ -128,7 +128,7 @@ class ViewportInput:
 
 
 def point_under(state: AppState, x: int, y: int) -> np.ndarray | None:
-    """The world point (3,) in pixel (x, y) of the viewport: from the picture's depth, else from the inspected ray."""
+    """Return the world point (3,) at pixel (x, y) of the viewport, from the picture's depth or the inspected ray."""
     camera = state.camera.camera(*state.viewport)
     preview = state.snapshot.preview
     if preview is not None and same_view(preview.camera, camera):

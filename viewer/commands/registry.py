@@ -1,6 +1,6 @@
-"""The commands of the window, each defined once: keys, menus, help and palette read them from here.
+"""The commands of the window. Each is defined once; keys, menus, help and palette read them from here.
 
-A command is a function in a file of viewer/commands/actions/. A new file there is found by itself.
+A command is a function in a file of viewer/commands/actions/. Every file in that folder is found.
 """
 
 from __future__ import annotations
@@ -24,15 +24,18 @@ Run = Callable[[AppState], list[Action]]
 
 @dataclass(frozen=True)
 class UserCommand:
-    """Something that the user can ask for; not to be confused with the worker's `Command` messages.
+    """A command for the user; not to be confused with the worker's `Command` messages.
 
-    id: its name in the registry. title: what menus, help and palette call it.
-    section: the heading under which help and palette list it. order: its position there.
+    id: its name in the registry.
+    title: its name in menus, help and palette.
+    section: the heading under which help and palette list it.
+    order: its position there.
     run: changes the state, and returns what the app or the worker should do.
     keys: chords such as "F", "Space", "→" or "Ctrl+S"; each of them runs the command.
     repeat: a held key runs it again and again.
     menu: the menu that lists it; there, a line separates the sections.
-    enabled: whether it can run now. checked: whether what it shows or hides is shown; None: it is no such switch.
+    enabled: whether it can run now.
+    checked: whether the thing that it shows or hides is shown; None: the command is not a switch.
     """
 
     id: str
@@ -70,7 +73,7 @@ def command(
     enabled: Callable[[AppState], bool] = always,
     checked: Callable[[AppState], bool] | None = None,
 ) -> Callable[[Run], Run]:
-    """Decorator that registers a function as a command; for the arguments see `UserCommand`."""
+    """Decorator that registers a function as a command. For the arguments see `UserCommand`."""
 
     def keep(run: Run) -> Run:
         COMMANDS.register(id)(UserCommand(id, title, section, order, run, keys, repeat, menu, enabled, checked))
@@ -80,13 +83,13 @@ def command(
 
 
 def commands() -> list[UserCommand]:
-    """All commands, by section and order."""
+    """Return all commands, sorted by section and order."""
     found = [COMMANDS.get(name) for name in COMMANDS.names()]
     return sorted(found, key=lambda c: (SECTIONS.index(c.section), c.order, c.id))
 
 
 def run(id: str, state: AppState) -> list[Action]:
-    """Run a command by its id; nothing while it is not enabled."""
+    """Run a command by its id. A disabled command does nothing."""
     found = COMMANDS.get(id)
     return found.run(state) if found.enabled(state) else []
 
@@ -103,6 +106,6 @@ def invoke(found: UserCommand, state: AppState) -> list[Action]:
 
 
 def with_keys(text: str, id: str) -> str:
-    """A tooltip that ends in the keys of a command: "see the whole scene (F)"."""
+    """Return a tooltip with the keys of a command at its end: "see the whole scene (F)"."""
     keys = ", ".join(COMMANDS.get(id).keys)
     return f"{text} ({keys})" if keys else text

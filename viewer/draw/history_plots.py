@@ -1,4 +1,4 @@
-"""Loss and PSNR over the steps of training."""
+"""Plots of loss and PSNR over the steps of training."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 X1, Y1 = implot.ImAxis_.x1, implot.ImAxis_.y1
 PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
-FIRST_STEPS = 500  # the steps axis starts with this many and doubles when they are full
+FIRST_STEPS = 500  # first length of the steps axis; it doubles when it is full
 HEIGHT_EM = 4.3
 
 
 @dataclass(frozen=True)
 class Curve:
-    """limits: what trainings from first noise to a fine model pass through."""
+    """A curve. limits: the values between first noise and a good model."""
 
     label: str
     mark: str
@@ -38,7 +38,7 @@ PSNR = Curve("PSNR (dB)", "training.psnr", (5.0, 40.0), log=False, figure=".2f",
 
 
 class HistoryPlots:
-    """Both plots share the steps axis. It doubles when training runs out of it, unless the user has moved it."""
+    """Two plots with one steps axis. It doubles when training reaches its end, unless the user has moved it."""
 
     def __init__(self) -> None:
         self._steps = Limits()
@@ -71,13 +71,13 @@ class HistoryPlots:
         if curve.ticks:
             implot.setup_axis_ticks(Y1, list(curve.ticks), [f"{v:g}" for v in curve.ticks])
         color = ui.theme.accent if curve.log else ui.theme.good
-        good = np.isfinite(values) & ((values > 0) if curve.log else True)  # a log axis has no place for 0
+        good = np.isfinite(values) & ((values > 0) if curve.log else True)  # a log axis cannot show 0
         steps, values = steps[good].astype(np.float64), values[good].astype(np.float64)
         if len(steps):
             implot.plot_line(curve.label, steps, values, implot.Spec(line_color=color, line_weight=0.1 * ui.em))
             if implot.is_plot_hovered():
                 _read(ui, curve, steps, values)
-        # to the right, where a loss has fallen from and a PSNR has risen to
+        # on the right, which is free: a loss has fallen there, or a PSNR risen
         label, height = (curve.label, 0.0) if curve.log else (f"{curve.label} over steps", 1.0)
         axis_name(ui, label, right=True, height=height)
         implot.end_plot()

@@ -1,4 +1,4 @@
-"""Draws imgui's draw data with moderngl, and keeps the textures that it names (imgui 1.92's texture protocol)."""
+"""Draw imgui's draw data with moderngl, and keep the textures that it refers to (imgui 1.92's texture protocol)."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ void main() {
 }
 """
 
-# With colours left straight, the framebuffer's own alpha must still add up to 1.
+# Colours have straight alpha; the framebuffer's alpha must still add up to 1.
 BLEND = (moderngl.SRC_ALPHA, moderngl.ONE_MINUS_SRC_ALPHA, moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA)
 
 
@@ -49,7 +49,7 @@ class ImguiRenderer:
         self._arrays = self._make_arrays()
         self._textures: dict[int, moderngl.Texture] = {}
         self._opaque: set[int] = set()
-        # Indices have 32 bits in this build, so no list outgrows them and vertex offsets are not needed.
+        # Indices have 32 bits in this build, so vertex offsets are not needed.
         imgui.get_io().backend_flags |= imgui.BackendFlags_.renderer_has_textures
         largest = context.info["GL_MAX_TEXTURE_SIZE"]
         platform = imgui.get_platform_io()
@@ -64,12 +64,12 @@ class ImguiRenderer:
         )
 
     def add(self, texture: moderngl.Texture, opaque: bool = False) -> imgui.ImTextureRef:
-        """Let draw commands name `texture`, which stays the caller's; `remove` it before releasing it.
+        """Let draw commands refer to `texture`. The caller keeps it and calls `remove` before releasing it.
 
-        opaque: it has no transparent texel, and nothing that lies under it has to be read.
+        opaque: the texture has no transparent texel, so that the pixels under it need not be read.
         """
         self._textures[texture.glo] = texture
-        self._opaque.discard(texture.glo)  # GL gives a released texture's name to another
+        self._opaque.discard(texture.glo)  # GL reuses the name of a released texture
         if opaque:
             self._opaque.add(texture.glo)
         return imgui.ImTextureRef(texture.glo)
@@ -79,7 +79,7 @@ class ImguiRenderer:
         self._opaque.discard(texture.glo)
 
     def render(self, data: imgui.ImDrawData, target: moderngl.Framebuffer) -> None:
-        """Draw over what `target` holds, in its viewport."""
+        """Draw over the content of `target`, in its viewport."""
         for texture in data.textures:
             self._update(texture)
         width, height = data.display_size
@@ -111,7 +111,7 @@ class ImguiRenderer:
             (self._indices, indices, index_bytes),
         ):
             if size:
-                buffer.orphan()  # the driver may still read what was drawn before
+                buffer.orphan()  # the driver may still read the old content
                 buffer.write((ctypes.c_ubyte * size).from_address(data.data_address()))
 
     def _draw(self, command: imgui.ImDrawCmd, origin: tuple[float, float], height: int) -> None:
@@ -148,7 +148,7 @@ class ImguiRenderer:
         texture.status = imgui.ImTextureStatus.destroyed
 
     def release(self) -> None:
-        """Free imgui's textures and our own objects; textures that were added stay their owners'."""
+        """Free imgui's textures and the renderer's objects. Textures that were added belong to their owners."""
         for texture in imgui.get_platform_io().textures:
             if texture.tex_id:
                 self._destroy(texture)

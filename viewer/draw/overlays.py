@@ -1,4 +1,4 @@
-"""Lines and points in space, drawn over the viewport with the camera's own projection."""
+"""Draw lines and points in space over the viewport, with the camera's projection."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from nerf_core.probe import RayProbe
 
 from ..ui.widgets import packed, tints
 
-NEAR = 1e-3  # of the distance to the orbit's centre: what lies nearer to the eye is cut off
-FAINT = 1e-3  # a sample of less weight cannot change an 8-bit pixel: it is not drawn
-MANY = 300  # discs: to compare more, each with each, would take longer than to draw them
-TAG_PAD_EM = 0.3  # beside a name
-REACH_EM = 0.3  # from a sample's rim at which the mouse still means it
+NEAR = 1e-3  # of the distance to the orbit's centre: lines nearer to the eye are cut off
+FAINT = 1e-3  # a sample of smaller weight cannot change an 8-bit pixel and is not drawn
+MANY = 300  # discs: comparing more of them pairwise would take longer than drawing them
+TAG_PAD_EM = 0.3  # margin around a name
+REACH_EM = 0.3  # the mouse still hits a sample at this distance from its rim
 
 
 class Overlay:
     """Draws 3D figures for one camera into an imgui draw list.
 
-    origin: where the viewport's top left pixel lies on the screen. near: z-depth at which lines are cut.
+    origin: the screen position of the viewport's top left pixel.
+    near: the z-depth at which lines are cut.
     """
 
     def __init__(self, draw: imgui.ImDrawList, camera: Camera, origin: tuple[float, float], near: float) -> None:
@@ -32,8 +33,10 @@ class Overlay:
         self._near = near
 
     def lines(self, starts: np.ndarray, ends: np.ndarray, *strokes: tuple[ImVec4 | list[ImVec4], float]) -> None:
-        """Segments between world points (N, 3) and (N, 3), drawn over in every colour, or one each, and thickness of
-        `strokes`."""
+        """Draw segments between world points (N, 3) and (N, 3).
+
+        strokes: each is a colour for all, or one per segment, and a thickness; they are drawn over each other.
+        """
         a, b, visible = clip_segments(self._camera, starts, ends, self._near)
         index = np.flatnonzero(visible).tolist()
         a, b = a[index] + self._origin, b[index] + self._origin
@@ -44,13 +47,13 @@ class Overlay:
                 self._draw.add_line(p, q, tint, thickness)
 
     def samples(self, ray: RayProbe, em: float, *rims: tuple[ImVec4, float]) -> None:
-        """The last pass's samples: area grows with weight, colour is what each sample emits.
+        """Draw the samples of the last pass as discs: the area grows with the weight, the colour is the sample's.
 
-        rims: colours, and how many pixels each reaches around all of them. They lie under every sample: dense ones
-        would hide each other's colours under their rims.
+        rims: colours, and the width of each in pixels. All rims lie under all samples, because dense samples would
+        otherwise hide each other's colours.
         """
         drawn, places, radii = self._discs(ray, em)
-        kept = uncovered(places, radii)  # most are not, where one looks along a ray
+        kept = uncovered(places, radii)  # most are covered if one looks along the ray
         drawn, places, radii = drawn[kept], places[kept], radii[kept]
         discs = [(ImVec2(*place), radius) for place, radius in zip(places.tolist(), radii.tolist(), strict=True)]
         for color, reach in rims:
@@ -63,7 +66,10 @@ class Overlay:
     def tags(
         self, starts: np.ndarray, ends: np.ndarray, texts: list[str], em: float, colors: list[ImVec4], ink: ImVec4
     ) -> None:
-        """Names, in `ink` on `colors`, past the visible ends of world segments (N, 3), within the picture and apart."""
+        """Draw names at the visible ends of world segments (N, 3), inside the picture and without overlaps.
+
+        They are written in `ink` on `colors`.
+        """
         a, b, visible = clip_segments(self._camera, starts, ends, self._near)
         taken: list[Box] = []
         for k in np.flatnonzero(visible).tolist():
@@ -71,9 +77,13 @@ class Overlay:
             self._tag(taken[-1], texts[k], em, colors[k], ink)
 
     def _tag_box(self, start: np.ndarray, end: np.ndarray, text: str, em: float) -> Box:
-        size, pad, gap = imgui.calc_text_size(text), TAG_PAD_EM * em, 1.4 * em  # clear of what marks a sample there
+        size, pad, gap = (
+            imgui.calc_text_size(text),
+            TAG_PAD_EM * em,
+            1.4 * em,
+        )  # the gap leaves space for the mark of a sample
         x, y = end
-        leftwards = x < start[0] - em  # of a ray seen from its own camera only rounding would tell
+        leftwards = x < start[0] - em  # em: for a ray seen from its own camera the sign is only rounding
         x = x - gap - size.x if leftwards else x + gap
         x = max(min(x, self._camera.width - size.x - pad), pad)
         y = max(min(y - size.y / 2, self._camera.height - size.y), 0.0)
@@ -86,37 +96,40 @@ class Overlay:
         self._draw.add_text(ImVec2(left + TAG_PAD_EM * em, top), packed(ink), text)
 
     def sample_at(self, ray: RayProbe, em: float, x: float, y: float) -> int | None:
-        """The last pass's sample whose disc lies under a place of the screen, or nearly; None where there is none.
+        """Return the sample of the last pass whose disc is at, or nearly at, a screen position; None if there is none.
 
-        Nor is there any while the eye is on the ray: its samples then lie in one pixel, behind each other.
+        While the eye is on the ray it is None too, because all samples then lie behind each other in one pixel.
         """
         aside = np.linalg.norm(np.cross(self._camera.c2w[:, 3] - ray.origin, ray.direction))
         if aside < self._near:
             return None
         found, places, radii = self._discs(ray, em)
         apart = np.hypot(*(places - (x, y)).T)
-        apart = np.where(apart < radii + REACH_EM * em, apart, np.inf)  # where they overlap, the nearest middle
+        apart = np.where(
+            apart < radii + REACH_EM * em, apart, np.inf
+        )  # of overlapping discs, the one with the nearest centre
         return int(found[apart.argmin()]) if np.isfinite(apart).any() else None
 
     def _discs(self, ray: RayProbe, em: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Samples (K,) of the last pass that are worth drawing, their places (K, 2) on the screen and radii (K,);
-        nearer ones after farther ones."""
+        """The visible samples (K,) of the last pass, far to near, their screen positions (K, 2) and radii (K,)."""
         last = ray.passes[-1]
         drawn = np.flatnonzero(last.weights > FAINT)
         pixels, depth = self._camera.project(ray.origin + last.t[drawn, None] * ray.direction)
         order = np.argsort(-depth)
         order = order[depth[order] >= self._near]
-        radii = em * (0.2 + 0.36 * np.sqrt(last.weights[drawn[order]]))  # the lightest still show their colour
+        radii = em * (
+            0.2 + 0.36 * np.sqrt(last.weights[drawn[order]])
+        )  # samples of the smallest weight still show their colour
         return drawn[order], pixels[order] + self._origin, radii
 
     def ring(self, position: np.ndarray, radius: float, color: ImVec4, thickness: float) -> None:
-        """A circle of `radius` pixels around a world point."""
+        """Draw a circle of `radius` pixels around a world point."""
         pixels, depth = self._camera.project(np.asarray(position, dtype=np.float64)[None])
         if depth[0] >= self._near:
             self._draw.add_circle(ImVec2(*(pixels[0] + self._origin)), radius, packed(color), thickness=thickness)
 
     def point(self, position: np.ndarray, em: float, color: ImVec4) -> None:
-        """A crosshair with a gap, so that what it marks stays visible."""
+        """Draw a crosshair with a gap, so that the marked point stays visible."""
         pixels, depth = self._camera.project(np.asarray(position, dtype=np.float64)[None])
         if depth[0] < self._near:
             return
@@ -129,7 +142,7 @@ class Overlay:
 
 @dataclass(frozen=True)
 class Box:
-    """In pixels, from the top left corner of the picture."""
+    """A rectangle in pixels from the picture's top left corner."""
 
     x: float
     y: float
@@ -138,9 +151,9 @@ class Box:
 
 
 def clear_of(taken: list[Box], box: Box, bottom: float) -> Box:
-    """The box, moved by the fewest whole rows, up or down, so that it covers none of those taken and ends by `bottom`.
+    """Move a box by the fewest whole rows, up or down, until it covers no taken box and ends above `bottom`.
 
-    Where no row is free, as it is.
+    If no row is free, the box stays where it is.
     """
     rows = 2 * len(taken)
     for row in sorted(range(-rows, rows + 1), key=abs):
@@ -155,7 +168,10 @@ def clear_of(taken: list[Box], box: Box, bottom: float) -> Box:
 
 
 def uncovered(places: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """Which discs (K,) of places (K, 2) and radii (K,), drawn in this order, no later one covers whole."""
+    """Return which discs, drawn in this order, are not completely covered by a later one, as bool (K,).
+
+    places: (K, 2) centres. radii: (K,).
+    """
     if len(radii) > MANY:
         return np.ones(len(radii), bool)
     apart = np.hypot(*(places[:, None] - places).transpose(2, 0, 1))
@@ -166,16 +182,18 @@ def uncovered(places: np.ndarray, radii: np.ndarray) -> np.ndarray:
 def clip_segments(
     camera: Camera, starts: np.ndarray, ends: np.ndarray, near: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """World segments (N, 3), (N, 3) → their visible parts in pixels (N, 2), (N, 2), and which (N,) there are.
+    """Clip world segments (N, 3), (N, 3) to their visible parts in pixels (N, 2), (N, 2); also which (N,) are visible.
 
-    Cut first at z-depth `near`, in space, where a point behind the eye has no pixel; then at the picture's edges
-    (Liang and Barsky), so that no coordinate outgrows what a rasteriser can take.
+    They are clipped in space at z-depth `near`, because a point behind the eye has no pixel. Then they are clipped at
+    the picture's edges (Liang and Barsky), because a rasteriser cannot take very large coordinates.
     """
     starts, ends = np.asarray(starts, dtype=np.float64), np.asarray(ends, dtype=np.float64)
     axis = -camera.c2w[:, 2]
     za, zb = (starts - camera.c2w[:, 3]) @ axis, (ends - camera.c2w[:, 3]) @ axis
     visible = (za >= near) | (zb >= near)
-    span = np.where(za == zb, 1.0, zb - za)  # parallel to the plane: nothing to cut
+    span = np.where(
+        za == zb, 1.0, zb - za
+    )  # a segment parallel to the plane is not cut; this avoids a division by zero
     cut = starts + ((near - za) / span)[:, None] * (ends - starts)
     a = camera.project(np.where((za < near)[:, None], cut, starts))[0]
     b = camera.project(np.where((zb < near)[:, None], cut, ends))[0]
@@ -194,7 +212,7 @@ def clip_segments(
 
 
 def frusta(cameras: list[Camera], size: float) -> tuple[np.ndarray, np.ndarray]:
-    """Each camera as a pyramid `size` deep: starts and ends (8·N, 3) of its edges."""
+    """Return the edges of each camera's pyramid, `size` deep: starts and ends (8·N, 3)."""
     starts, ends = [], []
     for camera in cameras:
         x = np.array([0, camera.width, camera.width, 0]) - camera.cx
@@ -207,7 +225,10 @@ def frusta(cameras: list[Camera], size: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def axis_directions(camera: Camera, up: np.ndarray) -> list[tuple[np.ndarray, float, bool]]:
-    """World x, y, z as seen by the camera: (2,) right and down, how far towards the viewer, whether it is up."""
+    """Return the world axes x, y, z as seen by the camera.
+
+    For each: (2,) right and down on the screen, its component towards the viewer, and whether it is the up axis.
+    """
     found = []
     for k in range(3):
         axis = np.eye(3)[k]

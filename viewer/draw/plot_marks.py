@@ -1,4 +1,4 @@
-"""Marks that are drawn into a plot over t: the ray's depths, the samples' positions and colours."""
+"""Marks for plots over t: the ray's depths, and the samples' positions and colours."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ DEPTHS: tuple[tuple[str, str, Glyph], ...] = (
 
 
 def depth_marks(ui: Ui, ray: RayProbe, *, glyphs: bool) -> None:
-    """Lines where the ray's depths lie; glyphs: also say which is which."""
+    """Draw lines at the ray's depths. glyphs: also draw their signs."""
     draw, top = implot.get_plot_draw_list(), implot.get_plot_pos().y
     implot.push_plot_clip_rect()
     for row, (_, name, glyph) in enumerate(DEPTHS):
@@ -49,15 +49,17 @@ def depth_marks(ui: Ui, ray: RayProbe, *, glyphs: bool) -> None:
         x = x_of(t)
         draw.add_line(ImVec2(x, top), ImVec2(x, top + implot.get_plot_size().y), packed(faded(ui.theme.text, 0.35)))
         if glyphs:
-            # one below the other: on a surface all three lie in one place
+            # one below the other, because on a surface all three are at the same place
             glyph(draw, ImVec2(x, top + (0.5 + 0.75 * row) * ui.em), 0.3 * ui.em, packed(ui.theme.text))
     implot.pop_plot_clip_rect()
 
 
 def pixels(t: np.ndarray) -> np.ndarray:
-    """Where distances (N,) lie in the current plot: x in pixels of the screen, (N,)."""
+    """Return the screen x in pixels (N,) of distances (N,) in the current plot."""
     limits, at, size = implot.get_plot_limits().x, implot.get_plot_pos(), implot.get_plot_size()
-    return at.x + (t - limits.min) / max(limits.size(), 1e-12) * size.x  # two equal limits: any place will do
+    return (
+        at.x + (t - limits.min) / max(limits.size(), 1e-12) * size.x
+    )  # 1e-12: for two equal limits, where any position will do
 
 
 def x_of(t: float) -> float:
@@ -66,21 +68,21 @@ def x_of(t: float) -> float:
 
 
 def row_of(bounds: list[float], row: int) -> tuple[float, float]:
-    """Top and bottom of a strip's row in pixels, with a little air between rows."""
+    """Return top and bottom of a strip's row in pixels, with a small gap between rows."""
     low, high = (implot.plot_to_pixels(0.0, edge).y for edge in bounds[row : row + 2])
     air = 0.08 * abs(high - low)
     return min(low, high) + air, max(low, high) - air
 
 
 def ticks(ui: Ui, t: np.ndarray, row: tuple[float, float], color: ImVec4) -> None:
-    """A line at each distance (S,). row: its top and bottom in pixels."""
+    """Draw a line at each distance (S,). row: top and bottom in pixels."""
     draw, (top, bottom), tint = implot.get_plot_draw_list(), row, packed(color)
     for x in pixels(t).tolist():
         draw.add_line(ImVec2(x, top), ImVec2(x, bottom), tint, 0.06 * ui.em)
 
 
 def color_strip(steps: Steps, row: tuple[float, float], opacity: np.ndarray) -> None:
-    """The colour of every sample over its stretch of the ray. opacity: (S,) in [0, 1]."""
+    """Draw the colour of every sample over its interval of the ray. opacity: (S,) in [0, 1]."""
     draw, (top, bottom) = implot.get_plot_draw_list(), row
     left, right = pixels(steps.t).tolist(), pixels(steps.until).tolist()
     colors = tints(steps.probe.rgb, opacity)
@@ -89,6 +91,6 @@ def color_strip(steps: Steps, row: tuple[float, float], opacity: np.ndarray) -> 
 
 
 def be_item(left: float, top: float, right: float, bottom: float) -> None:
-    """Make a rectangle imgui's last item, as a mark takes it: plots submit none for what they hold."""
+    """Make a rectangle imgui's last item, so that `ui.mark` can mark it: the content of a plot is not an item."""
     visible = imgui.internal.ItemStatusFlags_.visible
     imgui.internal.set_last_item_data(0, 0, visible, imgui.internal.ImRect(left, top, right, bottom))

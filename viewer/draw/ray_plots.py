@@ -1,4 +1,4 @@
-"""One ray drawn over t: weights and transmittance, density, sample positions and colours, on one shared axis."""
+"""Plots of one ray over t: weights and transmittance, density, sample positions and colours, on one shared axis."""
 
 from __future__ import annotations
 
@@ -21,18 +21,22 @@ if TYPE_CHECKING:
 
 X1, Y1 = implot.ImAxis_.x1, implot.ImAxis_.y1
 PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
-LOG_DECADES = 4  # how far below its peak density is still told from empty space on a log axis
+LOG_DECADES = 4  # decades below the peak density that a log axis shows
 DRAG_ID = 0
-REACH_EM = 0.3  # from a sample's stretch at which the mouse still means it
-ROW_EM = 1.0  # height of the strip's rows, which all passes' ticks share one of: their names must not overlap
+REACH_EM = 0.3  # the mouse still hits a sample at this distance from its interval
+ROW_EM = 1.0  # height of a row of the strip; the ticks of all passes share one row, so that names do not overlap
 
 LogChoice = Literal["auto", "on", "off"]
 
 
 @dataclass(frozen=True)
 class Opened:
-    """What the plots show of one ray. units: of length in density's 1/length; point_t: the radiance point's. marked: a
-    sample that is pointed at somewhere."""
+    """The content of the plots.
+
+    units: the unit of length in density's 1/length.
+    point_t: the distance of the radiance point.
+    marked: a sample that the user points at in some panel.
+    """
 
     ray: RayProbe
     passes: tuple[Steps, ...]
@@ -42,7 +46,7 @@ class Opened:
 
 
 class RayPlots:
-    """Three plots over a shared t axis whose limits are set when another ray is opened, and by the user alone after."""
+    """Three plots with one t axis. Its limits are set when another ray is opened; then only the user moves them."""
 
     def __init__(self) -> None:
         self.log_choice: LogChoice = "auto"
@@ -58,14 +62,14 @@ class RayPlots:
         return self._t_min.value, self._t_max.value
 
     def open(self, ray: RayProbe, passes: tuple[Steps, ...]) -> None:
-        """Choose limits and scale for a ray that was just opened."""
+        """Choose limits and scale for a newly opened ray."""
         span = max(ray.far - ray.near, 1e-6)  # a ray without length still needs an axis
         self._t_min.value, self._t_max.value = ray.near - 0.01 * span, ray.near + 1.01 * span
         self._dragged = None
         self.choose_log(self.log_choice, passes)
 
     def choose_log(self, choice: LogChoice, passes: tuple[Steps, ...]) -> None:
-        """auto: by what this ray needs, and each that is opened after it."""
+        """Choose the density's axis. "auto" chooses for this ray, and again for each one opened later."""
         self.log_choice = choice
         self.log_density = bool(passes) and wants_log(passes[-1].sigma) if choice == "auto" else choice == "on"
         self._scale_density(passes)
@@ -79,7 +83,7 @@ class RayPlots:
         """Draw everything into `size`. Returns the t to which the user drags the radiance point, else None."""
         ray, passes = opened.ray, opened.passes
         if max((float(p.sigma.max()) for p in passes), default=0.0) > self._sigma_limits[1]:
-            self._scale_density(passes)  # training has lifted it past what could be seen
+            self._scale_density(passes)  # training has raised it beyond the axis
         pad = 0.25 * ui.em
         implot.push_style_var(implot.StyleVar_.plot_min_size, ImVec2(ui.em, ui.em))
         implot.push_style_var(implot.StyleVar_.plot_padding, ImVec2(pad, pad))
@@ -91,7 +95,7 @@ class RayPlots:
         axis = imgui.get_text_line_height() + pad  # the density plot also carries the t axis
         height = max((size.y - strip - axis - 2 * gap.y) / 2, 3 * ui.em)
         if implot.begin_aligned_plots("ray"):
-            if self._dragged is not None:  # the line stays under the hand until the worker has followed
+            if self._dragged is not None:  # the line stays at the mouse until the worker has followed
                 opened = replace(opened, point_t=self._dragged)
             for plot, plot_height in ((self._weights, height), (self._density, height + axis)):
                 moved, read = plot(ui, opened, ImVec2(size.x, plot_height))
@@ -115,7 +119,9 @@ class RayPlots:
         self._share_t(implot.AxisFlags_.no_tick_labels)
         implot.setup_axis(Y1, None, implot.AxisFlags_.lock)
         implot.setup_axis_limits(Y1, 0, 1.05, implot.Cond_.always)
-        implot.setup_axis_ticks(Y1, [0.5, 1.0], ["0.5", "1"])  # 0 would touch the next plot's topmost
+        implot.setup_axis_ticks(
+            Y1, [0.5, 1.0], ["0.5", "1"]
+        )  # a label 0 would touch the topmost label of the next plot
         for steps in passes[-1:]:
             filled = implot.Spec(fill_color=faded(ui.theme.fine, 0.55), flags=implot.StairsFlags_.shaded)
             filled.line_color = ui.theme.fine
@@ -129,7 +135,7 @@ class RayPlots:
         line = implot.Spec(line_color=ui.theme.transmittance, line_weight=0.12 * ui.em)
         for steps in passes[-1:]:
             implot.plot_line("transmittance", steps.edges, steps.transmittance, line)
-        if not passes:  # nothing stands in the ray's way
+        if not passes:  # there are no samples
             implot.plot_line("transmittance", np.array([opened.ray.near, opened.ray.far]), np.ones(2), line)
         axis_name(ui, "w / largest w, T, α", right=True, height=0.5)  # T is 1 or 0 there
         depth_marks(ui, opened.ray, glyphs=True)
@@ -153,7 +159,7 @@ class RayPlots:
         self._fresh_density = False
         for steps in passes:
             last = steps is passes[-1]
-            # a log axis has no place for 0: empty space lies on its floor
+            # a log axis cannot show 0: empty space lies on its lower limit
             sigma = np.maximum(steps.sigma, low) if self.log_density else steps.sigma
             color = ui.theme.density if last else ui.theme.coarse
             line = implot.Spec(line_color=color, line_weight=(0.12 if last else 0.08) * ui.em)
@@ -166,14 +172,14 @@ class RayPlots:
         return result
 
     def _strip(self, ui: Ui, passes: tuple[Steps, ...], size: ImVec2) -> tuple[Steps, int] | None:
-        """Where each pass placed its samples, what colour those of the last have, and what each of them paints."""
+        """The positions of each pass's samples, the colours of the last pass, and their contributions to the pixel."""
         if not implot.begin_plot("##strip", size, PLOT):
             return None
         bounds = np.cumsum([0.0, *(ROW_EM / len(passes) for _ in passes), ROW_EM, ROW_EM]).tolist()
         self._share_t(implot.AxisFlags_.no_decorations)
         implot.setup_axis(Y1, None, implot.AxisFlags_.lock | implot.AxisFlags_.invert | implot.AxisFlags_.no_grid_lines)
         implot.setup_axis_limits(Y1, 0, bounds[-1], implot.Cond_.always)
-        named = [0.0, *bounds[len(passes) :]] if passes else bounds  # the passes' ticks share a name
+        named = [0.0, *bounds[len(passes) :]] if passes else bounds  # the ticks of all passes have one name
         places = [(low + high) / 2 for low, high in pairwise(named)]
         implot.setup_axis_ticks(Y1, places, ["samples", "colour", "× weight"][-len(places) :])
         implot.setup_finish()
@@ -183,7 +189,7 @@ class RayPlots:
             ticks(ui, steps.t, row_of(bounds, row), ui.theme.fine if last else ui.theme.coarse)
         for steps in passes[-1:]:
             color_strip(steps, row_of(bounds, len(passes)), np.ones(len(steps.probe.t)))
-            peak = max(float(steps.weights.max()), 1e-12)  # where all are zero nothing is painted
+            peak = max(float(steps.weights.max()), 1e-12)  # 1e-12: if all are zero nothing is painted
             color_strip(steps, row_of(bounds, len(passes) + 1), np.nan_to_num(steps.probe.weights) / peak)
         implot.pop_plot_clip_rect()
         reading = None
@@ -199,7 +205,7 @@ class RayPlots:
         implot.setup_axis_links(X1, self._t_min, self._t_max)
 
     def _drag_point(self, ui: Ui, point: float) -> float | None:
-        unseen = faded(ui.theme.point, 0.0)  # its own caps would hide the peak on which it mostly stands
+        unseen = faded(ui.theme.point, 0.0)  # implot's own caps would hide the peak on which the point usually is
         changed, t, *_ = implot.drag_line_x(DRAG_ID, point, unseen, 0.15 * ui.em, implot.DragToolFlags_.no_fit)
         x, top, r = x_of(point), implot.get_plot_pos().y, 0.4 * ui.em
         draw, color, foot = implot.get_plot_draw_list(), packed(ui.theme.point), top + implot.get_plot_size().y
@@ -209,10 +215,10 @@ class RayPlots:
         implot.pop_plot_clip_rect()
         be_item(x - 0.3 * ui.em, top, x + 0.3 * ui.em, top + implot.get_plot_size().y)
         ui.mark("ray.point")
-        return max(t, 0.0) if changed else None  # behind the camera there is no ray
+        return max(t, 0.0) if changed else None  # a ray does not reach behind its camera
 
     def _read(self, ui: Ui, passes: tuple[Steps, ...], marked: tuple[Steps, int] | None) -> tuple[Steps, int] | None:
-        """The sample under the mouse, of whichever pass; the one that is pointed at is marked in this plot."""
+        """Return the sample under the mouse, of any pass. The marked sample is highlighted in this plot."""
         if marked is not None:
             steps, index = marked
             x = x_of(float(steps.t[index]))
@@ -225,8 +231,8 @@ class RayPlots:
 
 
 def _of_largest(steps: Steps) -> np.ndarray:
-    """Weights (E,) over the largest of their pass: many narrow samples share what a few wide ones have each."""
-    return steps.weights / max(float(steps.weights.max()), 1e-12)  # where all are zero they stay zero
+    """Weights (E,) divided by the largest of their pass, because many narrow samples have smaller weights than few."""
+    return steps.weights / max(float(steps.weights.max()), 1e-12)  # 1e-12: if all are zero they stay zero
 
 
 def _when(fresh: bool) -> implot.Cond_:

@@ -1,4 +1,4 @@
-"""What a ray's plots draw of each pass: its samples as stairs over t."""
+"""The samples of each pass as stairs over t, for the plots of a ray."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy as np
 
 from nerf_core.probe import PassProbe, RayProbe
 
-CONTIGUOUS = 1e-3  # of a sample's length: a gap that is no wider is rounding
+CONTIGUOUS = 1e-3  # of a sample's length: smaller gaps are rounding
 
 
 @dataclass(frozen=True)
 class Steps:
-    """One pass. Sample i stands for the ray from t[i] to until[i], (S,) each; until reaches to the far end at most.
+    """One pass. Sample i covers the ray from t[i] to until[i], (S,) each; until ends at the far end at the latest.
 
-    edges, weights, sigma, alpha, transmittance: (E,), stairs from the near end to the far one. Value i holds from edge
-    i to the next, and is 0 where no sample stands for the ray; transmittance is that at the edges.
+    edges, weights, sigma, alpha, transmittance: (E,), stairs from the near end to the far end. Value i holds from edge
+    i to the next and is 0 where no sample covers the ray; transmittance is the value at the edges.
     """
 
     probe: PassProbe
@@ -30,13 +30,13 @@ class Steps:
 
 
 def steps_of(ray: RayProbe) -> tuple[Steps, ...]:
-    """The passes that hold samples."""
+    """Return the passes that have samples."""
     return tuple(_steps(p, ray.near, ray.far) for p in ray.passes if len(p.t))
 
 
 def _steps(p: PassProbe, near: float, far: float) -> Steps:
     t = np.nan_to_num(p.t.astype(np.float64))
-    end = far if t[-1] < far else t[-1] + far - near  # a last δ may be without end
+    end = far if t[-1] < far else t[-1] + far - near  # the last δ may be infinite
     beyond = np.append(t[1:], end)
     until = np.clip(np.nan_to_num(p.until.astype(np.float64), nan=np.inf), t, beyond)
     light, left = p.transmittance, p.transmittance[-1] * (1 - p.alpha[-1])
@@ -65,14 +65,15 @@ def _steps(p: PassProbe, near: float, far: float) -> Steps:
 
 
 def wants_log(sigma: np.ndarray) -> bool:
-    """Whether a linear axis would flatten most of the density: its peak stands 50 times over its median."""
+    """Return whether a linear axis would flatten most of the density: its peak is over 50 times its median."""
     positive = sigma[sigma > 0]
     return len(positive) > 0 and bool(positive.max() > 50 * np.median(positive))
 
 
 def sample_at(passes: tuple[Steps, ...], t: float, reach: float) -> tuple[Steps, int] | None:
-    """The sample whose stretch holds t, or begins or ends within `reach` of it; of several the one that begins nearest.
-    None: t lies where no sample stands for the ray."""
+    """Return the sample whose interval contains t, or begins or ends within `reach` of it.
+    Of several it is the one that begins nearest. None: no sample covers the ray at t.
+    """
     found, least = None, (reach, np.inf)
     for steps in passes:
         aside = np.maximum(np.maximum(steps.t - t, t - steps.until), 0.0)

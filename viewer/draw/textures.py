@@ -1,4 +1,4 @@
-"""Textures by name, for what panels show."""
+"""Textures by name, for the panels."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .imgui_renderer import ImguiRenderer
 
 
 class TextureCache:
-    """Keeps one GL texture a name; uploads only when it is given another array object."""
+    """Keeps one GL texture per name. It uploads an array only if it is another object than before."""
 
     def __init__(self, renderer: ImguiRenderer) -> None:
         self._renderer = renderer
@@ -18,14 +18,17 @@ class TextureCache:
         self._retired: list[moderngl.Texture] = []
 
     def begin_frame(self) -> None:
-        """Free what was replaced in the last frame: its draw commands named the old textures to the end."""
+        """Free the textures that were replaced in the last frame, whose draw commands still referred to them."""
         for texture in self._retired:
             self._renderer.remove(texture)
             texture.release()
         self._retired.clear()
 
     def get(self, key: str, rgba: np.ndarray, smooth: bool = True) -> imgui.ImTextureRef:
-        """`rgba` uint8 (h, w, 4), row 0 at uv y = 0 (the top of an imgui image). Raises ValueError on other shapes."""
+        """Return the texture of `key`.
+
+        rgba: uint8 (h, w, 4), row 0 at uv y = 0 (the top of an imgui image). Raises ValueError for other shapes.
+        """
         if rgba.ndim != 3 or rgba.shape[2] != 4 or rgba.dtype != np.uint8 or 0 in rgba.shape:
             raise ValueError(f"texture {key!r}: got {rgba.dtype} {rgba.shape}, wants uint8 (h, w, 4)")
         held, texture = self._held.get(key, (None, None))

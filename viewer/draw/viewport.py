@@ -1,4 +1,4 @@
-"""The picture in the viewport: the newest preview, or, while the camera is ahead of it, a warp of it."""
+"""The picture in the viewport: the newest preview, or a warp of it while the camera is ahead of the preview."""
 
 from __future__ import annotations
 
@@ -48,11 +48,15 @@ void main() {
 }
 """
 
-PALER = 0.35  # how much of its colour a warped picture loses: it is not what the model says now
+PALER = 0.35  # a warped picture loses this share of its colour, because it is not the model's current picture
 WARP_FRAGMENT = WARP_FRAGMENT.replace("PALER", str(PALER))
 
-JUMP = 1.1  # far over near depth in one cell: an edge with something hidden behind it, not a slanted surface
-MESH_CELLS = 160  # along the longer side: fine enough for silhouettes, 30,000 triangles even software GL likes
+JUMP = (
+    1.1  # ratio of far to near depth in a cell: a larger one is an edge with something behind it, not a slanted surface
+)
+MESH_CELLS = (
+    160  # along the longer side: fine enough for silhouettes, and 30,000 triangles are fast even in software GL
+)
 
 
 class Shown(NamedTuple):
@@ -64,8 +68,10 @@ class Shown(NamedTuple):
 
 
 class ViewportPicture:
-    """Keeps what the viewport shows: the preview itself, or a warp of it in a texture of the camera's size, drawn anew
-    only when something changed."""
+    """The picture of the viewport: the preview itself, or a warp of it in a texture of the camera's size.
+
+    A warp is drawn again only if something changed.
+    """
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
@@ -84,7 +90,7 @@ class ViewportPicture:
 
     @property
     def shown(self) -> Shown:
-        """What `draw` was last asked for."""
+        """The result of the last `draw`."""
         assert self._shown is not None, "draw first"
         return self._shown
 
@@ -111,7 +117,7 @@ class ViewportPicture:
         image.write(np.ascontiguousarray(preview.rgba))
         self._image = image
         self._release(self._depth, *(self._mesh or ()))
-        self._depth = self._mesh = None  # made when a warp needs them
+        self._depth = self._mesh = None  # built when a warp needs them
         self._preview = preview
 
     def _resize(self, width: int, height: int) -> moderngl.Texture:
@@ -119,13 +125,13 @@ class ViewportPicture:
         if self._warped is None or self._warped.size != (width, height):
             self._release_target()
             self._warped = self._context.texture((width, height), 4)
-            self._warped.filter = (moderngl.NEAREST, moderngl.NEAREST)  # shown pixel for pixel
+            self._warped.filter = (moderngl.NEAREST, moderngl.NEAREST)  # it is shown pixel for pixel
             depth = self._context.depth_renderbuffer((width, height))
             self._target = self._context.framebuffer([self._warped], depth)
         return self._warped
 
     def _show(self, preview: Preview) -> None:
-        """The preview as it is. Texel (i, j) was computed at pixel centre (i · stride + ½, j · stride + ½)."""
+        """Show the preview itself. Texel (i, j) was computed at the pixel centre (i · stride + ½, j · stride + ½)."""
         if preview is not self._preview:
             self._upload(preview)
         assert self._image is not None
@@ -139,7 +145,7 @@ class ViewportPicture:
         self._shown = Shown(self._image, first, last)
 
     def draw_warped(self, preview: Preview, camera: Camera, background: tuple[float, float, float]) -> None:
-        """Move every pixel of `preview` to where its depth puts it in `camera`."""
+        """Move every pixel of `preview` to its place in `camera`, by its depth."""
         if preview is not self._preview:
             self._upload(preview)
         texture = self._resize(camera.width, camera.height)
@@ -154,7 +160,7 @@ class ViewportPicture:
             return  # nothing was hit anywhere
         old = preview.camera
         motion = _inverse(_square(camera.c2w)) @ _square(old.c2w)
-        self._warp["motion"] = tuple(motion.T.ravel())  # GL counts column by column
+        self._warp["motion"] = tuple(motion.T.ravel())  # GL stores matrices by columns
         self._warp["lens_old"] = (old.fx, old.fy, old.cx, old.cy)
         self._warp["lens_new"] = (camera.fx, camera.fy, camera.cx, camera.cy)
         self._warp["size_new"] = (camera.width, camera.height)
@@ -178,7 +184,9 @@ class ViewportPicture:
         layout = [(vertices, "3f 2f", "point", "colored")]
         arrays = self._context.vertex_array(self._warp, layout, index_buffer=indices)
         self._mesh = (arrays, vertices, indices)
-        self._near = 1e-3 * float(np.nanmedian(preview.depth))  # nearer than a thousandth of the scene: behind the eye
+        self._near = 1e-3 * float(
+            np.nanmedian(preview.depth)
+        )  # points nearer than a thousandth of the scene count as behind the eye
 
     @staticmethod
     def _release(*objects: moderngl.Texture | moderngl.Buffer | moderngl.VertexArray | None) -> None:
@@ -201,16 +209,16 @@ class ViewportPicture:
 
 
 def same_view(a: Camera, b: Camera) -> bool:
-    """Whether two cameras see exactly the same rays."""
+    """Return whether two cameras have exactly the same rays."""
     return a.intrinsics() == b.intrinsics() and np.array_equal(a.c2w, b.c2w)
 
 
 def warp_mesh(preview: Preview) -> tuple[np.ndarray, np.ndarray]:
-    """A grid over the picture: points (P, 5) = pixel x, y, z-depth, coloured as pixel x, y; triangles (T, 3).
+    """Return a mesh over the picture: points (P, 5) = pixel x, y, z-depth, x, y of their colour; triangles (T, 3).
 
-    A point beside an edge takes the mean depth of what was hit around it, so that triangles reach past the edge;
-    the fragment shader then cuts them at the exact texel. A triangle over a jump in depth spans what the motion
-    uncovers: it is all of its farthest corner's colour, since what comes to light lies behind.
+    A point beside an edge takes the mean depth of the hits around it, so that triangles reach past the edge; the
+    fragment shader then cuts them at the exact texel. A triangle over a jump in depth covers the area that the motion
+    uncovers. It has the colour of its farthest corner, because the uncovered surface lies behind.
     """
     height, width = preview.depth.shape
     step = max(1, -(-max(width, height) // MESH_CELLS))
@@ -221,7 +229,12 @@ def warp_mesh(preview: Preview) -> tuple[np.ndarray, np.ndarray]:
         near_hits = _window_mean(preview.depth, step)[np.ix_(rows, columns)]
         depth = np.where(missing, near_hits, depth)
     x, y = columns * preview.stride + 0.5, rows * preview.stride + 0.5
-    x[0], y[0], x[-1], y[-1] = 0, 0, preview.camera.width, preview.camera.height  # texel centres stop short of them
+    x[0], y[0], x[-1], y[-1] = (
+        0,
+        0,
+        preview.camera.width,
+        preview.camera.height,
+    )  # the borders, because texel centres end before them
     columns_x, rows_y = np.meshgrid(x, y)
     points = np.stack([columns_x, rows_y, depth, columns_x, rows_y], -1).reshape(-1, 5)
     index = np.arange(len(rows) * len(columns)).reshape(len(rows), len(columns))
@@ -238,12 +251,12 @@ def warp_mesh(preview: Preview) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _lattice(count: int, step: int) -> np.ndarray:
-    """0, step, 2·step … and the last index; two of them even for a single texel, so that cells exist."""
+    """0, step, 2·step … and the last index. Even a single texel gives two of them, so that there is a cell."""
     return np.append(np.arange(0, max(count - 1, 1), step), count - 1)
 
 
 def _window_mean(depth: np.ndarray, reach: int) -> np.ndarray:
-    """Mean of the finite values within `reach` texels, NaN where there are none: (h, w) → (h, w)."""
+    """The mean of the finite values within `reach` texels, NaN where there are none: (h, w) → (h, w)."""
     hit = np.isfinite(depth)
     sums = [np.where(hit, depth, 0).astype(np.float64), hit.astype(np.float64)]
     for axis in (0, 1):
@@ -254,11 +267,11 @@ def _window_mean(depth: np.ndarray, reach: int) -> np.ndarray:
             high, low = np.arange(length) + 2 * reach + 1, np.arange(length)
             sums[i] = total.take(high, axis) - total.take(low, axis)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(sums[1] > 0.5, sums[0] / sums[1], np.nan)  # counts, summed in floats
+        return np.where(sums[1] > 0.5, sums[0] / sums[1], np.nan)  # 0.5: these are counts, summed as floats
 
 
 def _paler(color: tuple[float, float, float]) -> tuple[float, float, float]:
-    """What the warp's shader does to the picture, for the background."""
+    """The background with the same loss of colour as in the warp's shader."""
     grey = 0.2126 * color[0] + 0.7152 * color[1] + 0.0722 * color[2]
     r, g, b = ((1 - PALER) * v + PALER * grey for v in color)
     return r, g, b
@@ -269,7 +282,7 @@ def _square(c2w: np.ndarray) -> np.ndarray:
 
 
 def _inverse(pose: np.ndarray) -> np.ndarray:
-    """Of a rotation and a shift."""
+    """The inverse of a rotation and a shift."""
     inverse = np.eye(4)
     inverse[:3, :3] = pose[:3, :3].T
     inverse[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]

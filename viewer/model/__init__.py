@@ -1,1 +1,1 @@
-"""What the window knows: its state, its camera, its pinned rays."""
+"""The window's state: its camera, forms and choices."""

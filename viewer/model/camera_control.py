@@ -1,7 +1,7 @@
-"""The user's camera: orbit, fly, pan, zoom, focus. Pure numpy; time is handed in.
+"""The user's camera: orbit, fly, pan, zoom, focus. It uses only numpy, and the caller passes the time.
 
-Pixels are those of the viewport, x right and y down from its top left. Between two frames the app hands in what the
-hands did, then calls `update(time)` once.
+Pixels are those of the viewport, x right and y down from its top left. In each frame the app passes on the user's
+movements and then calls `update(time)` once.
 """
 
 from __future__ import annotations
@@ -18,20 +18,24 @@ from nerf_core.geometry.scene import Scene
 from nerf_core.geometry.turntable import angles_from, level, looking_along, rotation_from
 
 EASE_SECONDS = 0.2
-MOVING_SECONDS = 0.15  # longer than the gap between two mouse events, shorter than a wait that one notices
-ZOOM_STEP = 0.88  # distance over distance for one notch of the wheel
-ORBIT_TURN = math.pi  # radians for a drag over the viewport's height
-MAX_ELEVATION = math.radians(89.0)  # at 90° dragging sideways would spin the picture
-ROLL_FADE = 0.1  # radians of orbiting in which the roll of a photo's camera falls to 1/e
-FLY_SPEED, FLY_FAST = 0.6, 5.0  # scene radii a second; times this with Shift
-FLY_LONGEST = 0.1  # seconds: after a hitch the camera must not leap
-SAMPLED = 100  # with how many each of thousands of cameras is compared
-NEAREST, FARTHEST = 1e-3, 100.0  # scene radii between eye and pivot that the wheel may reach
+MOVING_SECONDS = 0.15  # longer than the gap between two mouse events, shorter than a delay that one notices
+ZOOM_STEP = 0.88  # factor on the distance for one notch of the wheel
+ORBIT_TURN = math.pi  # radians for a drag as long as the viewport's height
+MAX_ELEVATION = math.radians(89.0)  # at 90° a sideways drag would spin the picture
+ROLL_FADE = 0.1  # radians of orbiting after which the roll of a photo's camera has fallen to 1/e
+FLY_SPEED, FLY_FAST = 0.6, 5.0  # scene radii per second; Shift multiplies it by the second number
+FLY_LONGEST = 0.1  # seconds: limits the camera's step after a slow frame
+SAMPLED = 100  # each of thousands of cameras is compared with so many
+NEAREST, FARTHEST = 1e-3, 100.0  # the wheel's limits for the distance from eye to pivot, in scene radii
 
 
 @dataclass(frozen=True)
 class Pose:
-    """A point of view. rotation: (3, 3) camera to world; distance: how far before the eye (3,) the pivot lies."""
+    """A point of view.
+
+    rotation: (3, 3) camera to world.
+    distance: from the eye (3,) forward to the pivot.
+    """
 
     eye: np.ndarray
     rotation: np.ndarray
@@ -52,7 +56,7 @@ def _pleasant(center: np.ndarray, up: np.ndarray, distance: float) -> Pose:
 
 
 def _blend(a: Pose, b: Pose, share: float, up: np.ndarray) -> Pose:
-    """Between two poses around their pivots, upright all the way; a turn on the spot keeps the eye."""
+    """Interpolate between two poses around their pivots, upright all the way. A turn on the spot keeps the eye."""
 
     def mix(x: float, y: float) -> float:
         return x + share * (y - x)
@@ -72,7 +76,7 @@ def _blend(a: Pose, b: Pose, share: float, up: np.ndarray) -> Pose:
 
 
 def _most_central(cameras: Sequence[Camera], center: np.ndarray) -> int:
-    """Index of the camera whose place and direction of view differ least from the others', in all."""
+    """Index of the camera with the least total difference to the others in position and direction of view."""
     poses = np.stack([np.asarray(camera.c2w, np.float64) for camera in cameras])
     size = np.linalg.norm(poses[:, :, 3] - center, axis=1).mean() or 1.0
     features = np.concatenate([(poses[:, :, 3] - center) / size, poses[:, :, 2]], 1)
@@ -84,14 +88,14 @@ def _most_central(cameras: Sequence[Camera], center: np.ndarray) -> int:
 class _Ease:
     start: Pose
     end: Pose
-    began: float | None = None  # the first update after the jump: until then no time has passed for the user
+    began: float | None = None  # time of the first update after the jump, because the user has seen nothing before it
 
 
 @dataclass
 class CameraControl:
-    """Where the user looks from. Without a scene it circles the origin.
+    """The user's camera. Without a scene it circles the origin.
 
-    Orbit, pan, zoom and fly act at once and stop a jump where it is; the other movements are jumps that ease.
+    Orbit, pan, zoom and fly act at once and stop a jump. The other movements are jumps with easing.
     """
 
     scene: Scene | None = field(default=None, init=False)
@@ -110,12 +114,12 @@ class CameraControl:
 
     @property
     def pivot(self) -> np.ndarray:
-        """The world point (3,) that orbits circle."""
+        """The world point (3,) that the camera orbits."""
         return self._pose.pivot
 
     @property
     def distance(self) -> float:
-        """From the eye to the pivot, in scene units."""
+        """The distance from the eye to the pivot, in scene units."""
         return self._pose.distance
 
     @property
@@ -123,16 +127,16 @@ class CameraControl:
         return self._pose.fov_y_degrees
 
     def c2w(self) -> np.ndarray:
-        """Camera to world, (3, 4) float64, OpenGL axes, rotation orthonormal."""
+        """Return camera-to-world, (3, 4) float64, OpenGL axes, orthonormal rotation."""
         return np.column_stack([self._pose.rotation, self._pose.eye])
 
     def camera(self, width: int, height: int) -> Camera:
-        """A pinhole over width × height ≥ 1 pixels; the vertical field of view does not depend on them."""
+        """Return a pinhole camera with width × height ≥ 1 pixels and the same vertical field of view for any size."""
         focal = height / 2 / math.tan(math.radians(self.fov_y_degrees) / 2)
         return Camera(width, height, focal, focal, width / 2, height / 2, self.c2w())
 
     def update(self, time: float) -> bool:
-        """Let a jump go on; whether the camera has moved since the last call, or is about to."""
+        """Continue a jump. Returns whether the camera has moved since the last call, or is about to."""
         moved, self._touched = self._touched, False
         if self._ease is not None:
             moved = True
@@ -150,17 +154,17 @@ class CameraControl:
 
     @property
     def flying(self) -> bool:
-        """Whether a jump is under way."""
+        """True during a jump."""
         return self._ease is not None
 
     def moving(self, time: float) -> bool:
-        """Whether the last change is so young that the next one may follow."""
+        """Return whether the last change is so recent that another may follow."""
         return time - self._changed_at < MOVING_SECONDS
 
-    # ---- hands -----------------------------------------------------------------------------------------------
+    # ---- movements of the user -------------------------------------------------------------------------------
 
     def orbit(self, dx: float, dy: float, height: int) -> None:
-        """Turn around the pivot after a drag of (dx, dy) pixels; never over the pole, and a photo's roll fades."""
+        """Orbit the pivot after a drag of (dx, dy) pixels. It stops before the pole, and a photo's roll fades."""
         azimuth, elevation, roll = angles_from(self._pose.rotation, self._up)
         scale = ORBIT_TURN / height
         elevation = float(np.clip(elevation + dy * scale, -MAX_ELEVATION, MAX_ELEVATION))
@@ -169,16 +173,16 @@ class CameraControl:
         self._move(_around(self.pivot, rotation, self.distance, self.fov_y_degrees))
 
     def pan(self, dx: float, dy: float, height: int) -> None:
-        """Shift sideways so that what lies at the pivot's depth follows a pointer that moved by (dx, dy) pixels."""
+        """Move sideways so that a point at the pivot's depth follows a pointer that moved by (dx, dy) pixels."""
         pixel = self._pixel(height)
         shift = self._pose.rotation @ (pixel * np.array([-dx, dy, 0.0]))
         self._move(replace(self._pose, eye=self._pose.eye + shift))
 
     def zoom(self, steps: float, x: float, y: float, width: int, height: int) -> None:
-        """Approach what lies under the pointer at the pivot's depth (negative steps: retreat), never passing it."""
+        """Approach the point under the pointer at the pivot's depth, but never pass it. Negative steps retreat."""
         distance = self.distance
         wanted = distance * ZOOM_STEP**steps
-        # A focus may lie beyond the wheel's limits; from there the wheel only leads back.
+        # A focus may lie outside the wheel's limits; from there the wheel only leads back.
         wanted = float(np.clip(wanted, min(NEAREST * self._unit, distance), max(FARTHEST * self._unit, distance)))
         pixel = self._pixel(height)
         under = np.array([(x - width / 2) * pixel, (height / 2 - y) * pixel, -distance])
@@ -186,7 +190,7 @@ class CameraControl:
         self._move(replace(self._pose, eye=eye, distance=wanted))
 
     def fly(self, right: float, up: float, forward: float, seconds: float, fast: bool = False) -> None:
-        """Fly for `seconds` along the camera's right and view and the scene's up (−1, 0 or 1 each: keys held)."""
+        """Fly for `seconds` along the camera's right and view axes and the scene's up (−1, 0 or 1 each, from keys)."""
         direction = self._pose.rotation @ np.array([right, 0.0, -forward]) + up * self._up
         length = np.linalg.norm(direction)
         if length == 0:
@@ -198,14 +202,14 @@ class CameraControl:
     # ---- jumps -----------------------------------------------------------------------------------------------
 
     def set_scene(self, scene: Scene) -> None:
-        """Start at a training photo, level; without one, on a pleasant orbit. At once: nothing to ease from.
+        """Start, without easing, at a training photo, level; without photos, at a pleasant distance.
 
-        Of a synthetic object, seen from all around, that is the first; of a place the one that is most like the
-        others, as its content is what most of them show.
+        For a synthetic object, seen from all around, it is the first photo. For a place it is the photo that is most
+        similar to the others, because the content is what most photos show.
         """
         self.scene = scene
         self._up = np.asarray(scene.up, np.float64) / np.linalg.norm(scene.up)
-        # A capture without extent (all cameras in one place, no points) has no scale of its own.
+        # A capture without extent (all cameras in one place, no points) has no scale.
         self._unit = float(scene.radius) if scene.radius > 0 else 1.0
         train = scene.split("train")
         if train:
@@ -219,13 +223,13 @@ class CameraControl:
         self._move(self._home)
 
     def reset(self) -> None:
-        """Back to where the scene was first seen from."""
+        """Return to the first view of the scene."""
         self._jump(self._home)
 
     def frame(self) -> None:
-        """See the whole scene from the present side, as far away as the photos were taken.
+        """Show the whole scene from the current side, at the distance of the photos.
 
-        A forward-facing scene can be seen from its cameras' side only: there it is `reset`.
+        A forward-facing scene can only be seen from its cameras' side: there it does the same as `reset`.
         """
         if self.scene is None or self.scene.ndc is not None:
             self.reset()
@@ -235,13 +239,13 @@ class CameraControl:
         self._jump(_around(np.asarray(self.scene.center, np.float64), rotation, distance, self._home.fov_y_degrees))
 
     def focus(self, point: np.ndarray) -> None:
-        """Turn to a world point (3,) and orbit it from now on; where nothing was hit (not finite), stay."""
+        """Turn to a world point (3,) and orbit it from now on. Ignore a point that is not finite: nothing was hit."""
         if not np.isfinite(point).all():
             return
         to_point = np.asarray(point, np.float64) - self._pose.eye
         distance = float(np.linalg.norm(to_point))
         nearest = NEAREST * self._unit
-        if distance < nearest:  # the eye is in the point: no direction to turn to, so step back instead
+        if distance < nearest:  # the eye is at the point and there is no direction to turn to, so step back
             rotation = level(self._pose.rotation, self._up)
             self._jump(_around(np.asarray(point, np.float64), rotation, nearest, self.fov_y_degrees))
             return
@@ -249,20 +253,22 @@ class CameraControl:
         self._jump(replace(self._pose, rotation=rotation, distance=distance))
 
     def go_to(self, camera: Camera) -> None:
-        """Fly to a photo's camera: its pose exactly, roll included, and its vertical field of view."""
+        """Fly to a photo's camera: to its exact pose, with roll, and its vertical field of view."""
         self._jump(self._photo(camera))
 
     def _pixel(self, height: int) -> float:
-        """A pixel's size at the pivot's depth, in scene units."""
+        """The size of a pixel at the pivot's depth, in scene units."""
         return 2 * self.distance * math.tan(math.radians(self.fov_y_degrees) / 2) / height
 
     def _photo(self, camera: Camera) -> Pose:
-        """A photo's point of view; the pivot lies on its axis, where that passes the scene's centre."""
+        """A photo's point of view. The pivot is the point of its axis nearest to the scene's centre."""
         c2w = np.asarray(camera.c2w, np.float64)
         distance = self._unit
         if self.scene is not None:
             depth = float((c2w[:, 3] - self.scene.center) @ c2w[:, 2])
-            distance = depth if depth > NEAREST * self._unit else self._unit  # behind: it looks out of the scene
+            distance = (
+                depth if depth > NEAREST * self._unit else self._unit
+            )  # the centre lies behind: the photo looks out of the scene
         fov = math.degrees(2 * math.atan(camera.height / 2 / camera.fy))
         return Pose(c2w[:, 3].copy(), c2w[:, :3].copy(), distance, fov)
 

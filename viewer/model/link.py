@@ -1,4 +1,4 @@
-"""What the window needs of the worker."""
+"""The interface through which the window uses the worker."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from nerf_core.live.messages import Command, Notice, Snapshot, ViewRequest
 
 
 class Link(Protocol):
-    """The window's side of `nerf_core.live.worker.Worker`; none of these ever waits."""
+    """The window's side of `nerf_core.live.worker.Worker`. No call ever waits."""
 
     def send(self, command: Command) -> int:
-        """Queue a command; notices that answer it carry this number."""
+        """Queue a command. Notices that answer it carry the number returned."""
         ...
 
     def request_view(self, request: ViewRequest) -> None: ...
@@ -21,5 +21,5 @@ class Link(Protocol):
     def notices(self) -> list[Notice]: ...
 
     def painted(self, seconds: float) -> None:
-        """The window drew a frame, which took so long."""
+        """Tell the worker how many seconds a frame of the window took."""
         ...

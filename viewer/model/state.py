@@ -1,4 +1,4 @@
-"""What the window knows: the worker's newest snapshot, the user's camera, forms and choices."""
+"""The window's state: the worker's newest snapshot, the user's camera, forms and choices."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ class FrameScene:
 
 @dataclass(frozen=True)
 class SetPointDepth:
-    """Show the radiance at this world distance along the inspected ray; None: back to the surface."""
+    """Show the radiance at this world distance along the inspected ray; None: at the surface."""
 
     t: float | None
 
 
 @dataclass(frozen=True)
 class SetDisc:
-    """Turn the radiance's disc around the viewer or the density's normal."""
+    """Centre the radiance's disc on the viewer or on the density's normal."""
 
     around: Around
 
@@ -74,7 +74,9 @@ Action = (
 
 @dataclass
 class FilmForm:
-    """The export panel's fields. width, height 0: the training photos' size.
+    """The fields of the export panel.
+
+    width, height: the size in pixels; 0: the training photos' size.
 
     path: a kind of `nerf_core.geometry.paths.PATHS`. options: the kind's own, by name; the kind has a default for
     one that is absent.
@@ -98,7 +100,7 @@ class ShownNotice:
 
 
 class SampleRef(NamedTuple):
-    """A sample of the opened ray: of its pass with this number, the sample with this index."""
+    """A sample of the opened ray: the number of its pass, and its index there."""
 
     one: int
     at: int
@@ -106,14 +108,14 @@ class SampleRef(NamedTuple):
 
 @dataclass
 class AppState:
-    """One object, owned by the GUI thread; panels read it and write only what is theirs to edit (marked *)."""
+    """The state of the window. The GUI thread owns it. Panels read it, and write only the fields marked *."""
 
     snapshot: Snapshot = field(default_factory=Snapshot)
     camera: CameraControl = field(default_factory=CameraControl)
     inspect: Inspect | None = None  # the ray that was asked for last; the answer is snapshot.ray
-    sample: SampleRef | None = None  # the sample that was pointed at in the last frame, in whichever panel
-    pointed_at: SampleRef | None = None  # * and in this one
-    focus: Inspect | None = None  # where a double click went: what the verdict says of it is still to come
+    sample: SampleRef | None = None  # the sample that the user pointed at in the last frame, in any panel
+    pointed_at: SampleRef | None = None  # * the same in this frame
+    focus: Inspect | None = None  # the ray of a double click whose verdict has not come yet
     viewport: tuple[int, int] = (640, 480)  # framebuffer pixels
     viewport_rect: tuple[float, float, float, float] | None = None  # x, y, width, height in imgui's coordinates
     frames_per_second: float = 0.0
@@ -123,23 +125,23 @@ class AppState:
     rays_file: str = "rays.json"  # *
     model_file: str = ""  # *
     open_path: str = ""  # *
-    settings: RunSettings = field(default_factory=RunSettings)  # * what the next capture is opened with
+    settings: RunSettings = field(default_factory=RunSettings)  # * settings for the next capture
     focus_open: bool = False  # * give the scene panel's path field the keyboard in the next frame
-    raise_panel: str = ""  # * title of the panel whose tab is to come to the front in the next frame
+    raise_panel: str = ""  # * title of the panel whose tab comes to the front in the next frame
     show_cameras: bool = False  # * training cameras in the viewport
     show_samples: bool = True  # * the inspected ray and its samples in the viewport
-    mode: str = COLOR  # * what the viewport shows of each pixel: see nerf_core.rendering.modes
-    frozen_ray: bool = False  # * the radiance panel shows the whole ray instead of its point alone
+    mode: str = COLOR  # * the viewport's render mode; see nerf_core.rendering.modes
+    frozen_ray: bool = False  # * the radiance panel shows the whole ray instead of only its point
     show_help: bool = False  # *
     show_palette: bool = False  # *
     show_panels: bool = True  # *
     reset_layout: bool = False  # * show the default layout from the next frame on
     quit: bool = False  # * close the window after this frame
-    current_view: int | None = None  # the photo whose camera was flown to, until the camera moves
+    current_view: int | None = None  # the photo at whose camera the user looks, until the camera moves
     time: float = 0.0  # seconds on the app's clock
     has_display: bool = True
 
 
 def unsaved_steps(snapshot: Snapshot) -> int:
-    """How many training steps would be lost: those since the newest checkpoint."""
+    """Return how many training steps would be lost: those since the newest checkpoint."""
     return max(snapshot.step - snapshot.saved_step, 0)

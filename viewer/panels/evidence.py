@@ -1,4 +1,4 @@
-"""Which training photos see the radiance's point: what they show, what the model shows there, from which angle."""
+"""The evidence panel: the training photos that see the radiance point, with the model's colour and their angle."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from ..model.state import Action, AppState, GoToView
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import hint, mono, packed, swatch
 
-PHOTO = 400  # pixels of the longer side of the photo that a hover shows, at most
-SHOWN = 48  # photos in the table: of those that see the point, and then the others, the nearest to the ray's look
-THUMBNAIL = 33  # pixels of a photo a side, odd: the point's is in the middle
+PHOTO = 400  # limit for the longer side, in pixels, of the photo shown on hover
+SHOWN = 48  # photos in the table: first those that see the point, each group sorted by angle to the ray
+THUMBNAIL = 33  # side in pixels; odd, so that the point's pixel is in the middle
 COLUMNS = ("photo", "angle", "light", "photo's", "model's", "off", "")
 
 
@@ -58,7 +58,7 @@ class EvidencePanel:
             imgui.end_table()
 
     def _photo(self, ui: Ui, scene: Scene, evidence: Sightings, k: int, ray: RayProbe) -> None:
-        """The whole photo, with the point and the line that the ray makes in it."""
+        """The whole photo with the point and the ray's epipolar line."""
         view = int(evidence.views[k])
         if self._photo_of is not scene.images[view]:
             image = scene.images[view]
@@ -131,16 +131,16 @@ def _summary(evidence: Sightings) -> str:
 
 
 def _angles(evidence: Sightings, eye: np.ndarray) -> np.ndarray:
-    """Radians between the first SHOWN photos' looks at the point and the one from `eye` (3,)."""
+    """Angles in radians, at the point, between the eye (3,) and each of the first SHOWN photos."""
     towards = eye - evidence.point
     distance = float(np.sqrt((towards * towards).sum()))
-    if distance == 0:  # an eye in the point looks nowhere
+    if distance == 0:  # an eye at the point has no direction
         return evidence.angle[:SHOWN]
     return np.arccos(np.clip((evidence.directions[:SHOWN] * towards).sum(-1) / distance, -1, 1))
 
 
 def epipolar(camera: Camera, ray: RayProbe) -> np.ndarray:
-    """Where a ray lies in a camera's picture: (P, 2) pixels, NaN where it is not in sight."""
+    """Return the pixels (P, 2) of a ray in a camera's picture; NaN where the picture does not show it."""
     t = np.geomspace(max(ray.near, 1e-3 * ray.far), max(ray.far, 1e-6), 96)
     pixels, depth = camera.project(ray.origin.astype(np.float64) + t[:, None] * ray.direction.astype(np.float64))
     return np.where(depth[:, None] > 0, pixels, np.nan)
@@ -154,7 +154,9 @@ def _sheet(scene: Scene, evidence: Sightings) -> np.ndarray:
     for k, view in enumerate(evidence.views[:SHOWN].tolist()):
         image = scene.images[view]
         x, y = np.floor(evidence.pixels[k]).astype(int)
-        rows = np.clip(np.arange(y - half, y + half + 1), 0, image.shape[0] - 1)  # at the rim its pixels go on
+        rows = np.clip(
+            np.arange(y - half, y + half + 1), 0, image.shape[0] - 1
+        )  # beyond the edge the border pixels are repeated
         columns = np.clip(np.arange(x - half, x + half + 1), 0, image.shape[1] - 1)
         sheet[k, ..., :3] = image[rows[:, None], columns] >> 8
     return sheet.reshape(-1, THUMBNAIL, 4)

@@ -1,4 +1,4 @@
-"""A camera path as a video, and files of the model: what they will be, how long they take, how far they are."""
+"""The export panel: a camera path as a video, and model files, with estimate, progress and cancel."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ CANCEL = f"{icons.ICON_FA_XMARK}  Cancel"
 MAX_FRAMES, MAX_FPS, MAX_SIDE, MAX_RADIUS, MAX_OPTION = 10_000, 240, 8192, 1e4, 1e4
 MODEL = f"{icons.ICON_FA_CUBE}  Write model"
 PNG = "PNG frames"
-LONGEST = "elevation"  # of the labels: all fields end where it starts
+LONGEST = "elevation"  # the longest label, which sets the width of all fields
 
 
 @dataclass(frozen=True)
 class OwnPath:
-    """The photos' size in pixels and the cameras' distance in scene units; found once: there may be many photos."""
+    """The photos' size in pixels and the cameras' distance in scene units, computed once because photos can be many."""
 
     width: int
     height: int
@@ -80,9 +80,9 @@ class ExportPanel:
 
 
 def estimate(form: FilmForm, own: OwnPath, speed: float, share: float) -> str:
-    """What the video will be and how long it takes at the measured speed of drawing, in rays per second.
+    """Describe the video, and estimate its time from the measured speed of drawing in rays per second.
 
-    share: of the time that the export has while training goes on.
+    share: the export's share of the time while training goes on.
     """
     width, height = form.width or own.width, form.height or own.height
     film = f"{form.frames:,} frames of {width:,} × {height:,}, {form.frames / form.fps:.1f} s of video"
@@ -104,7 +104,7 @@ def _form(ui: Ui, form: FilmForm, own: OwnPath) -> None:
             shown = "%.0f px" if value else f"auto, {photos:,}"
             setattr(form, side, round(_number(ui, side, value, (0, MAX_SIDE), shown)))
         imgui.end_table()
-    field_beside(ui, PNG, "")  # the box is as wide as an empty button is, or less
+    field_beside(ui, PNG, "")  # a box is at most as wide as an empty button
     _, form.file = imgui.input_text_with_hint("##file", "orbit.mp4", form.file)
     ui.mark("export.file")
     same_line_if_fits(f"    {PNG}")
@@ -114,7 +114,7 @@ def _form(ui: Ui, form: FilmForm, own: OwnPath) -> None:
 
 
 def _kind(ui: Ui, form: FilmForm) -> None:
-    """A box to choose the kind of path, if there is more than one."""
+    """The box for the kind of path, if there is more than one."""
     names = list(PATHS.names())
     if len(names) < 2:
         return
@@ -127,7 +127,7 @@ def _kind(ui: Ui, form: FilmForm) -> None:
 
 
 def _option(ui: Ui, form: FilmForm, name: str, own: OwnPath) -> None:
-    """A field for what only this kind of path can be asked for. 0 is its default, but for an elevation."""
+    """A field for an option of this kind of path. 0 means its default, except for an elevation."""
     limits, shown = (-MAX_OPTION, MAX_OPTION), "%.4g"
     if name == "elevation":
         limits, shown = (-90.0, 90.0), "%.1f°"
@@ -144,7 +144,7 @@ def _option(ui: Ui, form: FilmForm, name: str, own: OwnPath) -> None:
 
 
 def _models(ui: Ui, state: AppState) -> Iterator[Action]:
-    """A field and a button for files of the model, if any kind of them is installed."""
+    """The field and the button for model files, if any kind of them is registered."""
     kinds = [EXPORTS.get(name) for name in EXPORTS.names()]
     if not kinds:
         return
@@ -159,7 +159,7 @@ def _models(ui: Ui, state: AppState) -> Iterator[Action]:
 
 
 def _number(ui: Ui, label: str, value: float, limits: tuple[float, float], shown: str) -> float:
-    """The form's next field: to drag, or to type into after a double click."""
+    """The form's next number field. It can be dragged, or edited after a double click."""
     low, high = limits
     imgui.table_next_column()
     field_width(ui, LONGEST)

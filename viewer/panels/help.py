@@ -1,4 +1,4 @@
-"""What mouse and keys do, over the middle of the window while it is asked for."""
+"""The help: what mouse and keys do, in the middle of the window."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from ..ui.contract import PANELS, Ui
 from ..ui.widgets import button, keep_in_front, mono
 
 Rows = tuple[Section, list[tuple[str, str]]]
-HEADING = 1.5  # lines that a section's name and the gap after it take
+HEADING = 1.5  # lines for a section's name and the gap after it
 WHAT_EM = 12.0
-WIDE_EM = 52.0  # of a window that has room for two columns
+WIDE_EM = 52.0  # the least width of a window with two columns
 FLAGS = (
     imgui.WindowFlags_.no_title_bar | imgui.WindowFlags_.no_resize | imgui.WindowFlags_.always_auto_resize
     | imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_saved_settings | imgui.WindowFlags_.no_collapse
@@ -53,7 +53,7 @@ class HelpOverlay:
 
 
 def _columns(sections: list[Rows]) -> tuple[list[Rows], list[Rows]]:
-    """The sections in their order, split where the longer column is shortest."""
+    """The sections in order, split into two columns so that the longer one is as short as possible."""
 
     def height(part: list[Rows]) -> float:
         return sum(len(rows) + HEADING for _, rows in part)

@@ -1,4 +1,4 @@
-"""What happened, newest first: what was written and where, what went wrong and how."""
+"""The notices panel: files written, warnings and errors, newest first."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class NoticesPanel:
 
 def _entry(ui: Ui, shown: ShownNotice, now: float, mark: str) -> None:
     notice = shown.notice
-    shown.dismissed |= imgui.is_window_focused()  # who reads it here need not see it over the picture as well
+    shown.dismissed |= imgui.is_window_focused()  # a notice read here is not shown over the picture as well
     notice_text(ui, notice)
     hint(ui, f"{duration(now - shown.born)} ago")
     if notice.path is not None:

@@ -14,7 +14,7 @@ from ..ui.widgets import faded, hint, mono
 
 ITSELF = "show.palette"
 POPUP = "palette"
-WIDTH_EM, TITLE_EM = 30.0, 7.0  # of the whole; of the column with the sections
+WIDTH_EM, TITLE_EM = 30.0, 7.0  # of the palette; of its column with the sections
 TOP = 0.12  # of the window's height
 MOST_ROWS = 14
 
@@ -27,9 +27,9 @@ class Palette:
 
     def __init__(self) -> None:
         self._open = False
-        self._focus = False  # give the field the keyboard
+        self._focus = False  # give the field the keyboard focus
         self._query = ""
-        self._chosen = 0  # of the commands that match
+        self._chosen = 0  # index among the commands that match
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
         if not state.show_palette:
@@ -43,7 +43,7 @@ class Palette:
         place = ImVec2(screen.get_center().x, screen.pos.y + TOP * screen.size.y)
         imgui.set_next_window_pos(place, imgui.Cond_.always, ImVec2(0.5, 0.0))
         imgui.set_next_window_size(ImVec2(width, 0))
-        if not imgui.begin_popup(POPUP):  # a click beside it closed it
+        if not imgui.begin_popup(POPUP):  # a click outside has closed it
             state.show_palette = False
             return
         command = self._content(ui, state)
@@ -55,7 +55,7 @@ class Palette:
             yield from invoke(command, state)
 
     def _content(self, ui: Ui, state: AppState) -> UserCommand | None:
-        """The field and the list; the command that is to run."""
+        """Draw the field and the list. Returns the command to run, else None."""
         if self._focus:
             imgui.set_keyboard_focus_here()
             self._focus = False
@@ -76,13 +76,13 @@ class Palette:
             return None
         if found[self._chosen].enabled(state):
             return found[self._chosen]
-        self._focus = True  # Enter took it from the field
+        self._focus = True  # Enter has taken the focus from the field
         return None
 
     def _list(self, ui: Ui, state: AppState, found: list[UserCommand], follow: bool) -> UserCommand | None:
-        """One line a command; the one that was clicked. follow: scroll to the chosen one."""
+        """Draw one line per command. Returns the one that was clicked. follow: scroll to the chosen one."""
         row = imgui.get_text_line_height_with_spacing()
-        room = int((1 - TOP) * imgui.get_main_viewport().size.y / row) - 4  # the field and the status bar
+        room = int((1 - TOP) * imgui.get_main_viewport().size.y / row) - 4  # minus the field and the status bar
         imgui.begin_child("list", ImVec2(0, max(min(len(found), MOST_ROWS, room), 1) * row))
         imgui.push_style_color(imgui.Col_.header, faded(ui.theme.accent, 0.3))
         clicked = None
@@ -101,7 +101,7 @@ class Palette:
 
 
 def _line(ui: Ui, state: AppState, command: UserCommand) -> None:
-    """Over the last item: section, title, and keys on the right."""
+    """Draw section, title and, on the right, keys over the last item."""
     imgui.same_line(0.3 * ui.em)
     imgui.text_colored(ui.theme.muted, command.section)
     imgui.same_line(TITLE_EM * ui.em)
@@ -117,7 +117,10 @@ def _line(ui: Ui, state: AppState, command: UserCommand) -> None:
 
 
 def matching(query: str) -> list[UserCommand]:
-    """The commands whose section and title contain every word; first those whose title begins with the first word."""
+    """Return the commands whose section and title contain every word of `query`.
+
+    Those whose title begins with the first word come first.
+    """
     words = query.casefold().split()
     found = [
         command

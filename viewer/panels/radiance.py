@@ -1,4 +1,4 @@
-"""The colour that one point emits in every direction: a disc of what faces the viewer, and a map of the sphere."""
+"""The radiance panel: the colour that a point emits in every direction, as a disc towards the viewer and a map."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ from ..ui.widgets import Row, button, figures, hint, mono, packed, swatch
 
 CAPTIONS = {"viewer": "facing its camera", "normal": "around the normal"}
 SPHERE_CAPTION = "all directions; hatched: unseen"
-ZOOM, HATCH = 3, 9  # the pictures are drawn so many times larger, for stripes so many pixels apart
+ZOOM, HATCH = 3, 9  # factor by which the pictures are enlarged; distance of the stripes in enlarged pixels
 
 
 @dataclass(frozen=True)
 class Pictures:
-    """What one probe looks like; made once, so that it is uploaded once. Hatched where no photo has looked from."""
+    """The pictures of one probe, made and uploaded once. Directions from which no photo looks are hatched."""
 
     probe: RadianceProbe
     evidence: Sightings | None
@@ -59,11 +59,11 @@ class Pictures:
 
 
 def _hatched(rgb: np.ndarray, hidden: np.ndarray) -> np.ndarray:
-    """(h, w, 3) colours and (h, w) where to hatch → uint8 (ZOOM h, ZOOM w, 4), opaque.
+    """Enlarge colours (h, w, 3) and hatch them where `hidden` (h, w) → uint8 (ZOOM h, ZOOM w, 4), opaque.
 
-    Made while frames wait: both colours of each pixel first, small; then enlarged, four bytes at once.
+    Frames wait for this, so it is fast: both colours of each pixel are computed small and enlarged four bytes at once.
     """
-    dark = rgb.mean(-1, keepdims=True) < 0.5  # a stripe that shows on any colour
+    dark = rgb.mean(-1, keepdims=True) < 0.5  # so that stripes show on any colour
     striped = np.where(hidden[..., None], 0.55 * rgb + np.where(dark, 0.45, 0.0), rgb)
     both = np.full((2, *hidden.shape, 4), 255, np.uint8)
     both[..., :3] = _bytes(np.stack([rgb, striped]))
@@ -102,7 +102,7 @@ class RadiancePanel:
             _tooltip(ui, *self.hovered)
 
     def _draw(self, ui: Ui, state: AppState, pictures: Pictures) -> Iterator[Action]:
-        """The disc, the map beside it where there is room, else below, and the figures under both."""
+        """Draw the disc, the map beside it (or below in a narrow panel), and the figures under both."""
         probe = pictures.probe
         viewer = _unit(state.camera.c2w()[:, 3] - probe.point)
         yield from _choices(ui, state)
@@ -130,7 +130,7 @@ class RadiancePanel:
 
 
 def _choices(ui: Ui, state: AppState) -> Iterator[Action]:
-    """Of what the colours are, and what the disc is turned to."""
+    """The choices: colours of the point or of the whole ray, and the direction that the disc faces."""
     for label, frozen, tip in (
         ("Point", False, "the colour that this point alone emits"),
         ("Whole ray", True, "the pixel if every sample of the ray kept its weight and was looked at from there"),
@@ -149,7 +149,7 @@ def _choices(ui: Ui, state: AppState) -> Iterator[Action]:
 
 
 def _numbers(ui: Ui, state: AppState, pictures: Pictures) -> None:
-    """How view-dependent the point is, and what of its colour everybody sees."""
+    """How view-dependent the point is, and the part of its colour that all directions share."""
     rows: list[Row] = [("view-dependence", number(pictures.probe.dependence, 3))]
     diffuse = diffuse_of(pictures.evidence) if pictures.evidence is not None else None
     if diffuse is not None:
@@ -162,7 +162,7 @@ def _numbers(ui: Ui, state: AppState, pictures: Pictures) -> None:
 
 
 def _point(ui: Ui, state: AppState, probe: RadianceProbe) -> Iterator[Action]:
-    """Where the point lies, and the way back to the surface once it was moved."""
+    """The position of the point, and a button back to the surface if it was moved."""
     imgui.align_text_to_frame_padding()
     imgui.text_colored(ui.theme.muted, "t")
     imgui.same_line()
@@ -177,7 +177,7 @@ def _point(ui: Ui, state: AppState, probe: RadianceProbe) -> Iterator[Action]:
 
 
 def _disc(ui: Ui, pictures: Pictures, viewer: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray] | None:
-    """A hover answers with the direction and the colour under the mouse."""
+    """Draw the disc. Returns the direction and the colour under the mouse, else None."""
     probe, low, radius = pictures.probe, imgui.get_cursor_screen_pos(), side / 2
     high, centre = ImVec2(low.x + side, low.y + side), ImVec2(low.x + radius, low.y + radius)
     draw, white = imgui.get_window_draw_list(), packed(ImVec4(1, 1, 1, 1))
@@ -220,12 +220,12 @@ def _sphere(ui: Ui, pictures: Pictures, viewer: np.ndarray, width: float) -> tup
 
 
 def _marks(ui: Ui, place: Callable[[np.ndarray], np.ndarray], evidence: Sightings | None, viewer: np.ndarray) -> None:
-    """Photos that see the point as dots, hollow where something hides it from them; the current view as crosshairs.
+    """Draw photos that see the point as dots, hollow where something hides it, and the current view as a crosshair.
 
-    place: unit directions (..., 3) → places on the screen (..., 2), NaN where a picture does not have them.
+    place: maps unit directions (..., 3) to screen positions (..., 2), NaN if the picture does not show them.
     """
     draw, r = imgui.get_window_draw_list(), 0.14 * ui.em
-    light, dark = packed(ImVec4(1, 1, 1, 0.9)), packed(ImVec4(0, 0, 0, 0.9))  # one of them shows on any colour
+    light, dark = packed(ImVec4(1, 1, 1, 0.9)), packed(ImVec4(0, 0, 0, 0.9))  # one of the two shows on any colour
     if evidence is not None:
         for (x, y), seen in zip(place(evidence.directions).tolist(), evidence.seen.tolist(), strict=True):
             if math.isnan(x):
@@ -276,7 +276,7 @@ def _nothing_yet(state: AppState) -> str:
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors / np.maximum(length, 1e-12)  # a camera in the point itself has no direction: it marks the centre
+    return vectors / np.maximum(length, 1e-12)  # a camera at the point itself has no direction and marks the centre
 
 
 def _bytes(image: np.ndarray) -> np.ndarray:
@@ -285,8 +285,10 @@ def _bytes(image: np.ndarray) -> np.ndarray:
 
 @cache
 def _nearest_inside() -> tuple[np.ndarray, np.ndarray]:
-    """For every texel of the disc the row and column of one inside, so that smoothing draws no black in at the edge."""
+    """Row and column, for every texel, of a texel inside the disc, so that smoothing adds no black at the edge."""
     x, y, _ = disc_grid()
-    shrink = np.minimum(1, (1 - 2 / DISC_SIZE) / np.maximum(np.hypot(x, y), 1e-12))  # the centre stays where it is
+    shrink = np.minimum(
+        1, (1 - 2 / DISC_SIZE) / np.maximum(np.hypot(x, y), 1e-12)
+    )  # 1e-12: the centre has radius 0 and stays
     rows, columns = (((v * shrink + 1) / 2 * DISC_SIZE).astype(int) for v in (-y, x))
     return rows, columns

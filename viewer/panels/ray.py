@@ -1,4 +1,4 @@
-"""Why a pixel has its colour: everything that was composited along its ray."""
+"""The ray panel: why a pixel has its colour, with everything that was composited along its ray."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from ..ui.text import number, triple
 from ..ui.widgets import Row, faded, figures, hint, packed, same_line_if_fits, sample_tooltip, swatch
 
 AXIS = "over t (world units)"
-BEYOND = 0.01  # weight past the end of the axis that is worth a word
-SIDE_EM, SIDE_NEEDS_EM = 17.0, 36.0  # the figures' column, and the width from which it stands beside the plots
+BEYOND = 0.01  # weight beyond the end of the axis that is mentioned
+SIDE_EM, SIDE_NEEDS_EM = 17.0, 36.0  # width of the figures' column; the panel's width from which it is beside the plots
 LOG_CHOICES: tuple[tuple[LogChoice, str], ...] = (
     ("auto", "a log axis where a linear one would flatten most of this ray's density"),
     ("on", "a log axis for every ray"),
     ("off", "a linear axis for every ray"),
 )
-LOW_EM = 18.0  # height of the plots where the figures stand under them
+LOW_EM = 18.0  # height of the plots if the figures are below them
 
 
 @PANELS.register("ray")
@@ -72,7 +72,7 @@ class RayPanel:
             return
         self._probe, self._passes = ray, steps_of(ray)
         opened = (loaded, ray.pixel, ray.origin.tobytes(), ray.direction.tobytes())
-        if opened != self._opened:  # the same ray of a later step keeps its axes
+        if opened != self._opened:  # the same ray at a later step keeps its axes
             self._opened = opened
             self.plots.open(ray, self._passes)
 
@@ -146,7 +146,7 @@ class RayPanel:
 
 
 def _verdict(ui: Ui, state: AppState) -> None:
-    """What is wrong with the pixel, in a word and a sentence."""
+    """The verdict on the pixel: a word and a sentence."""
     verdict = state.snapshot.opened.verdict if state.snapshot.opened is not None else None
     if verdict is None:
         hint(ui, "Asking the photos …")
@@ -175,7 +175,7 @@ def _nothing_yet(state: AppState) -> str:
 
 
 def _point_t(state: AppState, ray: RayProbe) -> float:
-    """Where the radiance point is now: as asked for, as answered, else where it will be by default."""
+    """The distance of the radiance point: as requested, or else as answered, or else the default."""
     if state.inspect is not None and state.inspect.point_t is not None:
         return state.inspect.point_t
     if state.snapshot.radiance is not None:
@@ -184,7 +184,7 @@ def _point_t(state: AppState, ray: RayProbe) -> float:
 
 
 def _key(ui: Ui, shape: str, color: int, fill: int) -> None:
-    """A legend's sign, in the shape that the plot draws."""
+    """A sign of the legend, in the shape that the plot uses."""
     at, high, em = imgui.get_cursor_screen_pos(), imgui.get_text_line_height(), ui.em
     draw, low, right = imgui.get_window_draw_list(), ImVec2(at.x, at.y + 0.25 * high), at.x + 0.9 * em
     corner, middle = ImVec2(right, at.y + 0.8 * high), at.y + 0.55 * high

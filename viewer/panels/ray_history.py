@@ -1,4 +1,4 @@
-"""How a pinned ray came to be what it is: its weights, colour and depth over the steps of training."""
+"""The history panel: weights, colour and depth of a pinned ray over the steps of training."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import Limits, axis_name, color_scale, faded, hint, packed, same_line_if_fits
 
-COLUMNS = 320  # of the map: more than records, so that each keeps its place
+COLUMNS = 320  # columns of the map: more than there are records, so that each has its own
 STRIP_EM = 1.4
-WORTH = 0.01  # of the largest weight: what is less is dark in the map
+WORTH = 0.01  # of the largest weight: smaller weights are dark in the map
 PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
 
 
@@ -48,7 +48,7 @@ class RayHistoryPanel:
         if pin is None or history is None:
             hint(ui, "Pin a ray (Ctrl+click): from then on, here is how its weights move while the model learns.")
             return
-        fresh = self._of is None or history.edges is not self._of.edges  # of another pin, or of a training begun anew
+        fresh = self._of is None or history.edges is not self._of.edges  # another pin, or a new training
         if history is not self._of:
             self._of, self._map, self._strip = history, _map(history), _strip(history)
             self._open = where_weights_are(history)
@@ -66,7 +66,9 @@ class RayHistoryPanel:
         end = max(float(x[-1]), 1e-6)
         self._x.follow(0.0, end, fresh)
         self._t.follow(*self._open, fresh)
-        implot.push_style_var(implot.StyleVar_.plot_padding, ImVec2(1.8 * ui.em, 0.4 * ui.em))  # half a step's number
+        implot.push_style_var(
+            implot.StyleVar_.plot_padding, ImVec2(1.8 * ui.em, 0.4 * ui.em)
+        )  # half the width of a step's number
         size = ImVec2(-1, max(room.y - (STRIP_EM + 0.4) * ui.em, 5 * ui.em))
         if implot.begin_plot("##ray history", size, PLOT):
             for axis, limits in ((implot.ImAxis_.x1, self._x), (implot.ImAxis_.y1, self._t)):
@@ -80,9 +82,11 @@ class RayHistoryPanel:
             low, high = implot.Point(0, float(history.edges[0])), implot.Point(end, float(history.edges[-1]))
             implot.plot_image("weights", ui.texture("ray history", self._map, smooth=False), low, high, spec=unfit)
             line = implot.Spec(line_color=ui.theme.text, line_weight=0.1 * ui.em, flags=implot.ItemFlags_.no_fit)
-            implot.plot_line("depth", x, history.depth.astype(np.float64), line)  # with gaps, where there is none
+            implot.plot_line("depth", x, history.depth.astype(np.float64), line)  # with gaps where there is no depth
             unseen = implot.Spec(line_color=faded(ui.theme.text, 0.0))
-            implot.plot_line("open", np.array([0.0, end]), np.array(self._open), unseen)  # what a double click fits
+            implot.plot_line(
+                "open", np.array([0.0, end]), np.array(self._open), unseen
+            )  # an invisible line, so that a double click fits the axes to this range
             axis_name(ui, "t; white: median depth")
             axis_name(ui, "step, log scale since it was pinned", right=True, height=1.0)
             if implot.is_plot_hovered():
@@ -100,20 +104,20 @@ class RayHistoryPanel:
 
 
 def _shown(state: AppState) -> Pin | None:
-    """The pin that is open, else the first."""
+    """The opened pin, or else the first."""
     asked, pins = state.inspect, state.snapshot.pins
     return next((pin for pin in pins if asked is not None and pin.id == asked.id), pins[0] if pins else None)
 
 
 def _columns(history: RayHistory) -> np.ndarray:
-    """(COLUMNS,) the newest record at each place of an axis that is even in log(1 + step)."""
+    """The newest record (COLUMNS,) at each column of an axis that is uniform in log(1 + step)."""
     x = np.log1p((history.steps - history.steps[0]).astype(np.float64))
     at = np.linspace(0, x[-1], COLUMNS)
     return np.clip(np.searchsorted(x, at + 1e-9, side="right") - 1, 0, len(x) - 1)
 
 
 def _map(history: RayHistory) -> np.ndarray:
-    """(BINS, COLUMNS, 4) uint8, far at the top: the root of each bin's weight, which lets faint fog be seen."""
+    """The map (BINS, COLUMNS, 4) uint8, far at the top: the square root of each bin's weight, so that fog shows."""
     weights = history.weights[_columns(history)].T[::-1]
     rgb = colored(np.sqrt(np.clip(weights, 0, 1)), 0, 1)
     return _rgba(rgb)
@@ -129,7 +133,7 @@ def _rgba(rgb: np.ndarray) -> np.ndarray:
 
 
 def where_weights_are(history: RayHistory) -> tuple[float, float]:
-    """The part of the ray, with a margin, in which any record has weight worth a look."""
+    """Return the part of the ray, with a margin, in which any record has visible weight."""
     edges, heavy = history.edges, np.flatnonzero((history.weights > WORTH * history.weights.max()).any(0))
     if not len(heavy):
         return float(edges[0]), float(edges[-1])
@@ -139,13 +143,15 @@ def where_weights_are(history: RayHistory) -> tuple[float, float]:
 
 
 def ticks(first: int, last: int, apart: float) -> list[int]:
-    """Steps to name on an axis even in log(1 + steps since the first): the last, the first, and the roundest between
-    that lie at least `apart` of the axis from each other."""
+    """Choose the steps to label on an axis that is uniform in log(1 + steps since the first).
+
+    They are the first, the last, and the roundest between them that are at least `apart` of the axis apart.
+    """
     whole = max(math.log1p(last - first), 1e-6)
     decades = [10**k for k in range(len(str(last)), -1, -1)]
     candidates = [first]
     for unit in (factor * decade for factor in (1, 5, 2) for decade in decades):
-        if unit >= 0.01 * first:  # finer ones are not round beside it
+        if unit >= 0.01 * first:  # finer numbers do not look round beside the first step
             begin = (first // unit + 1) * unit
             candidates += range(begin, min(begin + 10 * unit, last), unit)
     found = {last: 1.0}
@@ -157,7 +163,7 @@ def ticks(first: int, last: int, apart: float) -> list[int]:
 
 
 def _scale(ui: Ui) -> None:
-    """What the map's colours mean."""
+    """The colour scale of the map."""
     words, width = ("  weight in a bin  0", "1  (square root)"), 6 * ui.em
     same_line_if_fits("".join(words), width)
     imgui.text_colored(ui.theme.muted, words[0])
@@ -171,7 +177,9 @@ def _scale(ui: Ui) -> None:
 
 
 def _tooltip(history: RayHistory, x: np.ndarray, at: float) -> None:
-    k = int(np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 1))  # the map shows it up to the next
+    k = int(
+        np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 1)
+    )  # the map shows a record up to the next one
     depth = history.depth[k]
     where = f"depth {depth:.4g}" if np.isfinite(depth) else "no depth"
     imgui.set_tooltip(f"step {history.steps[k]:,}: {where}, opacity {history.opacity[k]:.3f}")

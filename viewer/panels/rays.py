@@ -1,4 +1,4 @@
-"""The pinned rays: named, coloured, hidden, opened again, removed."""
+"""The rays panel: rename, colour, hide, open and remove pinned rays."""
 
 from __future__ import annotations
 

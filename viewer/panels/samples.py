@@ -1,4 +1,4 @@
-"""The samples of the opened ray in numbers, a line each."""
+"""The samples panel: the samples of the opened ray in numbers, one line each."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class SamplesPanel:
     order = 3
 
     def __init__(self) -> None:
-        self.one = -1  # which pass; −1: the last
+        self.one = -1  # the pass; −1: the last
         self._pointed: SampleRef | None = None
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
@@ -55,11 +55,13 @@ class SamplesPanel:
         for name, width in zip(COLUMNS, WIDTHS_EM, strict=True):
             imgui.table_setup_column(name, imgui.TableColumnFlags_.width_fixed, width * ui.em)
         imgui.table_headers_row()
-        style = imgui.get_style()  # a line's selectable fills it to its edges, and nothing of the next one's
+        style = imgui.get_style()  # a selectable fills exactly its own line
         imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(style.item_spacing.x, 2 * style.cell_padding.y))
         for color in (imgui.Col_.header, imgui.Col_.header_hovered, imgui.Col_.header_active):
-            imgui.push_style_color(color, CLEAR)  # the line under the mouse is marked as the others mark it: with them
-        clipper = imgui.ListClipper()  # a ray may have a thousand
+            imgui.push_style_color(
+                color, CLEAR
+            )  # the line under the mouse is marked below, like a sample marked in another panel
+        clipper = imgui.ListClipper()  # a ray may have a thousand samples
         clipper.begin(len(one.t))
         while clipper.step():
             for i in range(clipper.display_start, clipper.display_end):
@@ -70,7 +72,7 @@ class SamplesPanel:
         imgui.end_table()
 
     def _show_pointed_at(self, state: AppState, row: float) -> None:
-        """Bring the line of the sample to sight that is pointed at elsewhere."""
+        """Scroll to the line of the sample that the user points at in another panel."""
         before, self._pointed = self._pointed, state.sample
         if state.sample in (None, before) or state.sample.one != self.one or imgui.is_window_hovered():
             return

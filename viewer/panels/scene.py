@@ -1,4 +1,4 @@
-"""What was opened: photos, splits, bounds, warnings; another capture; the way from photo to photo."""
+"""The scene panel: photos, splits, bounds and warnings; opening another capture; stepping through photos."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ class ScenePanel:
 
     def __init__(self) -> None:
         self._confirmation, self._change = Confirmation(), Confirmation()
-        self._other = ""  # the method that the second confirmation is about
-        self._wanted: Path | None = None  # what the confirmation is about; None: the demo scene
+        self._other = ""  # the method of the second confirmation
+        self._wanted: Path | None = None  # the capture of the confirmation; None: the demo scene
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
         snapshot, scene = state.snapshot, state.snapshot.scene
@@ -78,7 +78,7 @@ class ScenePanel:
             yield OpenScene(self._wanted, state.settings, train=True)
 
     def _method(self, ui: Ui, state: AppState) -> Iterator[Action]:
-        """What the open scene is learnt with, and another choice."""
+        """The method of the open scene, and a choice of another."""
         snapshot, unsaved = state.snapshot, unsaved_steps(state.snapshot)
         wanted = ""
         field_width(ui, "method")
@@ -102,7 +102,9 @@ class ScenePanel:
 
     def _ask(self, state: AppState, path: Path | None) -> Iterator[Action]:
         self._wanted = path
-        there = path is None or exists(path)  # else nothing will be forgotten: the worker says what is wrong
+        there = path is None or exists(
+            path
+        )  # if it does not exist nothing is forgotten, and the worker says what is wrong
         self._confirmation.asking = there and unsaved_steps(state.snapshot) > 0
         if not self._confirmation.asking:
             yield OpenScene(path, state.settings, train=True)
@@ -129,7 +131,7 @@ def method_sentences() -> dict[str, str]:
 
 
 def _constants(ui: Ui, state: AppState) -> None:
-    """The constants of the open model, to read; each with its range and a line of help under the mouse."""
+    """The constants of the open model, read-only; a tooltip has the range and a line of help."""
     opened = imgui.tree_node_ex("Constants", imgui.TreeNodeFlags_.span_avail_width)
     ui.mark("scene.constants")
     if not opened:
@@ -148,7 +150,7 @@ def _constants(ui: Ui, state: AppState) -> None:
 
 
 def _value(values: Mapping[str, Any], name: str) -> str:
-    """The value of a constant; of a nested one, outer.inner."""
+    """The value of a constant; a nested one is named outer.inner."""
     outer, _, inner = name.partition(".")
     value = values.get(outer, {}).get(inner) if inner else values.get(name)
     return f"{value:g}" if isinstance(value, float) else str(value)
@@ -160,7 +162,7 @@ def _known_constants(method: str) -> dict[str, tuple[Any, Constant]]:
 
 
 def _offer_methods(ui: Ui, state: AppState) -> None:
-    """The methods with a sentence each, for the capture that is opened next."""
+    """The methods with a sentence each, for the next capture."""
     offers = {"auto": "The one that is fast on this device."} | method_sentences()
     for name, sentence in offers.items():
         if imgui.radio_button(f"{name}##start", state.settings.method == name):
@@ -179,7 +181,7 @@ def _downscale(ui: Ui, state: AppState) -> None:
 
 
 def _photos(ui: Ui, state: AppState, scene: Scene) -> Iterator[Action]:
-    """Steps through the training photos, as the arrow keys do."""
+    """Buttons that step through the training photos like the arrow keys."""
     train, current = scene.split("train"), state.current_view
     for icon, direction in ((icons.ICON_FA_CHEVRON_LEFT, "previous"), (icons.ICON_FA_CHEVRON_RIGHT, "next")):
         go = f"camera.{direction}"

@@ -1,4 +1,4 @@
-"""The radiance along one diameter of its disc, as lines, with what the photos show as dots."""
+"""The slice panel: the radiance along one diameter of its disc as lines, and the photos' colours as dots."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import axis_name, color_of, field_width, hint
 
-NEAR_DEGREES = 12.0  # a photo farther from the slice's plane has nothing to say about it
+NEAR_DEGREES = 12.0  # photos farther from the slice's plane are left out
 CHANNELS = (ImVec4(0.92, 0.36, 0.32, 1), ImVec4(0.36, 0.78, 0.42, 1), ImVec4(0.40, 0.58, 0.95, 1))
 PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
 

@@ -1,4 +1,4 @@
-"""What needs an eye now, over the picture's corner: errors until they are dismissed, results for a few seconds."""
+"""Toasts over a corner of the picture: errors until they are dismissed, results for a few seconds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..model.state import Action, AppState, ShownNotice
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import button, keep_in_front, notice_text, path_line
 
-SECONDS = 10.0  # how long a result stays
+SECONDS = 10.0  # time for which a result stays
 MOST = 3  # the panel lists the others
 WIDTH_EM = 26.0
 FLAGS = (
@@ -36,7 +36,7 @@ class Toasts:
         gap = 0.8 * ui.em
         inner = min(WIDTH_EM * ui.em, width - 4 * gap)
         if inner < 6 * ui.em:
-            return  # no room beside the picture: the panel and the status bar have them
+            return  # the picture is too small; the notices panel and the status bar show them
         imgui.set_next_window_pos(ImVec2(x + width - gap, y + height - gap), imgui.Cond_.always, ImVec2(1, 1))
         imgui.set_next_window_size_constraints(ImVec2(inner, 0), ImVec2(inner, max(height - 2 * gap, gap)))
         imgui.begin("##toasts", None, FLAGS)
@@ -52,7 +52,7 @@ class Toasts:
 
 
 def _wanted(shown: ShownNotice, now: float) -> bool:
-    """Errors until they are dismissed, and for a while what led to a file. The rest is for the panel alone."""
+    """True for errors until they are dismissed, and for a while for written files. The panel has all notices."""
     if shown.dismissed:
         return False
     return shown.notice.level == "error" or (shown.notice.path is not None and now - shown.born < SECONDS)

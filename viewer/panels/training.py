@@ -1,4 +1,4 @@
-"""Training: start, pause, step, reset; how far it is and how well it goes; checkpoints."""
+"""The training panel: start, pause, step, reset; progress and quality; checkpoints."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class TrainingPanel:
     def __init__(self) -> None:
         self._plots = HistoryPlots()
         self._reset, self._load = Confirmation(), Confirmation()
-        self._share: float | None = None  # what the slider was set to, until the worker has taken it
+        self._share: float | None = None  # the slider's value until the worker has taken it
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
         snapshot = state.snapshot
@@ -60,7 +60,7 @@ class TrainingPanel:
         if button(ui, STEP, "training.step", enabled=can_train, tip=with_keys("one step", "training.step")):
             yield Train(steps=1)
         same_line_if_fits(RESET)
-        tip = "" if self._reset.asking else "forget the weights and start again"  # it would cover the question
+        tip = "" if self._reset.asking else "forget the weights and start again"  # a tooltip would cover the question
         if button(ui, RESET, "training.reset", enabled=snapshot.step > 0, tip=tip):
             self._reset.asking = True
         question = f"This forgets {snapshot.step:,} trained steps."
@@ -108,7 +108,7 @@ class TrainingPanel:
         tip = "" if self._load.asking else "go on from this checkpoint"
         pressed = button(ui, LOAD, "training.load", enabled=bool(path), tip=tip)
         if pressed and not exists(Path(path)):
-            unsaved = 0  # nothing will be forgotten: the worker says what is wrong
+            unsaved = 0  # nothing is forgotten, and the worker says what is wrong
         self._load.asking = self._load.asking or pressed
         question = f"Loading forgets {unsaved:,} unsaved training steps."
         agreed = self._load.draw(ui, question, "Forget them and load", "training.load", needed=unsaved > 0)

@@ -1,4 +1,4 @@
-"""The camera and the picture: where one looks from, how sharp the preview is, what is drawn over it."""
+"""The view panel: the camera, the render mode, how sharp the preview is, and what is drawn over it."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class ViewPanel:
 
 
 def _modes(ui: Ui, state: AppState) -> None:
-    """What the picture shows of each pixel."""
+    """The choice of the render mode."""
     names = list(mode_names())
     labels = ["Colour", *(MODES.get(name).label for name in names[1:])]
     field_width(ui, "shows")
@@ -75,7 +75,7 @@ def _modes(ui: Ui, state: AppState) -> None:
 
 
 def _preview_state(ui: Ui, state: AppState) -> tuple[str, ImVec4]:
-    """How the picture in the viewport was made."""
+    """A text about the picture in the viewport: its resolution and step."""
     preview, muted = state.snapshot.preview, ui.theme.muted
     if state.snapshot.scene is None or preview is None:
         return "No picture yet.", muted

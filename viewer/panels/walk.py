@@ -1,4 +1,4 @@
-"""Follow this pixel: the whole method as a strip of stages, with this ray's own values."""
+"""The panel "Follow this pixel": the method as a strip of stages with the opened ray's own values."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from ..ui.contract import PANELS, Ui
 from ..ui.widgets import axis_name, color_of, faded, figures, hint, packed, swatch
 
 WIDTH_EM = 19.0
-CHART_EM = 2.0, 9.0  # a plot's height, at least and at most: between those, plots share what a stage leaves
+CHART_EM = 2.0, 9.0  # least and largest height of a plot; in between, the plots of a stage share its height
 PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
 QUIET = implot.AxisFlags_.no_highlight
 
 
-class Room(NamedTuple):
-    """What a plot gets: the height, without t's numbers; and whether these go below it, for itself and those above."""
+class Space(NamedTuple):
+    """The space of a plot: its height without the numbers of t, and whether these numbers are below it."""
 
     high: float
     numbered: bool
@@ -38,13 +38,13 @@ class WalkPanel:
         yield from ()
         stages = state.snapshot.opened.walk if state.snapshot.opened is not None else ()
         if not stages:
-            hint(ui, "Click a pixel: here you will see it go through the whole method, station by station.")
+            hint(ui, "Click a pixel: here you will see it go through the whole method, stage by stage.")
             return
         scroll = imgui.WindowFlags_.horizontal_scrollbar
         imgui.begin_child("strip", ImVec2(0, 0), 0, scroll)
         wheel = imgui.get_io().mouse_wheel
         if wheel and imgui.is_window_hovered(imgui.HoveredFlags_.child_windows) and not imgui.get_io().key_shift:
-            imgui.set_scroll_x(imgui.get_scroll_x() - 4 * ui.em * wheel)  # it is a strip: there is no other way to go
+            imgui.set_scroll_x(imgui.get_scroll_x() - 4 * ui.em * wheel)  # the strip only scrolls sideways
         high = max(imgui.get_content_region_avail().y, 8 * ui.em)
         for k, stage in enumerate(stages):
             if k:
@@ -66,24 +66,24 @@ def _draw_stage(ui: Ui, number: int, stage: Stage) -> None:
     hint(ui, stage.sentence)
     high, lowest = _plot_height(ui, stage), len(stage.charts) - 1
     for k, chart in enumerate(stage.charts):
-        CHARTS[type(chart)](ui, f"##{number} {k}", chart, Room(high, k == lowest))
+        CHARTS[type(chart)](ui, f"##{number} {k}", chart, Space(high, k == lowest))
     if stage.rows:
         figures(ui, "rows", stage.rows)
 
 
 def _plot_height(ui: Ui, stage: Stage) -> float:
-    """Of each plot: what t's numbers, the figures below and the gaps between leave, shared."""
+    """The height of each plot: what the numbers of t, the figures and the gaps leave, divided by the plots."""
     plots = sum(isinstance(chart, (Stems, Marks, Transfer)) for chart in stage.charts)
     if not plots:
         return 0.0
     line, gap = imgui.get_text_line_height_with_spacing(), imgui.get_style().item_spacing.y
-    room = imgui.get_content_region_avail().y - len(stage.rows) * (line + gap) - gap - line
+    rest = imgui.get_content_region_avail().y - len(stage.rows) * (line + gap) - gap - line
     least, most = CHART_EM
-    return min(max(room / plots - gap, least * ui.em), most * ui.em)
+    return min(max(rest / plots - gap, least * ui.em), most * ui.em)
 
 
 def _arrow(ui: Ui) -> None:
-    """Between two stages, level with their titles."""
+    """An arrow between two stages, level with their titles."""
     low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
     x, y, r = high.x + 0.6 * ui.em, low.y + 0.55 * ui.em, 0.3 * ui.em
     tip = ImVec2(x + r, y)
@@ -92,15 +92,15 @@ def _arrow(ui: Ui) -> None:
     )
 
 
-def _begin(ui: Ui, name: str, t: np.ndarray, top: float, room: Room) -> bool:
+def _begin(ui: Ui, name: str, t: np.ndarray, top: float, space: Space) -> bool:
     pad = 0.25 * ui.em
     implot.push_style_var(implot.StyleVar_.plot_padding, ImVec2(0.9 * ui.em, pad))
     implot.push_style_var(implot.StyleVar_.plot_min_size, ImVec2(ui.em, ui.em))
-    high = room.high + (imgui.get_text_line_height_with_spacing() if room.numbered else 0.0)
+    high = space.high + (imgui.get_text_line_height_with_spacing() if space.numbered else 0.0)
     begun = implot.begin_plot(name, ImVec2(-1, high), PLOT)
     implot.pop_style_var(2)
     if begun:
-        implot.setup_axis(implot.ImAxis_.x1, None, QUIET | (0 if room.numbered else implot.AxisFlags_.no_tick_labels))
+        implot.setup_axis(implot.ImAxis_.x1, None, QUIET | (0 if space.numbered else implot.AxisFlags_.no_tick_labels))
         implot.setup_axis(implot.ImAxis_.y1, None, QUIET | implot.AxisFlags_.no_tick_labels)
         low, high = (float(t.min()), float(t.max())) if len(t) else (0.0, 1.0)
         span = max(high - low, 1e-6)
@@ -109,20 +109,20 @@ def _begin(ui: Ui, name: str, t: np.ndarray, top: float, room: Room) -> bool:
     return begun
 
 
-def _stems(ui: Ui, name: str, chart: Stems, room: Room) -> None:
+def _stems(ui: Ui, name: str, chart: Stems, space: Space) -> None:
     t, y = (np.nan_to_num(v.astype(np.float64)) for v in (chart.t, chart.y))
     top = float(y.max()) if len(y) else 1.0
-    if _begin(ui, name, t, top, room):
+    if _begin(ui, name, t, top, space):
         if len(t):
             implot.plot_stems("stems", t, y, 0, implot.Spec(line_color=ui.theme.fine, marker=implot.Marker_.none))
-        axis_name(ui, f"{chart.name}, up to {top:.3g}{', over t' if room.numbered else ''}", right=True)
+        axis_name(ui, f"{chart.name}, up to {top:.3g}{', over t' if space.numbered else ''}", right=True)
         implot.end_plot()
 
 
-def _marks(ui: Ui, name: str, chart: Marks, room: Room) -> None:
+def _marks(ui: Ui, name: str, chart: Marks, space: Space) -> None:
     t = np.nan_to_num(chart.t.astype(np.float64))
     edges = np.nan_to_num(chart.edges.astype(np.float64))
-    if _begin(ui, name, np.concatenate([t, edges]), 1.0, room):
+    if _begin(ui, name, np.concatenate([t, edges]), 1.0, space):
         if len(edges):
             line = implot.Spec(line_color=faded(ui.theme.muted, 0.5))
             implot.plot_inf_lines("bins", edges, line)
@@ -133,10 +133,10 @@ def _marks(ui: Ui, name: str, chart: Marks, room: Room) -> None:
         implot.end_plot()
 
 
-def _bar_code(ui: Ui, name: str, chart: BarCode, _: Room) -> None:
-    """A row of bars for each name; positive and negative in a map of two arms, which is drawn beneath."""
+def _bar_code(ui: Ui, name: str, chart: BarCode, _: Space) -> None:
+    """A row of bars per name in the diverging colour map, with its scale below."""
     label = max(imgui.calc_text_size(n).x for n in chart.names) + 0.5 * ui.em
-    room = imgui.get_content_region_avail().x
+    width_left = imgui.get_content_region_avail().x
     high = min(1.1 * ui.em, 8 * ui.em / len(chart.names))
     draw = imgui.get_window_draw_list()
     peak = chart.peak if np.isfinite(chart.peak) and chart.peak > 0 else 1.0
@@ -144,11 +144,11 @@ def _bar_code(ui: Ui, name: str, chart: BarCode, _: Room) -> None:
         at = imgui.get_cursor_screen_pos()
         if high > 0.8 * ui.em:
             draw.add_text(at, packed(ui.theme.muted), text)
-        width = (room - label) / max(len(values), 1)
+        width = (width_left - label) / max(len(values), 1)
         for k, rgb in enumerate(colored(values, -peak, peak, "signed").tolist()):
             low = ImVec2(at.x + label + k * width, at.y)
             draw.add_rect_filled(low, ImVec2(low.x + max(width - 0.5, 0.5), at.y + high - 1), packed(color_of(rgb)))
-        imgui.dummy(ImVec2(room, high))
+        imgui.dummy(ImVec2(width_left, high))
         if imgui.is_item_hovered():
             k = int((imgui.get_mouse_pos().x - at.x - label) // max(width, 1e-6))
             if 0 <= k < len(values):
@@ -156,26 +156,26 @@ def _bar_code(ui: Ui, name: str, chart: BarCode, _: Room) -> None:
     hint(ui, f"−{peak:.3g} violet … {peak:.3g} orange")
 
 
-def _transfer(ui: Ui, name: str, chart: Transfer, room: Room) -> None:
+def _transfer(ui: Ui, name: str, chart: Transfer, space: Space) -> None:
     edges, cdf, u, draws = (np.nan_to_num(v.astype(np.float64)) for v in chart)
-    line = imgui.get_text_line_height_with_spacing()  # above it: the curve needs all of the plot
+    line = imgui.get_text_line_height_with_spacing()  # the title is above it, because the curve needs the whole plot
     imgui.text_colored(ui.theme.muted, "levels through the inverse CDF, over t")
-    if _begin(ui, name, edges, 1.0, room._replace(high=max(room.high - line, CHART_EM[0] * ui.em))):
+    if _begin(ui, name, edges, 1.0, space._replace(high=max(space.high - line, CHART_EM[0] * ui.em))):
         some = np.linspace(0, len(u) - 1, min(len(u), 24)).astype(int)
-        for k in some.tolist():  # from its level to the curve, and down to where it falls
+        for k in some.tolist():  # from its level to the curve, then down to its draw
             way = implot.Spec(line_color=faded(ui.theme.coarse, 0.35))
             implot.plot_line("way", np.array([edges[0], draws[k], draws[k]]), np.array([u[k], u[k], 0.0]), way)
         implot.plot_line("cdf", edges, cdf, implot.Spec(line_color=ui.theme.fine, line_weight=0.12 * ui.em))
         implot.end_plot()
 
 
-def _colors(ui: Ui, name: str, chart: Colors, _: Room) -> None:
+def _colors(ui: Ui, name: str, chart: Colors, _: Space) -> None:
     for text, rgb in zip(chart.names, chart.rgb, strict=True):
         swatch(ui, rgb)
         imgui.same_line(0, 0.4 * ui.em)
         imgui.text_colored(ui.theme.muted, text)
 
 
-CHARTS: dict[type[Chart], Callable[[Ui, str, Any, Room], None]] = {
+CHARTS: dict[type[Chart], Callable[[Ui, str, Any, Space], None]] = {
     Stems: _stems, Marks: _marks, BarCode: _bar_code, Transfer: _transfer, Colors: _colors,
 }  # fmt: skip

@@ -1,1 +1,1 @@
-"""One sitting: the window, the worker, and what the command line asked for."""
+"""A session: the window, the worker, and the wishes of the command line."""

@@ -1,4 +1,4 @@
-"""`nerf-viewer --doctor`: what is there, what is missing, and what to do about it."""
+"""`nerf-viewer --doctor`: report what is installed, what is missing, and what to do about it."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from nerf_core.common.errors import UserError
 
 
 def examine(say: Callable[[str], None]) -> bool:
-    """Print one line a finding; whether training and headless rendering both work."""
+    """Print one line per finding. Returns whether training and headless rendering both work."""
     say(f"Python      {platform.python_version()}, {platform.system()} {platform.machine()}")
     checks = (("training", _training), ("headless", _headless), ("window", _window), ("video", _video))
     results = {}
     for name, check in checks:
         try:
             lines, results[name] = check(), True
-        except Exception as error:  # the doctor's job is to report whatever is wrong, and go on
+        except Exception as error:  # the doctor reports every error and goes on
             text = str(error).splitlines()[0] if str(error) else ""
             lines = [text if isinstance(error, UserError) else f"{type(error).__name__}: {text}"]
             results[name] = False
@@ -33,7 +33,7 @@ def examine(say: Callable[[str], None]) -> bool:
 
 
 def _training() -> list[str]:
-    """One real optimiser step on the demo scene, of the method that this machine takes by itself."""
+    """Make one real optimiser step on the demo scene with this machine's default method."""
     import torch
 
     from nerf_core.common.device import describe, fast_precision, pick_device, usable_cores

@@ -1,4 +1,4 @@
-"""What the command line asks of the app, done by the app itself: the same loop, panels and messages as by hand."""
+"""Do what the command line asks, through the app itself: with the same loop, panels and messages as a user."""
 
 from __future__ import annotations
 
@@ -38,20 +38,23 @@ from ..app.app import App
 from ..model.state import StartFilmExport
 from .wishes import Wishes, coordinate
 
-FRAME_SECONDS = 0.25  # how often an offscreen interface is drawn while it waits: drawing takes time from training
-SHARPEN_SECONDS = 180.0  # how long a screenshot waits for the preview to reach full resolution
-UNWATCHED_SHARE = 0.95  # of the time goes to training where nobody watches the pictures
-SHORT_FRAMES, SHORT_FPS = 40, 20.0  # of an orbit that is to take only so long
-SLOWEST, SMALLEST = 100.0, 32  # rays a second, where none was timed; pixels: what is smaller shows nothing
+FRAME_SECONDS = 0.25  # between frames of an offscreen interface that waits, because drawing takes time from training
+SHARPEN_SECONDS = 180.0  # a screenshot waits so long for the preview's full resolution
+UNWATCHED_SHARE = 0.95  # training's share of the time if nobody watches
+SHORT_FRAMES, SHORT_FPS = 40, 20.0  # for an orbit with a time limit
+SLOWEST, SMALLEST = (
+    100.0,
+    32,
+)  # rays per second if none was measured; the fewest pixels of a side that still show something
 
 
 class Closed(Exception):
-    """Ctrl-C, SIGTERM, or the window was closed in the middle of a script."""
+    """Ctrl-C or SIGTERM came, or the window was closed during a script."""
 
 
 @dataclass
 class Script:
-    """Drives an app until every wish is a file. Raises UserError when one cannot be had."""
+    """Drives an app until all requested files are written. Raises UserError if one cannot be."""
 
     app: App
     worker: Worker
@@ -61,7 +64,7 @@ class Script:
     _seen: list[Notice] = field(default_factory=list)
 
     def open(self, path: Path | None, settings: RunSettings) -> None:
-        """Load the capture, and the checkpoint if one was asked for."""
+        """Load the capture, and the checkpoint if one was given."""
         with Display("loading") as bar:
             self._do(OpenScene(path, settings), lambda s: s.scene is not None and not s.loading, bar)
         scene = self._snapshot().scene
@@ -72,7 +75,7 @@ class Script:
             self._ask(LoadCheckpoint(self.wishes.load), "loaded")
 
     def run(self) -> None:
-        """Train, save, click; then the files, the quickest first."""
+        """Train, save and click, then write the files, the quickest first."""
         wishes = self.wishes
         if wishes.steps or wishes.seconds:
             self._train(wishes.steps, wishes.seconds)
@@ -139,13 +142,13 @@ class Script:
         self.say(f"trained to step {s.step:,} in {trained:.1f} s of training, {rate:,.0f} rays/s")
 
     def _uncover(self) -> None:
-        """Take the notices off the viewport: they are printed anyway, and a click must not land on one."""
+        """Remove the notices from the viewport. They are printed anyway, and a click must not hit one."""
         for shown in self.app.state.notices:
             shown.dismissed = True
         self.app.settle()
 
     def prepare(self) -> None:
-        """What comes before training: where one looks from, what the picture shows, and pins, whose histories begin."""
+        """Set camera and mode before training, and pin rays, so that their histories begin at the first step."""
         state, scene = self.app.state, self._snapshot().scene
         state.mode = self.wishes.mode
         if self.wishes.camera:
@@ -160,7 +163,7 @@ class Script:
             self.app.perform(PinRay(camera, (column, row)))
 
     def _check_room(self) -> None:
-        """Whether --pin has it: the demo's own pins give way, those of a hand do not. Raises UserError."""
+        """Raise UserError if there are too many pins. The demo's own pins give way to --pin; the user's do not."""
         pins, asked = self._snapshot().pins, len(self.wishes.pins)
         room = MOST_PINS - len(pins) + len(spare_pins(pins))
         if asked > room:
@@ -168,7 +171,7 @@ class Script:
             raise UserError(f"--pin: given {asked} times; {beside}: leave the others out")
 
     def _place(self, option: str, x: str, y: str) -> tuple[float, float, int, int]:
-        """Where the viewport begins, and the pixel of it that a command line means. Raises UserError."""
+        """The viewport's position, and the pixel in it that an option names. Raises UserError."""
         if "viewport" not in self.app.widgets:
             raise UserError(f"--{option} {x} {y}: there is no viewport in so small a window; give a larger --size")
         left, top, right, bottom = self.app.widgets["viewport"]
@@ -176,7 +179,7 @@ class Script:
 
     def _click(self, x: str, y: str) -> None:
         left, top, column, row = self._place("click", x, y)
-        self.app.hand.click(left + column + 0.5, top + row + 0.5)
+        self.app.injector.click(left + column + 0.5, top + row + 0.5)
         asked = self.app.state.inspect
         if asked is None:
             raise UserError(f"--click {x} {y}: hit no pixel of the viewport")
@@ -229,7 +232,7 @@ class Script:
                 if preview is not None and preview.step == s.step and not self.app.stale:
                     if preview.complete:
                         return True
-                    coarser = 2 * preview.stride  # the level before the one under way is what is done for certain
+                    coarser = 2 * preview.stride  # only the level before the current one is certainly complete
                     bar.show(1 / coarser**2, f"on to 1/{preview.stride} resolution")
                 return time.monotonic() > limit
 
@@ -262,7 +265,7 @@ class Script:
         self._wait(and_show)
 
     def _wait(self, done: Callable[[Snapshot], bool]) -> None:
-        """Keep the app alive until `done`. Raises UserError with the worker's complaint, Closed on request."""
+        """Run the app's loop until `done`. Raises UserError for the worker's error, and Closed if the user ends it."""
         self._seen.clear()
         known = len(self.app.state.notices)
         while True:
@@ -283,7 +286,7 @@ class Script:
 
 
 def _position(option: str, text: str, size: float) -> int:
-    """The pixel that a coordinate means in a viewport of `size`. Raises UserError."""
+    """The pixel that a coordinate names in a viewport of `size` pixels. Raises UserError."""
     value = coordinate(option, text) * (size if "." in text else 1)
     if value > size:
         raise UserError(f"--{option} {text}: outside the viewport, which has {size:.0f} pixels here")

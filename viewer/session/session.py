@@ -1,4 +1,4 @@
-"""One sitting: a window or its offscreen stand-in, the worker behind it, and what was asked for on the command line."""
+"""One session: a window or an offscreen one, the worker behind it, and the wishes of the command line."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from .script import Closed, Script
 from .wishes import Wishes
 
 APP = "nerf-viewer"
-UNATTENDED_SECONDS = 60.0  # how long an offscreen run trains when nobody said how long
-UNATTENDED_ORBIT_SECONDS = 120.0  # and about how long it draws an orbit that nobody named
+UNATTENDED_SECONDS = 60.0  # training time of an offscreen run without --steps or --seconds
+UNATTENDED_ORBIT_SECONDS = 120.0  # about how long it takes to draw its orbit
 KEPT = 10  # autosaves of one scene
-SAVE_SECONDS = 4.0  # what a closing session may spend on saving; whoever sent SIGTERM soon sends SIGKILL
-PATIENT_SECONDS = 60.0  # and where a hand closed the window
+SAVE_SECONDS = 4.0  # limit for saving after a signal, because SIGKILL often follows SIGTERM soon
+PATIENT_SECONDS = 60.0  # limit for saving after the user closed the window
 
 
 @dataclass
 class Session:
-    """Runs once. `autosave` is where a closing window leaves the weights that nobody saved."""
+    """A session. It runs once, and when it closes it saves weights that are not saved yet."""
 
     window: Window
     settings: RunSettings
@@ -50,13 +50,13 @@ class Session:
         self.worker = Worker(self.settings, wake=self.window.wake)
         layout = Path(platformdirs.user_config_dir(APP)) / "layout.ini" if self.window.has_display else None
         self.app = App(self.window, self.worker, layout_file=layout)
-        # --format is about the capture it was given with; another is recognised by its content
+        # --format is for the capture on the command line; later ones are recognised by their content
         self.app.state.settings = replace(self.settings, load=replace(self.settings.load, format="auto"))
         self.worker.start()
         self.signals.be_polite()
 
     def run(self, data: Path | None, wishes: Wishes) -> int:
-        """The wishes, then (in a window that was asked for no files) the user; returns the exit status."""
+        """Fulfil the wishes, then, in a window without requested files, serve the user. Returns the exit status."""
         script = Script(self.app, self.worker, wishes, lambda: self.signals.received is not None, self.say)
         try:
             script.open(data, self.settings)
@@ -68,7 +68,7 @@ class Session:
         except Closed:
             self._save_unsaved(wishes.save)
             return 128 + (self.signals.received or signal.SIGINT)
-        except Exception:  # a fault of ours, or a file that cannot be written, must not cost what was trained
+        except Exception:  # an error, or a file that cannot be written, must not lose what was trained
             self._save_unsaved(None)
             raise
         if not wishes.any_file():
@@ -76,7 +76,7 @@ class Session:
         return 128 + self.signals.received if self.signals.received else 0
 
     def _attend(self, wishes: Wishes) -> None:
-        """Start training, and follow the user's hand until the window closes."""
+        """Start training, and serve the user until the window closes."""
         for problem in (*METHODS.problems, *DATASETS.problems):
             self.app.tell(Notice("warning", problem))
         left = None if wishes.steps is None else wishes.steps - self.worker.snapshot().step
@@ -85,7 +85,7 @@ class Session:
         self.app.run(lambda: self.signals.received is not None)
 
     def _save_unsaved(self, asked: Path | None) -> None:
-        """Weights are hours of work: a closing session leaves them where it was told to, else with the user's data."""
+        """Save weights that are not saved yet: to the file of --save, else among the user's data."""
         snapshot = self.worker.snapshot()
         if snapshot.scene is None or not unsaved_steps(snapshot):
             return
@@ -102,14 +102,14 @@ class Session:
             self.say(f"saved to {path}; continue with --load {path}")
 
     def close(self) -> None:
-        """Free what the session holds; a worker that cannot end is left to `viewer.cli.command`."""
+        """Free what the session holds. A worker that does not end is left to `viewer.cli.command`."""
         self.worker.stop(SAVE_SECONDS)
         self.app.close()
         self.window.close()
 
 
 def autosave_path(scene: Scene) -> Path:
-    """A file that no earlier session's weights lie in; of those, the newest few of each scene are kept."""
+    """Return a new file for a scene's weights, and delete all but the newest few autosaves of the scene."""
     folder = Path(platformdirs.user_data_dir(APP)) / "autosave"
     name = f"{scene.name}-{scene.identity()[:8]}"
     with suppress(OSError):
@@ -119,7 +119,7 @@ def autosave_path(scene: Scene) -> Path:
 
 
 def unattended(wishes: Wishes) -> Wishes:
-    """What an offscreen run does when it was not told: a minute of training; a picture, a film and one ray."""
+    """Return the wishes of an offscreen run without any: train a minute, write a picture, an orbit and one ray."""
     if wishes.load is None and wishes.steps is None and wishes.seconds is None:
         wishes = replace(wishes, seconds=UNATTENDED_SECONDS)
     if not wishes.any_file():

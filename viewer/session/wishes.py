@@ -1,4 +1,4 @@
-"""What the command line asks of a session, checked before hours are spent on it."""
+"""The wishes of the command line, checked before training starts."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from nerf_core.training.checkpoint import describe
 
 @dataclass(frozen=True)
 class Wishes:
-    """Files to write and things to do before it; see `viewer.cli.ViewerOptions`.
+    """The files to write, and what to do before; see `viewer.cli.ViewerOptions`.
 
-    orbit_seconds: make the orbit's pictures small enough to take about so long; None: as large as the photos.
+    orbit_seconds: make the orbit's frames small enough to take about so long; None: as large as the photos.
     """
 
     load: Path | None = None
@@ -43,7 +43,7 @@ class Wishes:
         return tuple(p for p in found if p is not None)
 
     def check(self) -> None:
-        """Raises UserError for what cannot be done, before hours are spent on what goes before it."""
+        """Raise UserError for a wish that cannot be fulfilled, before hours are spent on training."""
         if self.mode not in mode_names():
             raise UserError(f"--mode {shorten(self.mode)}: choose from {', '.join(mode_names())}")
         if len(self.pins) > MOST_PINS:
@@ -74,11 +74,11 @@ class Wishes:
 
 
 def coordinate(option: str, text: str) -> float:
-    """A coordinate of --click or --pin: a fraction of the viewport if it has a decimal point, else pixels."""
+    """Parse a coordinate of --click or --pin: a fraction of the viewport if it has a decimal point, else pixels."""
     try:
         value = float(text) if "." in text else int(text)
     except ValueError:
         raise UserError(f"--{option} {text}: expected a whole number of pixels, or a fraction such as 0.5") from None
-    if not 0 <= value <= (1 if "." in text else math.inf):  # not a number is not in between either
+    if not 0 <= value <= (1 if "." in text else math.inf):  # NaN fails this comparison too
         raise UserError(f"--{option} {text}: lies outside the viewport")
     return value

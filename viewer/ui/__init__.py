@@ -1,1 +1,1 @@
-"""What a panel gets to draw with: the contract, theme, widgets and docks."""
+"""The means of drawing a panel: its interface, the theme, widgets and docks."""

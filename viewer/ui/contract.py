@@ -1,4 +1,4 @@
-"""What a panel gets and what it is: it reads the state, draws itself with imgui, and returns what it asks for."""
+"""The interface of panels. A panel reads the state, draws itself with imgui, and returns the actions it asks for."""
 
 from __future__ import annotations
 
@@ -35,23 +35,23 @@ class Theme(Protocol):
 
 
 class Ui(Protocol):
-    """What the app lends a panel while it draws."""
+    """The services that the app gives a panel while it draws."""
 
     @property
     def em(self) -> float:
-        """The text font's size in pixels: every length is a multiple of it."""
+        """The text font's size in pixels; every length is a multiple of it."""
         ...
 
     @property
     def mono(self) -> imgui.ImFont:
-        """For columns of figures: imgui.push_font(ui.mono, ui.em)."""
+        """The font for columns of figures: imgui.push_font(ui.mono, ui.em)."""
         ...
 
     @property
     def theme(self) -> Theme: ...
 
     def texture(self, key: str, rgba: np.ndarray, smooth: bool = True) -> imgui.ImTextureRef:
-        """Upload uint8 (h, w, 4) under `key` (re-uploaded only when the array object changed)."""
+        """Upload uint8 (h, w, 4) under `key`; it is uploaded again only if it is another array object."""
         ...
 
     def mark(self, name: str) -> None:
@@ -60,9 +60,9 @@ class Ui(Protocol):
 
 
 class Panel(Protocol):
-    """`title` names the window (unique); `dock` says where it lies at first; smaller `order` comes first.
+    """A panel. `title` is its unique name, `dock` its first place, and a smaller `order` comes first.
 
-    An "overlay" gets no window from the app: it is drawn last, in every frame, and opens what it needs itself.
+    An "overlay" gets no window from the app. It is drawn last, in every frame, and opens its own windows.
     """
 
     @property

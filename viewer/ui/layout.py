@@ -1,4 +1,4 @@
-"""Where the panels lie: the default, and the user's own, remembered between runs."""
+"""The layout of the panels: the default one, and the user's own, which is remembered between runs."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from .contract import Panel
 
 VIEWPORT = "Viewport"
 HEADER = "; nerf-viewer layout 1 "
-FRONT = "; in front: "  # imgui takes it for a comment
+FRONT = "; in front: "  # imgui reads it as a comment
 NOWHERE = "Pos=60,60\n"
 RIGHT_EM, BOTTOM_EM, BOTTOM_RIGHT_EM = 23.0, 17.5, 23.0
-BOTTOM_SHARE = 0.34  # of the height, at least: a tall window has taller plots, not only a taller picture
+BOTTOM_SHARE = 0.34  # least share of the height: a tall window has taller plots, not only a taller picture
 MIDDLE_EM = 23.9  # the second panel of the right column holds plots and buttons of fixed height
-TOP_SHARE = 0.47  # of the column's rest for the panel above it; what is left goes to the last panels, as tabs
+TOP_SHARE = 0.47  # share of the column's rest for the panel above it; the last panels get the remainder as tabs
 
 
 class Layout:
-    """file: where the layout is kept; None: nothing is read or written."""
+    """The docks. file: the file that stores them; None: nothing is read or written."""
 
     def __init__(self, file: Path | None) -> None:
         self._file = file
         self._build_next = True
-        self._raise_next: tuple[str, ...] = ()  # windows whose tabs come to the front
-        self._raise_soon: tuple[str, ...] = ()  # and those for which that must wait until the windows are there
+        self._raise_next: tuple[str, ...] = ()  # windows whose tabs come to the front in the next frame
+        self._raise_soon: tuple[str, ...] = ()  # windows that must exist first
         self._remembered = ""
-        self._front: tuple[str, ...] = ()  # the panels that lie before others, as they were last drawn
+        self._front: tuple[str, ...] = ()  # the panels that were in front of others in the last frame
 
     def load(self) -> str | None:
-        """Hand the remembered layout to imgui, before its first frame; a warning when the file is no good."""
+        """Pass the stored layout to imgui, before its first frame. Returns a warning if the file is damaged."""
         imgui.get_io().set_ini_filename(None)  # imgui writes nothing by itself
         if self._file is None or not self._file.exists():
             return None
@@ -54,7 +54,7 @@ class Layout:
         return None
 
     def save_if_changed(self) -> str | None:
-        """Write the layout when imgui says that it changed; a warning when that fails, and then no more attempts."""
+        """Write the layout if it changed. Returns a warning if that fails, and does not try again."""
         io = imgui.get_io()
         if not io.want_save_ini_settings:
             return None
@@ -62,7 +62,7 @@ class Layout:
         return self.save()
 
     def save(self) -> str | None:
-        """Write the layout now; a warning when that fails."""
+        """Write the layout now. Returns a warning if that fails."""
         if self._file is None:
             return None
         body = f"{FRONT}{'|'.join(self._front)}\n{imgui.save_ini_settings_to_memory()}"
@@ -77,24 +77,24 @@ class Layout:
         return None
 
     def reset(self) -> None:
-        """Show the default from the next frame on."""
+        """Show the default layout from the next frame on."""
         self._build_next = True
 
     def dock(self, panels: Sequence[Panel], em: float, front: tuple[str, ...]) -> None:
-        """The dock space over what the bars leave of the window; call before the panels' windows.
+        """Make the dock space between the bars. Call it before the panels' windows.
 
-        front: the titles of those that were not behind another's tab in the last frame.
+        front: the titles of the panels that were not behind another's tab in the last frame.
         """
         self._front = front or self._front
         area = imgui.get_main_viewport()
         space = imgui.get_id("docks")
-        if self._remembered:  # of another version, perhaps: a panel without a place would float over the others
+        if self._remembered:  # it may come from another version: a panel without a place would float over the others
             places = {panel.title for panel in panels if panel.dock != "overlay"} | {VIEWPORT}
             self._build_next = not all(_has_place(self._remembered, title) for title in places)
             first = self._remembered.partition("\n")[0]
             self._front = tuple(first.removeprefix(FRONT).split("|")) if first.startswith(FRONT) else ()
             self._raise_soon, self._remembered = self._front, ""
-        elif self._raise_soon:  # imgui shows the last tab that is submitted, not the one that was in front
+        elif self._raise_soon:  # imgui shows the last tab submitted, not the one that was in front
             self._raise_next, self._raise_soon = self._raise_soon, ()
         if self._build_next and area.work_size.x > 0 and area.work_size.y > 0:
             self._build_next = False
@@ -103,29 +103,29 @@ class Layout:
             for title in self._raise_next:
                 imgui.set_window_focus(title)
             self._raise_next = ()
-        # nothing is painted under the docks: in software GL a layer over the whole window takes a quarter of the frame
+        # nothing is painted under the docks, because in software GL that would take a quarter of the frame
         imgui.push_style_color(imgui.Col_.window_bg, ImVec4(0, 0, 0, 0))
         imgui.dock_space_over_viewport(space, area)
         imgui.pop_style_color()
 
     @property
     def raising(self) -> bool:
-        """Whether the next frame brings tabs to the front."""
+        """True if the next frame brings tabs to the front."""
         return bool(self._raise_next or self._raise_soon)
 
     def bring_forward(self, titles: Sequence[str]) -> None:
-        """From the next frame on these are the tabs in front; docks that return show their last ones otherwise."""
+        """Bring these tabs to the front in the next frame, because docks that return show their last tab."""
         self._raise_next = tuple(titles)
 
 
 def in_docks() -> bool:
-    """Whether the current window is docked in the main window: the cleared framebuffer is then right behind it."""
+    """Return whether the current window is docked in the main window, directly over the cleared framebuffer."""
     node = imgui.internal.get_window_dock_node()
     return node is not None and imgui.internal.dock_node_get_root_node(node).is_dock_space()
 
 
 def _has_place(body: str, title: str) -> bool:
-    """Whether a remembered layout says where a window lies. imgui lets one that nobody placed float at NOWHERE."""
+    """Whether a stored layout has a place for a window. imgui lets a window without one float at NOWHERE."""
     _, found, after = body.partition(f"[Window][{title}]\n")
     section = after.partition("\n\n")[0]
     return bool(found) and ("DockId=" in section or NOWHERE not in section)
@@ -136,7 +136,7 @@ def _checksum(body: str) -> str:
 
 
 def _build(space: int, panels: Sequence[Panel], size: ImVec2, em: float) -> tuple[str, ...]:
-    """The default; gives the titles of the first of the tabs that share a place: imgui shows the last."""
+    """Build the default layout. Returns the first title of each group of tabs, because imgui shows the last."""
     docks = imgui.internal
     docks.dock_builder_remove_node(space)
     docks.dock_builder_add_node(space, imgui.internal.DockNodeFlagsPrivate_.dock_space)
@@ -161,7 +161,7 @@ def _build(space: int, panels: Sequence[Panel], size: ImVec2, em: float) -> tupl
 
 
 def _stack(node: int, titles: list[str], rooms: Sequence[float]) -> str:
-    """One below the other in `rooms`, shares of the height; the rest share what is left as tabs: the first's title."""
+    """Stack windows in shares of the height; the others become tabs in the rest. Returns the first tab's title."""
     left = 1.0
     for room in rooms:
         if len(titles) < 2:
@@ -175,5 +175,5 @@ def _stack(node: int, titles: list[str], rooms: Sequence[float]) -> str:
 
 
 def _share(wanted: float, whole: float) -> float:
-    """Of a side, but never more than half: in a tiny window the picture still comes first."""
+    """The share of a side, at most half, so that the picture has space even in a tiny window."""
     return min(wanted / max(whole, 1.0), 0.5)

@@ -1,4 +1,4 @@
-"""Numbers as text: significant digits, durations, rates."""
+"""Format numbers, durations and rates as text."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ from collections.abc import Sequence
 
 import numpy as np
 
-NOTHING = "–"  # shown where there is no number
+NOTHING = "–"  # shown if there is no number
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """`digits` significant digits with a real minus sign; a dash for None, NaN and infinity."""
+    """Format with `digits` significant digits and a real minus sign; a dash for None, NaN and infinity."""
     if value is None or not math.isfinite(value):
         return NOTHING
     return f"{value:.{digits}g}".replace("-", "−")
 
 
 def vector(values: Sequence[float] | np.ndarray, decimals: int = 3) -> str:
-    """Fixed decimals and a place for the sign, so that columns of figures do not jump."""
+    """Format with fixed decimals and space for the sign, so that columns of figures do not jump."""
     return " ".join(f"{float(v): .{decimals}f}".replace("-", "−") if math.isfinite(v) else NOTHING for v in values)
 
 
 def triple(rgb: np.ndarray) -> str:
-    """A colour's three numbers."""
+    """Format a colour's three numbers."""
     return vector(rgb).replace("  ", " ").strip()
 
 
 def duration(seconds: float | None) -> str:
-    """Two units at most: "0.4 s", "42 s", "1 min 10 s", "2 h 5 min"."""
+    """Format with two units at most: "0.4 s", "42 s", "1 min 10 s", "2 h 5 min"."""
     if seconds is None or not math.isfinite(seconds):
         return NOTHING
     if seconds < 1:
@@ -42,7 +42,7 @@ def duration(seconds: float | None) -> str:
 
 
 def rate(per_second: float) -> str:
-    """Three significant digits: "640k", "1.25M"; a dash before the first measurement."""
+    """Format with three significant digits: "640k", "1.25M"; a dash before the first measurement."""
     if not math.isfinite(per_second) or per_second <= 0:
         return NOTHING
     for size, letter in ((1e9, "G"), (1e6, "M"), (1e3, "k")):

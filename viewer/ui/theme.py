@@ -1,4 +1,4 @@
-"""How the window looks: colours, fonts, and lengths in em, so that every DPI scale looks alike."""
+"""The window's colours, fonts and lengths. Lengths are in em, so that all DPI scales look alike."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def _mix(a: ImVec4, b: ImVec4, share: float) -> ImVec4:
 
 CLEAR = ImVec4(0, 0, 0, 0)
 
-# Okabe and Ito's palette, told apart by people with any colour vision (https://jfly.uni-koeln.de/color/).
+# Okabe and Ito's palette, which people with any colour vision can distinguish (https://jfly.uni-koeln.de/color/).
 ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
     _rgb(code) for code in ("e69f00", "56b4e9", "009e73", "f0e442", "0072b2", "d55e00", "cc79a7")
 )
@@ -33,7 +33,7 @@ class DarkTheme:
 
     ground = _rgb("101113")  # behind everything
     surface = _rgb("191a1d")  # panels
-    raised = _rgb("26282c")  # what can be pressed or typed into
+    raised = _rgb("26282c")  # buttons and fields
     hairline = _rgb("303338")
     text = _rgb("e6e8eb")
     muted = _rgb("969ba4")
@@ -55,7 +55,7 @@ class DarkTheme:
         VERMILION,
         PURPLE,
         _rgb("b0b4ba"),
-    )  # grey for their black: the ground is dark
+    )  # grey instead of their black, because the background is dark
     alpha = VERMILION
     point = _rgb("ffffff")
 
@@ -70,7 +70,7 @@ class DarkTheme:
         return self._mono
 
     def load_fonts(self) -> None:
-        """Roboto for text, Inconsolata for figures, both with Font Awesome's icons; once per imgui context."""
+        """Load Roboto for text and Inconsolata for figures, both with Font Awesome's icons; once per imgui context."""
         atlas, folder = imgui.get_io().fonts, assets_dir() / "fonts"
         roboto, icons = str(folder / "Roboto-Regular.ttf"), str(folder / "Font_Awesome_6_Free-Solid-900.otf")
 
@@ -81,7 +81,9 @@ class DarkTheme:
             return config
 
         self.roboto = atlas.add_font_from_file_ttf(roboto, TEXT_PIXELS)
-        atlas.add_font_from_file_ttf(icons, TEXT_PIXELS, merged(0.82))  # icons fill their em; letters do not
+        atlas.add_font_from_file_ttf(
+            icons, TEXT_PIXELS, merged(0.82)
+        )  # smaller, because icons fill their em and letters do not
         self._mono = atlas.add_font_from_file_ttf(str(folder / "Inconsolata-Regular.ttf"), TEXT_PIXELS)
         atlas.add_font_from_file_ttf(roboto, TEXT_PIXELS, merged(1.0))  # σ, −, … that Inconsolata lacks
         atlas.add_font_from_file_ttf(icons, TEXT_PIXELS, merged(0.82))
@@ -91,7 +93,7 @@ class DarkTheme:
         """Set imgui's and implot's style for a screen of this scale; call again when the scale changes."""
         self.em = round(TEXT_PIXELS * scale)
         style = imgui.get_style()
-        # Panels push fonts by `em`, in pixels: the scale is in the size itself, not in imgui's factor over it.
+        # Panels push fonts by `em` in pixels, which contains the scale; so imgui's own factor stays 1.
         style.font_size_base, style.font_scale_dpi = self.em, 1.0
         self._lengths(style, self.em)
         self._colors(style)
@@ -100,7 +102,7 @@ class DarkTheme:
     @staticmethod
     def _lengths(style: imgui.Style, em: float) -> None:
         def px(*share: float) -> tuple[float, ...]:
-            """Whole pixels: bars of a fraction more would smear over their neighbours' first row."""
+            """Round to whole pixels, because a fraction would blur into the neighbour's first row."""
             return tuple(float(max(1, round(v * em))) for v in share)
 
         (hair,) = px(1 / 16)

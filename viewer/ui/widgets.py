@@ -1,4 +1,4 @@
-"""What several panels draw alike: figures, buttons that tests can find, hints, confirmations."""
+"""Widgets that several panels share: figures, buttons that tests can find, hints, confirmations."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
     from .contract import Ui
 
-SCALE_STEPS = 16  # of a colour scale: as many as colour maps have stops
+SCALE_STEPS = 16  # of a colour scale: about as many as colour maps have stops
 
 # ---- colours -------------------------------------------------------------------------------------------------
 
 
 def color_of(rgb: Sequence[float] | np.ndarray, alpha: float = 1.0) -> ImVec4:
-    """A colour of the model as imgui takes it: clipped to [0, 1], black where it is not finite."""
+    """Convert a colour of the model for imgui: clipped to [0, 1], and black if it is not finite."""
     r, g, b = (float(c) for c in np.clip(np.nan_to_num(np.asarray(rgb, np.float64)), 0, 1))
     return ImVec4(r, g, b, alpha)
 
@@ -40,19 +40,19 @@ def faded(color: ImVec4, alpha: float) -> ImVec4:
 
 
 def packed(color: ImVec4) -> int:
-    """The colour as draw lists take it."""
+    """Pack a colour for draw lists."""
     return imgui.color_convert_float4_to_u32(color)
 
 
 def tints(rgb: np.ndarray, alpha: np.ndarray | float = 1.0) -> list[int]:
-    """Colours (N, 3) in [0, 1] as imgui packs them; what is no number is black."""
+    """Pack colours (N, 3) in [0, 1] like imgui; NaN becomes black."""
     rgba = np.column_stack([rgb, np.broadcast_to(alpha, len(rgb))])
     levels = np.round(255 * np.clip(np.nan_to_num(rgba), 0, 1)).astype(np.uint32)
     return (levels << np.array([0, 8, 16, 24], np.uint32)).sum(-1).tolist()
 
 
 def exists(path: Path) -> bool:
-    """Whether there is something at a path as a user types it."""
+    """Return whether a path exists, as a user types it."""
     return os.path.exists(os.path.expanduser(path))
 
 
@@ -67,14 +67,14 @@ def mono(ui: Ui) -> Iterator[None]:
 
 
 def hint(ui: Ui, text: str, color: ImVec4 | None = None) -> None:
-    """A quiet line that wraps at the window's edge."""
+    """Draw a quiet line that wraps at the window's edge."""
     imgui.push_style_color(imgui.Col_.text, color or ui.theme.muted)
     imgui.text_wrapped(text)
     imgui.pop_style_color()
 
 
 def button(ui: Ui, label: str, mark: str, *, enabled: bool = True, tip: str = "", width: float = 0.0) -> bool:
-    """A button that tests find as `mark`; its tip also shows while it is disabled."""
+    """Draw a button that tests find as `mark`. Its tooltip also shows while it is disabled."""
     imgui.begin_disabled(not enabled)
     pressed = imgui.button(f"{label}##{mark}", ImVec2(width, 0))
     imgui.end_disabled()
@@ -85,12 +85,12 @@ def button(ui: Ui, label: str, mark: str, *, enabled: bool = True, tip: str = ""
 
 
 def keep_in_front() -> None:
-    """Hold the window that was just begun over the docked ones, which come forward when they are clicked."""
+    """Keep the window just begun above the docked ones, which come to the front when they are clicked."""
     imgui.internal.bring_window_to_display_front(imgui.internal.get_current_window())
 
 
 def same_line_if_fits(label: str, more: float = 0.0) -> None:
-    """Stay on the line when a button called `label`, and `more` pixels, still fit beside the last item, else wrap."""
+    """Stay on the line if a button called `label`, and `more` pixels, fit beside the last item; else start a line."""
     style = imgui.get_style()
     width = imgui.calc_text_size(label).x + 2 * style.frame_padding.x + more
     right = imgui.get_cursor_screen_pos().x + imgui.get_content_region_avail().x
@@ -99,7 +99,7 @@ def same_line_if_fits(label: str, more: float = 0.0) -> None:
 
 
 def swatch(ui: Ui, rgb: Sequence[float] | np.ndarray) -> None:
-    """A square of the colour, as high as a line, with a hairline so that it shows on any surface."""
+    """Draw a square of a colour, as high as a line, with a hairline so that it shows on any background."""
     size = imgui.get_text_line_height()
     at = imgui.get_cursor_screen_pos()
     inset = 0.1 * ui.em
@@ -111,7 +111,7 @@ def swatch(ui: Ui, rgb: Sequence[float] | np.ndarray) -> None:
 
 
 def color_scale(draw: imgui.ImDrawList, low: ImVec2, high: ImVec2, name: Name = "viridis") -> None:
-    """A colour map from its beginning, on the left, to its end."""
+    """Draw a colour map from left to right."""
     colors = tints(colored(np.linspace(0, 1, SCALE_STEPS + 1), 0, 1, name))
     edges = np.linspace(low.x, high.x, SCALE_STEPS + 1).tolist()
     for (left, first), (right, last) in pairwise(zip(edges, colors, strict=True)):
@@ -122,10 +122,10 @@ Row = tuple[str, str] | tuple[str, str, Callable[[], None]]
 
 
 def figures(ui: Ui, name: str, rows: Sequence[Row], width: float | None = None) -> None:
-    """Rows of a label and a figure, the figures in one column of the mono font; a third entry draws before the figure.
+    """Draw rows of a label and a figure in the mono font. A third entry of a row draws something before the figure.
 
-    Too narrow for two columns, a figure goes under its label. width: None is what the window has left (a tooltip,
-    which grows with its content, has to be told).
+    If two columns do not fit, a figure goes under its label. width: None takes the window's remaining width; a tooltip
+    grows with its content and needs a width.
     """
     width = width or imgui.get_content_region_avail().x
     label_width = max(imgui.calc_text_size(row[0]).x for row in rows) + 0.8 * ui.em
@@ -142,7 +142,7 @@ def figures(ui: Ui, name: str, rows: Sequence[Row], width: float | None = None) 
         if len(row) == 3:
             row[2]()
             imgui.same_line(0, 0.2 * ui.em)
-        imgui.push_text_wrap_pos(0.0)  # numbers that do not fit beside each other go below each other
+        imgui.push_text_wrap_pos(0.0)  # numbers that do not fit beside each other wrap
         with mono(ui):
             imgui.text_unformatted(row[1])
         imgui.pop_text_wrap_pos()
@@ -150,7 +150,7 @@ def figures(ui: Ui, name: str, rows: Sequence[Row], width: float | None = None) 
 
 
 def sample_tooltip(ui: Ui, p: PassProbe, index: int) -> None:
-    """A sample's numbers, beside the mouse."""
+    """Show a sample's numbers in a tooltip."""
     rows: list[Row] = [
         ("t", f"{p.t[index]:.5f}"),
         ("σ", number(float(p.sigma[index]), 5)),
@@ -166,7 +166,7 @@ def sample_tooltip(ui: Ui, p: PassProbe, index: int) -> None:
 
 
 def field_width(ui: Ui, label: str) -> None:
-    """Size the next field so that its label still fits to its right, but never under 4 em."""
+    """Size the next field so that its label fits on its right; at least 4 em."""
     avail = imgui.get_content_region_avail().x
     label_width = imgui.calc_text_size(label, hide_text_after_double_hash=True).x
     spacing = imgui.get_style().item_inner_spacing.x if label_width else 0.0
@@ -181,8 +181,7 @@ LEVELS = {
 
 
 def notice_text(ui: Ui, notice: Notice) -> None:
-    """The level's sign in its colour, then the text, which wraps; without the path that it ends in, which has its own
-    line."""
+    """Draw the level's sign and the text, which wraps. A path at its end is left out, because it has its own line."""
     color = {"info": ui.theme.good, "warning": ui.theme.warning, "error": ui.theme.error}[notice.level]
     imgui.text_colored(color, LEVELS[notice.level])
     imgui.same_line()
@@ -192,15 +191,15 @@ def notice_text(ui: Ui, notice: Notice) -> None:
 
 
 def field_beside(ui: Ui, *labels: str) -> None:
-    """Size the next field so that buttons of these labels fit beside it, but never under 5 em."""
+    """Size the next field so that buttons with these labels fit beside it; at least 5 em."""
     style, room = imgui.get_style(), imgui.get_content_region_avail().x
     frame = 2 * style.frame_padding.x + style.item_spacing.x
     beside = sum(imgui.calc_text_size(label).x + frame for label in labels)
-    imgui.set_next_item_width(max(room - beside - 1, min(room, 5 * ui.em)))  # a pixel against rounding
+    imgui.set_next_item_width(max(room - beside - 1, min(room, 5 * ui.em)))  # one pixel less, for rounding
 
 
 def path_line(ui: Ui, path: Path, mark: str) -> None:
-    """A path that wraps, and a button that copies it whole."""
+    """Draw a path that wraps, and a button that copies it."""
     if button(ui, icons.ICON_FA_COPY, mark, tip=f"copy the path: {path}"):
         imgui.set_clipboard_text(str(path))
     imgui.same_line()
@@ -208,7 +207,7 @@ def path_line(ui: Ui, path: Path, mark: str) -> None:
 
 
 def axis_name(ui: Ui, text: str, *, right: bool = False, height: float = 0.0) -> None:
-    """Name an axis within the plot, where it costs no room and reads level; call between plot and end.
+    """Write an axis's name inside the plot, where it takes no space. Call it between begin and end of the plot.
 
     height: how far down, from 0 (the top) to 1.
     """
@@ -225,26 +224,26 @@ def axis_name(ui: Ui, text: str, *, right: bool = False, height: float = 0.0) ->
 
 
 class Limits:
-    """An axis's, which follow what there is to see until the user moves them."""
+    """The limits of an axis. They follow the data until the user moves them."""
 
     def __init__(self) -> None:
         self.low, self.high = implot.BoxedValue(0.0), implot.BoxedValue(1.0)
         self._set = (0.0, 1.0)
 
     def follow(self, low: float, high: float, fresh: bool) -> None:
-        """fresh: what was there before is gone, and with it what the user made of its limits."""
+        """Set the limits to the data. fresh: the data is new, so that the user's limits no longer count."""
         if fresh or (self.low.value, self.high.value) == self._set:
             self._set = self.low.value, self.high.value = low, high
 
 
 class Confirmation:
-    """Asks in place, without a dialog, before something that cannot be undone."""
+    """A question in the panel, without a dialog, before something that cannot be undone."""
 
     def __init__(self) -> None:
         self.asking = self._shown = False
 
     def draw(self, ui: Ui, question: str, answer: str, mark: str, needed: bool) -> bool:
-        """Show the question while it is asked and `needed`; True in the frame in which it is answered with yes."""
+        """Show the question while it is open and `needed`. Returns True in the frame in which the user agrees."""
         self.asking = self.asking and needed and not imgui.is_key_pressed(imgui.Key.escape, False)
         if not self.asking:
             self._shown = False
@@ -254,7 +253,7 @@ class Confirmation:
         same_line_if_fits("Keep")
         if button(ui, "Keep", f"{mark}_keep") or yes:
             self.asking = False
-        if not self._shown:  # it may lie below what the panel shows
+        if not self._shown:  # it may lie below the visible part of the panel
             imgui.set_scroll_here_y(1.0)
             self._shown = True
         return yes

@@ -1,4 +1,4 @@
-"""What the app draws into: a window on a screen, or the same thing offscreen, behind one contract."""
+"""The windows that the app draws into: one on a screen and one offscreen, with one interface."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class DisplayError(UserError):
 
 
 class Window(Protocol):
-    """A framebuffer, its GL context (3.3 core) and the user's input. All calls but `wake` come from one thread.
+    """A framebuffer, its GL context (3.3 core) and the user's input. One thread makes all calls except `wake`.
 
-    Every length is in framebuffer pixels, y down; imgui works in the same pixels.
+    All lengths are in framebuffer pixels, y down, like imgui's.
     """
 
     context: moderngl.Context
@@ -36,26 +36,26 @@ class Window(Protocol):
     has_display: bool
 
     def size(self) -> tuple[int, int]:
-        """Framebuffer width and height; (0, 0) while minimised."""
+        """Return the framebuffer's width and height; (0, 0) while minimised."""
         ...
 
     def scale(self) -> float:
-        """Pixels per point of the screen: what text and lengths are multiplied by."""
+        """Return the pixels per point of the screen; text and lengths are multiplied by it."""
         ...
 
     def resize(self, width: int, height: int) -> None: ...
 
     def poll(self, timeout: float) -> bool:
-        """Wait up to `timeout` seconds for input or `wake`, hand input to imgui's io; whether input came.
+        """Wait up to `timeout` seconds for input or `wake`, and pass input to imgui. Returns whether input came.
 
-        Input is also a new size and whatever else asks for a redraw.
+        A new size counts as input, and so does everything else that needs a redraw.
         """
         ...
 
     def swap(self) -> None: ...
 
     def read_pixels(self) -> np.ndarray:
-        """What has been drawn since the last swap: uint8 (H, W, 3), row 0 at the top."""
+        """Return what has been drawn since the last swap: uint8 (H, W, 3), row 0 at the top."""
         ...
 
     def should_close(self) -> bool: ...
@@ -73,16 +73,16 @@ class Window(Protocol):
     def set_clipboard(self, text: str) -> None: ...
 
     def wake(self) -> None:
-        """Make `poll` return now; callable from any thread."""
+        """Make `poll` return now. Any thread may call it."""
         ...
 
     def close(self) -> None:
-        """Free the context; calling it again does nothing."""
+        """Free the context. A second call does nothing."""
         ...
 
 
 def load_libraries() -> None:
-    """Import what needs the system's GL and X11 libraries. Raises UserError naming Debian's packages."""
+    """Import the modules that need the system's GL and X11 libraries. Raises UserError that names Debian's packages."""
     try:
         import imgui_bundle  # noqa: F401, I001  first: it names the GLFW library that glfw then loads
         import glfw  # noqa: F401
@@ -92,7 +92,7 @@ def load_libraries() -> None:
 
 
 def open_window(title: str, size: tuple[int, int] = DEFAULT_SIZE) -> Window:
-    """A window on the user's screen. Raises DisplayError without one, UserError without OpenGL 3.3."""
+    """Open a window on the user's screen. Raises DisplayError without a screen, UserError without OpenGL 3.3."""
     load_libraries()
     from .glfw_window import GlfwWindow
 
@@ -100,7 +100,7 @@ def open_window(title: str, size: tuple[int, int] = DEFAULT_SIZE) -> Window:
 
 
 def open_offscreen(size: tuple[int, int] = DEFAULT_SIZE, scale: float = 1.0) -> Window:
-    """The same without a screen: EGL where there is one, else a hidden window. Raises UserError without OpenGL 3.3."""
+    """Open an offscreen window: through EGL, or else a hidden window. Raises UserError without OpenGL 3.3."""
     load_libraries()
     if sys.platform in ("win32", "darwin"):
         from .glfw_window import GlfwWindow

@@ -1,4 +1,4 @@
-"""A window without a screen: an offscreen framebuffer in an EGL context; input is injected by code."""
+"""A window without a screen: an offscreen framebuffer in an EGL context. Code injects its input."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ EGL_LIBRARY = "libEGL.so.1"  # the one that moderngl has loaded
 
 
 class EglWindow:
-    """See `viewer.window.Window`. Raises UserError where EGL or OpenGL 3.3 is missing."""
+    """A `viewer.window.Window` offscreen. Raises UserError if EGL or OpenGL 3.3 is missing."""
 
     has_display = False
 
@@ -35,7 +35,7 @@ class EglWindow:
         self._came = self._closing = False
         self._clipboard = ""
         self._closed = False
-        self._make_framebuffer(1, 1)  # a minimised window has no framebuffer of its own size
+        self._make_framebuffer(1, 1)  # a framebuffer cannot have the size 0 of a minimised window
         self.resize(*size)
 
     def size(self) -> tuple[int, int]:
@@ -107,5 +107,5 @@ class EglWindow:
         self._closed = True
         self._free_framebuffer()
         self.context.release()
-        # moderngl leaves the dead context current on this thread, where a GLX window could then not take its place.
+        # moderngl leaves the released context current on this thread, and a GLX window could not replace it.
         ctypes.CDLL(EGL_LIBRARY).eglReleaseThread()

@@ -1,4 +1,4 @@
-"""GLFW's names for keys and cursors → imgui's."""
+"""Map GLFW's keys and cursors to imgui's."""
 
 from __future__ import annotations
 

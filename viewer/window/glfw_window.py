@@ -1,4 +1,4 @@
-"""A window on the user's screen, through GLFW. Lives on the main thread, as GLFW demands."""
+"""A window on the user's screen through GLFW. GLFW requires the main thread."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from nerf_core.common.errors import UserError
 from . import DEBIAN_PACKAGES, DisplayError
 from .glfw_keys import CURSORS, KEYS, MODIFIERS
 
-ICON_PIXELS = 64  # what title bars and task lists show
+ICON_PIXELS = 64  # the size in title bars and task lists
 MOUSE_BUTTONS = 5  # as many as imgui knows
 
 
@@ -40,10 +40,10 @@ class _GlfwLoader:
 
 
 class GlfwWindow:
-    """See `viewer.window.Window`. Raises DisplayError without a screen, UserError without OpenGL 3.3."""
+    """A `viewer.window.Window` on a screen. Raises DisplayError without a screen, UserError without OpenGL 3.3."""
 
     def __init__(self, title: str, size: tuple[int, int], visible: bool = True) -> None:
-        glfw.ERROR_REPORTING = "ignore"  # ours are read with get_error; a missing cursor shape is no error to us
+        glfw.ERROR_REPORTING = "ignore"  # errors are read with get_error; a missing cursor shape does not matter
         if not glfw.init():
             raise DisplayError(f"cannot open a window: {_glfw_error()}: set DISPLAY or use --headless")
         self.has_display = visible
@@ -59,7 +59,7 @@ class GlfwWindow:
 
     def _prepare(self) -> None:
         glfw.make_context_current(self._handle)
-        glfw.swap_interval(0)  # the app paces itself; waiting for the screen here would hold back input
+        glfw.swap_interval(0)  # the app paces itself; waiting for the screen here would delay input
         try:
             self.context = moderngl.create_context(require=330, context=_GlfwLoader())  # pyright: ignore[reportArgumentType]  duck-typed
         except Exception as error:  # moderngl raises plain Exception and ValueError for what the driver lacks
@@ -75,10 +75,10 @@ class GlfwWindow:
         glfw.window_hint(glfw.CONTEXT_VERSION_MAJOR, 3)
         glfw.window_hint(glfw.CONTEXT_VERSION_MINOR, 3)
         glfw.window_hint(glfw.OPENGL_PROFILE, glfw.OPENGL_CORE_PROFILE)
-        glfw.window_hint(glfw.OPENGL_FORWARD_COMPAT, True)  # macOS gives a core profile only to those who ask
-        glfw.window_hint(glfw.DEPTH_BITS, 0)  # nothing in the window is tested for depth, and clearing it takes time
+        glfw.window_hint(glfw.OPENGL_FORWARD_COMPAT, True)  # macOS gives a core profile only with this hint
+        glfw.window_hint(glfw.DEPTH_BITS, 0)  # the window needs no depth buffer, and clearing one takes time
         glfw.window_hint(glfw.STENCIL_BITS, 0)
-        glfw.window_hint(glfw.SRGB_CAPABLE, False)  # values reach the screen as they are
+        glfw.window_hint(glfw.SRGB_CAPABLE, False)  # colours reach the screen unchanged
         glfw.window_hint(glfw.VISIBLE, visible)
         glfw.window_hint(glfw.SCALE_TO_MONITOR, visible)
         glfw.window_hint_string(glfw.X11_CLASS_NAME, "nerf-viewer")
@@ -93,7 +93,7 @@ class GlfwWindow:
     def _set_icon(self) -> None:
         with Image.open(assets_dir() / "icon.png") as icon:
             pixels = np.asarray(icon.convert("RGBA").resize((ICON_PIXELS, ICON_PIXELS), Image.Resampling.LANCZOS))
-        images: Any = [(ICON_PIXELS, ICON_PIXELS, pixels.tolist())]  # not how its stub has it
+        images: Any = [(ICON_PIXELS, ICON_PIXELS, pixels.tolist())]  # its stub has another type
         glfw.set_window_icon(self._handle, 1, images)
 
     def _connect(self) -> None:
@@ -132,7 +132,7 @@ class GlfwWindow:
 
     @staticmethod
     def _send_modifiers(io: imgui.IO, modifiers: int, key: int = -1, down: bool = False) -> None:
-        # X11 reports the modifiers as they were before the event, so a modifier key itself decides over its bit.
+        # X11 reports the modifiers as they were before the event, so a modifier key sets its own bit.
         own = {
             glfw.KEY_LEFT_CONTROL: glfw.MOD_CONTROL, glfw.KEY_RIGHT_CONTROL: glfw.MOD_CONTROL,
             glfw.KEY_LEFT_SHIFT: glfw.MOD_SHIFT, glfw.KEY_RIGHT_SHIFT: glfw.MOD_SHIFT,
@@ -149,14 +149,14 @@ class GlfwWindow:
             io.add_mouse_button_event(button, action == glfw.PRESS)
 
     def _on_move(self, _window: Any, x: float, y: float) -> None:
-        # GLFW counts window points here; imgui works in framebuffer pixels.
+        # GLFW reports points here; imgui works in framebuffer pixels.
         width, height = glfw.get_window_size(self._handle)
         pixels = self.size()
         self._io().add_mouse_pos_event(x * pixels[0] / max(width, 1), y * pixels[1] / max(height, 1))
 
     def _on_enter(self, _window: Any, entered: int) -> None:
         if not entered and not any(glfw.get_mouse_button(self._handle, b) for b in range(MOUSE_BUTTONS)):
-            self._io().add_mouse_pos_event(-1e9, -1e9)  # outside: nothing is hovered; a drag keeps its pointer
+            self._io().add_mouse_pos_event(-1e9, -1e9)  # outside nothing is hovered; during a drag the pointer stays
 
     # ---- the contract -----------------------------------------------------------------------------------------
 
@@ -202,11 +202,11 @@ class GlfwWindow:
     def set_cursor(self, cursor: int) -> None:
         shape = CURSORS.get(cursor, CURSORS[imgui.MouseCursor_.arrow])
         if shape not in self._cursors:
-            self._cursors[shape] = glfw.create_standard_cursor(shape)  # None where the system has no such shape
+            self._cursors[shape] = glfw.create_standard_cursor(shape)  # None if the system does not have this shape
         glfw.set_cursor(self._handle, self._cursors[shape])
 
     def clipboard(self) -> str:
-        no_window: Any = None  # GLFW asks for none any more; its stubs do
+        no_window: Any = None  # GLFW no longer needs a window here, but its stubs do
         return _text(glfw.get_clipboard_string(no_window))
 
     def set_clipboard(self, text: str) -> None:
@@ -233,5 +233,5 @@ def _glfw_error() -> str:
 
 
 def _text(raw: Any) -> str:
-    """GLFW's strings are bytes, or None; its stubs call them str."""
+    """A string of GLFW as str. They are bytes or None, although the stubs say str."""
     return raw.decode("utf-8", "replace") if raw else ""

@@ -110,7 +110,7 @@ def test_a_drag_orbits_and_warps_until_the_worker_answers(start: Start) -> None:
     worker.answering = False
     before = app.state.camera.c2w()
     x, y = middle(app)
-    app.hand.drag((x, y), (x + 80, y + 10))
+    app.injector.drag((x, y), (x + 80, y + 10))
     assert not np.allclose(app.state.camera.c2w(), before)
     assert app.stale
     assert not worker.sent  # a drag is never a click
@@ -126,7 +126,7 @@ def test_views_are_requested_while_moving_and_once_more_at_rest(start: Start) ->
     rest(app)
     assert len(worker.views) == count  # nothing changed: nothing is asked for
     x, y = middle(app)
-    app.hand.drag((x, y), (x + 40, y))
+    app.injector.drag((x, y), (x + 40, y))
     rest(app)
     asked = worker.views[count:]
     assert [view.moving for view in asked][-2:] == [True, False]
@@ -142,7 +142,7 @@ def test_other_drags_pan(start: Start, button: int, shift: bool) -> None:
     x, y = middle(app)
     rotation = app.state.camera.c2w()[:, :3]
     eye = app.state.camera.c2w()[:, 3]
-    app.hand.drag((x, y), (x + 50, y), button, shift=shift)
+    app.injector.drag((x, y), (x + 50, y), button, shift=shift)
     np.testing.assert_allclose(app.state.camera.c2w()[:, :3], rotation)
     assert np.linalg.norm(app.state.camera.c2w()[:, 3] - eye) > 0.01
 
@@ -151,11 +151,11 @@ def test_the_wheel_zooms_over_the_viewport_only(start: Start) -> None:
     app, _ = start()
     distance = app.state.camera.distance
     x, y = middle(app)
-    app.hand.wheel(x, y, 2)
+    app.injector.wheel(x, y, 2)
     app.settle()
     assert app.state.camera.distance < distance
     distance = app.state.camera.distance
-    app.hand.wheel(SIZE[0] - 20, 400, 2)  # over a panel
+    app.injector.wheel(SIZE[0] - 20, 400, 2)  # over a panel
     app.settle()
     assert app.state.camera.distance == distance
 
@@ -167,7 +167,7 @@ def test_the_wheel_zooms_over_the_viewport_only(start: Start) -> None:
 def test_a_click_is_a_press_and_release_within_4_pixels(start: Start, slip: int, clicks: int) -> None:
     app, worker = start()
     x, y = middle(app)
-    app.hand.drag((x, y), (x + slip, y), steps=1)
+    app.injector.drag((x, y), (x + slip, y), steps=1)
     asked = [command for command in worker.sent if isinstance(command, Inspect)]
     assert len(asked) == clicks
     if asked:
@@ -180,11 +180,11 @@ def test_a_click_is_a_press_and_release_within_4_pixels(start: Start, slip: int,
 def test_a_slip_and_return_is_a_drag(start: Start) -> None:
     app, worker = start()
     x, y = middle(app)
-    app.hand.move(x, y)
-    app.hand.press()
-    app.hand.move(x + 30, y)
-    app.hand.move(x, y)
-    app.hand.release()
+    app.injector.move(x, y)
+    app.injector.press()
+    app.injector.move(x + 30, y)
+    app.injector.move(x, y)
+    app.injector.release()
     app.settle()
     assert not worker.sent
 
@@ -194,8 +194,8 @@ def test_the_ray_is_drawn_where_it_was_clicked(start: Start) -> None:
     rest(app)
     plain = app.pixels()
     x, y = middle(app)
-    app.hand.click(x, y)
-    app.hand.move(2, 2)
+    app.injector.click(x, y)
+    app.injector.move(2, 2)
     changed = (
         np.abs(app.pixels().astype(int) - plain).max(-1)[int(y) - 30 : int(y) + 30, int(x) - 30 : int(x) + 30] > 30
     )
@@ -220,7 +220,7 @@ def test_a_double_click_focuses_the_surface_under_it(start: Start) -> None:
     camera = preview.camera
     directions, _ = scripted.rays(camera, np.array([x - left]), np.array([y - top]))
     distance, _ = scripted.trace(camera.c2w[:, 3], directions)
-    app.hand.double_click(x, y)
+    app.injector.double_click(x, y)
     app.settle(30)  # the jump eases
     expected = camera.c2w[:, 3] + distance[0] * directions[:, 0]
     np.testing.assert_allclose(app.state.camera.pivot, expected, atol=1e-4)
@@ -231,7 +231,7 @@ def test_dragging_the_depth_asks_for_the_same_ray_again(start: Start) -> None:
     app, worker = start()
     app.perform(SetPointDepth(2.0))
     assert not worker.sent  # no ray is open
-    app.hand.click(*middle(app))
+    app.injector.click(*middle(app))
     first = app.state.inspect
     assert first is not None
     app.perform(SetPointDepth(2.0))
@@ -250,9 +250,9 @@ def test_dragging_the_depth_asks_for_the_same_ray_again(start: Start) -> None:
 
 def test_space_trains_and_pauses_and_a_dot_makes_one_step(start: Start) -> None:
     app, worker = start()
-    app.hand.key(imgui.Key.space)
-    app.hand.key(imgui.Key.space)
-    app.hand.key(imgui.Key.period)
+    app.injector.key(imgui.Key.space)
+    app.injector.key(imgui.Key.space)
+    app.injector.key(imgui.Key.period)
     assert worker.sent == [Train(), Pause(), Train(1)]
 
 
@@ -261,13 +261,13 @@ def test_arrows_walk_through_the_training_photos_and_moving_leaves_them(start: S
     scene = worker.current.scene
     assert scene is not None
     for expected in (0, 1, 2):
-        app.hand.key(imgui.Key.right_arrow)
+        app.injector.key(imgui.Key.right_arrow)
         assert app.state.current_view == expected
-    app.hand.key(imgui.Key.left_arrow)
+    app.injector.key(imgui.Key.left_arrow)
     app.settle(30)
     np.testing.assert_allclose(app.state.camera.c2w(), scene.views[1].camera.c2w, atol=1e-6)
     x, y = middle(app)
-    app.hand.drag((x, y), (x + 30, y))
+    app.injector.drag((x, y), (x + 30, y))
     assert app.state.current_view is None
 
 
@@ -275,7 +275,7 @@ def test_flying_moves_the_eye_while_a_key_is_held(start: Start) -> None:
     app, _ = start()
     forward = -app.state.camera.c2w()[:, 2]
     eye = app.state.camera.c2w()[:, 3]
-    app.hand.hold(imgui.Key.w, 10)
+    app.injector.hold(imgui.Key.w, 10)
     moved = app.state.camera.c2w()[:, 3] - eye
     np.testing.assert_allclose(moved / np.linalg.norm(moved), forward, atol=1e-6)
 
@@ -283,10 +283,10 @@ def test_flying_moves_the_eye_while_a_key_is_held(start: Start) -> None:
 def test_tab_hides_all_but_the_viewport_and_brings_it_back(start: Start) -> None:
     app, _ = start()
     small = app.state.viewport
-    app.hand.key(imgui.Key.tab)
+    app.injector.key(imgui.Key.tab)
     app.settle()
     assert app.state.viewport[0] == SIZE[0]
-    app.hand.key(imgui.Key.tab)
+    app.injector.key(imgui.Key.tab)
     app.settle()
     assert app.state.viewport == small
 
@@ -298,9 +298,9 @@ def test_tab_leaves_the_tabs_as_they_were(start: Start) -> None:
         app.settle()
         front = app._host.in_front
         assert title in front
-        app.hand.key(imgui.Key.tab)
+        app.injector.key(imgui.Key.tab)
         app.settle()
-        app.hand.key(imgui.Key.tab)
+        app.injector.key(imgui.Key.tab)
         app.settle(5)
         assert app._host.in_front == front
 
@@ -311,19 +311,19 @@ def test_ctrl_e_shows_where_the_export_can_be_watched(start: Start, hidden: bool
     app.state.film.file = "turn"
     assert "Export" not in app._host.in_front
     if hidden:
-        app.hand.key(imgui.Key.tab)
-    app.hand.key(imgui.Key.e, ctrl=True)
+        app.injector.key(imgui.Key.tab)
+    app.injector.key(imgui.Key.e, ctrl=True)
     app.settle(5)
     assert "Export" in app._host.in_front
 
 
 def test_ctrl_o_finds_the_path_field_although_the_panels_are_hidden(start: Start) -> None:
     app, _ = start((1280, 800))
-    app.hand.key(imgui.Key.tab)
-    app.hand.key(imgui.Key.o, ctrl=True)
+    app.injector.key(imgui.Key.tab)
+    app.injector.key(imgui.Key.o, ctrl=True)
     app.settle(5)
     assert imgui.get_io().want_text_input
-    app.hand.type_text("/data")
+    app.injector.type_text("/data")
     assert app.state.open_path == "/data"
 
 
@@ -331,7 +331,7 @@ def test_ctrl_o_finds_the_path_field_although_the_panels_are_hidden(start: Start
 def test_a_name_that_is_no_file_is_told(start: Start, name: str) -> None:
     app, worker = start()
     app.state.film.file = name
-    app.hand.key(imgui.Key.e, ctrl=True)
+    app.injector.key(imgui.Key.e, ctrl=True)
     app.settle()
     assert not worker.sent
     assert [n.notice.level for n in app.state.notices] == ["error"]
@@ -375,7 +375,7 @@ def test_saving_without_a_name_takes_one_that_no_file_has(
     name = app.state.snapshot.scene.name
     Path(f"{name}.safetensors").touch()
     for _ in range(2):
-        app.hand.key(imgui.Key.s, ctrl=True)
+        app.injector.key(imgui.Key.s, ctrl=True)
     assert worker.sent == [SaveCheckpoint(Path(f"{name}-2.safetensors"))] * 2  # its own file is written again
     assert app.state.checkpoint_file == f"{name}-2.safetensors"
 
@@ -383,14 +383,14 @@ def test_saving_without_a_name_takes_one_that_no_file_has(
 def test_escape_closes_a_menu_before_the_ray(start: Start) -> None:
     app, worker = start()
     left, top, right, bottom = app.widgets["viewport"]
-    app.hand.click((left + right) / 2, (top + bottom) / 2)
+    app.injector.click((left + right) / 2, (top + bottom) / 2)
     assert app.state.inspect is not None
-    app.hand.click(20, 10)  # the menu File
+    app.injector.click(20, 10)  # the menu File
     assert imgui.is_popup_open("", imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level)
-    app.hand.key(imgui.Key.escape)
+    app.injector.key(imgui.Key.escape)
     assert not imgui.is_popup_open("", imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level)
     assert app.state.inspect is not None
-    app.hand.key(imgui.Key.escape)
+    app.injector.key(imgui.Key.escape)
     assert app.state.inspect is None
     assert isinstance(worker.sent[-1], StopInspecting)
 
@@ -399,8 +399,8 @@ def test_ctrl_s_and_ctrl_e_save_and_export(start: Start) -> None:
     app, worker = start()
     app.state.checkpoint_file = "kept.safetensors"
     app.state.film.frames, app.state.film.file = 5, "turn.mp4"
-    app.hand.key(imgui.Key.s, ctrl=True)
-    app.hand.key(imgui.Key.e, ctrl=True)
+    app.injector.key(imgui.Key.s, ctrl=True)
+    app.injector.key(imgui.Key.e, ctrl=True)
     save, export = worker.sent
     assert save == SaveCheckpoint(Path("kept.safetensors"))
     assert isinstance(export, StartExport)
@@ -412,17 +412,17 @@ def test_ctrl_s_and_ctrl_e_save_and_export(start: Start) -> None:
 
 def test_a_text_field_has_its_keys_to_itself(start: Start) -> None:
     app, worker = start((1000, 1200))
-    app.hand.key(imgui.Key.o, ctrl=True)  # puts the keyboard into the path's field
+    app.injector.key(imgui.Key.o, ctrl=True)  # puts the keyboard into the path's field
     app.settle()
     assert imgui.get_io().want_text_input
     eye = app.state.camera.c2w()
-    app.hand.type_text("/data/w")
-    app.hand.key(imgui.Key.space)
-    app.hand.hold(imgui.Key.w, 3)
+    app.injector.type_text("/data/w")
+    app.injector.key(imgui.Key.space)
+    app.injector.hold(imgui.Key.w, 3)
     assert app.state.open_path == "/data/w"
     assert not worker.sent
     np.testing.assert_array_equal(app.state.camera.c2w(), eye)
-    app.hand.key(imgui.Key.enter)
+    app.injector.key(imgui.Key.enter)
     app.settle()
     asked = [command for command in worker.sent if isinstance(command, OpenScene)]
     confirmed = app.widgets.get("scene.open_confirm")  # opening forgets 100 steps: the panel asks first
@@ -477,11 +477,11 @@ def test_a_panel_that_fails_tells_once_and_spares_the_others(start: Start) -> No
     assert "the panel Faulty failed (RuntimeError: no luck)" in told[0].text
     assert "Traceback" in told[0].detail
     left, top, right, bottom = app.widgets["sound.cancel"]
-    app.hand.click((left + right) / 2, (top + bottom) / 2)
+    app.injector.click((left + right) / 2, (top + bottom) / 2)
     assert worker.sent == [CancelExport()]
     faulty.broken = False
     left, top, right, bottom = app.widgets["Faulty.retry"]
-    app.hand.click((left + right) / 2, (top + bottom) / 2)
+    app.injector.click((left + right) / 2, (top + bottom) / 2)
     app.settle()
     assert "Faulty.retry" not in app.widgets
 
@@ -497,7 +497,7 @@ def test_the_workers_notices_are_kept_with_their_time(start: Start) -> None:
 def test_an_impossible_orbit_is_a_notice(start: Start) -> None:
     app, worker = start()
     app.state.film.file = " "
-    app.hand.key(imgui.Key.e, ctrl=True)
+    app.injector.key(imgui.Key.e, ctrl=True)
     assert not worker.sent
     assert app.state.notices[-1].notice == Notice("error", "the film has no file name: give one that ends in .mp4")
 
@@ -551,7 +551,7 @@ def test_every_state_draws_with_and_without_a_scene(start: Start, status: str) -
 def test_a_new_scene_closes_the_ray_and_moves_the_camera(start: Start) -> None:
     app, worker = start()
     home = app.state.camera.c2w()
-    app.hand.click(*middle(app))
+    app.injector.click(*middle(app))
     app.perform(GoToView(1))
     app.settle(30)
     assert not np.allclose(app.state.camera.c2w(), home)
@@ -592,7 +592,7 @@ def test_both_kinds_of_window_show_the_same(window: Window) -> None:
     app.settle(4)
     assert app.state.has_display == window.has_display
     left, top, right, bottom = (int(v) for v in app.widgets["viewport"])
-    app.hand.drag((left + 50, top + 50), (left + 80, top + 60))
+    app.injector.drag((left + 50, top + 50), (left + 80, top + 60))
     app.settle(15)
     assert worker.current.preview is not None
     shown = app.pixels()[top:bottom, left:right]
@@ -614,7 +614,7 @@ def test_reset_asks_first(start: Start) -> None:
     for name in ("bar.reset", "bar.reset_confirm"):
         left, top, right, bottom = app.widgets[name]
         assert not worker.sent
-        app.hand.click((left + right) / 2, (top + bottom) / 2)
+        app.injector.click((left + right) / 2, (top + bottom) / 2)
     assert worker.sent == [Reset()]
 
 
@@ -630,7 +630,7 @@ def test_lengths_follow_the_scale(offscreen: Offscreen, scale: float) -> None:
 
 def test_every_registered_panel_was_drawn(start: Start) -> None:
     app, _ = start((1600, 1000))
-    app.hand.click(*middle(app))
+    app.injector.click(*middle(app))
     app.settle()
     assert PANELS.names()
     assert not app.state.notices  # a panel that fails would have told
@@ -643,7 +643,7 @@ def test_ctrl_click_pins_a_ray_which_stays_while_the_camera_moves(start: Start) 
     app, worker = start()
     x, y = middle(app)
     imgui.get_io().add_key_event(imgui.Key.mod_ctrl, True)
-    app.hand.click(x, y)
+    app.injector.click(x, y)
     imgui.get_io().add_key_event(imgui.Key.mod_ctrl, False)
     app.settle()
     (pin,) = app.state.snapshot.pins
@@ -654,7 +654,7 @@ def test_ctrl_click_pins_a_ray_which_stays_while_the_camera_moves(start: Start) 
     assert app.state.inspect.id == pin.id
     before = pin.camera.c2w.copy()
     app.state.camera.orbit(80, 10, 600)
-    app.hand.click(x + 60, y)
+    app.injector.click(x + 60, y)
     app.settle()
     np.testing.assert_array_equal(app.state.snapshot.pins[0].camera.c2w, before)
     assert app.state.inspect.id != pin.id
@@ -693,8 +693,8 @@ def test_the_presses_of_a_double_click_may_be_some_pixels_apart(start: Start) ->
     rest(app)
     app._focus_behind = lambda: None  # pyright: ignore[reportAttributeAccessIssue]  the verdict is still to come
     x, y = middle(app)
-    app.hand.click(x, y)
-    app.hand.click(x + 2, y - 1)
+    app.injector.click(x, y)
+    app.injector.click(x + 2, y - 1)
     assert sum(isinstance(command, Inspect) for command in worker.sent) == 1
     assert app.state.focus is not None
     assert app.state.focus is app.state.inspect
@@ -706,9 +706,9 @@ def test_a_double_click_opens_a_ray_where_its_first_press_did_not(start: Start) 
     rest(app)
     app._focus_behind = lambda: None  # pyright: ignore[reportAttributeAccessIssue]
     x, y = middle(app)
-    app.hand.click(x, y)
+    app.injector.click(x, y)
     app.state.inspect = None
-    app.hand.click(x, y)
+    app.injector.click(x, y)
     assert sum(isinstance(command, Inspect) for command in worker.sent) == 2
     assert app.state.focus is not None
     assert app.state.focus is app.state.inspect
@@ -720,7 +720,7 @@ def test_a_double_click_lands_where_the_verdict_has_the_surface(
 ) -> None:
     app, worker = start()
     x, y = middle(app)
-    app.hand.double_click(x, y)
+    app.injector.double_click(x, y)
     app.settle()
     opened = worker.current.opened
     assert opened is not None
@@ -741,9 +741,9 @@ def test_a_double_click_lands_where_the_verdict_has_the_surface(
 
 def test_a_render_mode_is_asked_for_with_a_key(start: Start) -> None:
     app, worker = start()
-    app.hand.key(imgui.Key._2)
+    app.injector.key(imgui.Key._2)
     app.settle()
     assert worker.views[-1].mode == "view-dependence"
-    app.hand.key(imgui.Key._1)
+    app.injector.key(imgui.Key._1)
     app.settle()
     assert worker.views[-1].mode == "colour"

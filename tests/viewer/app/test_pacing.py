@@ -24,7 +24,7 @@ def test_nothing_new_draws_nothing() -> None:
 
 
 def test_each_kind_of_news_has_its_own_cap() -> None:
-    assert frames(Pacer(), 2, hand=True) in range(round(2 / FASTEST) - 6, round(2 / FASTEST) + 2)
+    assert frames(Pacer(), 2, user=True) in range(round(2 / FASTEST) - 6, round(2 / FASTEST) + 2)
     assert frames(Pacer(), 2, picture=True) in range(round(2 / PICTURE) - 2, round(2 / PICTURE) + 2)
     assert frames(Pacer(), 2, figures=True) in range(round(2 / FIGURES) - 2, round(2 / FIGURES) + 2)
 
@@ -32,12 +32,12 @@ def test_each_kind_of_news_has_its_own_cap() -> None:
 def test_offscreen_only_a_hand_is_drawn_fast() -> None:
     for news in ({"picture": True}, {"figures": True}):
         assert frames(Pacer(watched=False), 5, **news) in (5, 6)
-    assert frames(Pacer(watched=False), 1, hand=True) > 50
+    assert frames(Pacer(watched=False), 1, user=True) > 50
 
 
 def test_input_is_drawn_at_once_and_settles() -> None:
     pacer = Pacer()
-    pacer.note(50.0, hand=True)
+    pacer.note(50.0, user=True)
     assert pacer.due(50.0)
     drawn = frames(pacer, 10, start=50.0)
     assert 4 <= drawn < 4 + SETTLE_SECONDS / 0.1 + 2  # then it is quiet
@@ -58,7 +58,7 @@ def test_an_answer_is_drawn_at_once_and_alone() -> None:
 def test_the_wait_ends_when_a_frame_is_due() -> None:
     pacer = Pacer()
     assert 0 < pacer.wait(10.0) <= PICTURE  # idle: look again soon, without drawing
-    pacer.note(10.0, hand=True)
+    pacer.note(10.0, user=True)
     assert pacer.wait(10.0) == 0
     pacer.drew(10.0)
     assert 0 < pacer.wait(10.001) <= FASTEST
@@ -68,7 +68,7 @@ def test_frames_that_take_long_keep_to_their_part_of_the_time() -> None:
     def per_second(seconds: float, part: float) -> float:
         pacer, drawn, now = Pacer(), 0, 0.0
         while now < 10:
-            pacer.note(now, hand=True)
+            pacer.note(now, user=True)
             if pacer.due(now):
                 now += seconds
                 pacer.drew(now - seconds, seconds, part)
@@ -87,7 +87,7 @@ def test_a_picture_that_a_hand_waits_for_is_shown_at_once() -> None:
     pacer = Pacer()
     for k in range(50):
         pacer.drew(k / 20, 0.04, 0.2)
-    pacer.note(2.47, hand=True)
+    pacer.note(2.47, user=True)
     assert not pacer.due(2.47)
     pacer.note(2.47, picture=True)
     assert pacer.due(2.47)

@@ -35,12 +35,12 @@ def opened(offscreen: Offscreen) -> Iterator[tuple[App, scripted.ScriptedWorker]
 
 def click(app: App, widget: str) -> None:
     left, top, right, bottom = app.widgets[widget]
-    app.hand.click((left + right) / 2, (top + bottom) / 2)
+    app.injector.click((left + right) / 2, (top + bottom) / 2)
     app.settle()
 
 
 def open_palette(app: App) -> None:
-    app.hand.key(imgui.Key.p, ctrl=True)
+    app.injector.key(imgui.Key.p, ctrl=True)
     app.settle()
     assert app.state.show_palette
     assert imgui.get_io().want_text_input
@@ -49,17 +49,17 @@ def open_palette(app: App) -> None:
 def test_menus_list_their_commands(opened: tuple[App, scripted.ScriptedWorker]) -> None:
     app, _ = opened
     for menu, x in zip(MENUS, (20, 60), strict=True):
-        app.hand.click(x, 10)
+        app.injector.click(x, 10)
         app.settle()
         expected = {f"menu.{command.title}" for command in commands() if command.menu == menu}
         assert expected
         assert {name for name in app.widgets if name.startswith("menu.")} == {"menu.Help", *expected}
-        app.hand.key(imgui.Key.escape)
+        app.injector.key(imgui.Key.escape)
 
 
 def test_quit_and_reset_the_layout_from_the_menus(opened: tuple[App, scripted.ScriptedWorker]) -> None:
     app, _ = opened
-    app.hand.click(20, 10)
+    app.injector.click(20, 10)
     app.settle()
     assert not app.window.should_close()
     click(app, "menu.Quit")
@@ -70,15 +70,15 @@ def test_quit_and_reset_the_layout_from_the_menus(opened: tuple[App, scripted.Sc
 def test_the_palette_runs_what_is_typed_and_chosen(opened: tuple[App, scripted.ScriptedWorker]) -> None:
     app, worker = opened
     open_palette(app)
-    app.hand.type_text("train")
-    app.hand.key(imgui.Key.enter)
+    app.injector.type_text("train")
+    app.injector.key(imgui.Key.enter)
     app.settle()
     assert worker.sent == [Train()]
     assert not app.state.show_palette
     open_palette(app)
-    app.hand.type_text("train")
-    app.hand.key(imgui.Key.down_arrow)
-    app.hand.key(imgui.Key.enter)
+    app.injector.type_text("train")
+    app.injector.key(imgui.Key.down_arrow)
+    app.injector.key(imgui.Key.enter)
     app.settle()
     assert app.state.show_cameras
     open_palette(app)  # without what was typed before
@@ -89,11 +89,11 @@ def test_the_palette_runs_what_is_typed_and_chosen(opened: tuple[App, scripted.S
 
 def test_what_is_typed_into_the_palette_is_no_command(opened: tuple[App, scripted.ScriptedWorker]) -> None:
     app, worker = opened
-    app.hand.key(imgui.Key.p, ctrl=True)
+    app.injector.key(imgui.Key.p, ctrl=True)
     for key in (imgui.Key.space, imgui.Key.h, imgui.Key.period, imgui.Key._2):
-        app.hand.key(key)
-    app.hand.type_text("no such")
-    app.hand.key(imgui.Key.enter)  # nothing matches
+        app.injector.key(key)
+    app.injector.type_text("no such")
+    app.injector.key(imgui.Key.enter)  # nothing matches
     app.settle()
     assert (worker.sent, app.state.show_help, app.state.mode, app.state.show_palette) == ([], False, "colour", True)
 
@@ -101,15 +101,15 @@ def test_what_is_typed_into_the_palette_is_no_command(opened: tuple[App, scripte
 def test_escape_and_a_click_beside_it_close_the_palette_alone(opened: tuple[App, scripted.ScriptedWorker]) -> None:
     app, worker = opened
     left, top, right, bottom = app.widgets["viewport"]
-    app.hand.click((left + right) / 2, (top + bottom) / 2)
+    app.injector.click((left + right) / 2, (top + bottom) / 2)
     ray = app.state.inspect
     assert ray is not None
     open_palette(app)
-    app.hand.key(imgui.Key.escape)
+    app.injector.key(imgui.Key.escape)
     app.settle()
     assert (app.state.show_palette, app.state.inspect) == (False, ray)
     open_palette(app)
-    app.hand.click(left + 5, bottom - 5)
+    app.injector.click(left + 5, bottom - 5)
     app.settle()
     assert (app.state.show_palette, app.state.inspect) == (False, ray)
     assert [type(command) for command in worker.sent] == [Inspect]
@@ -120,8 +120,8 @@ def test_a_command_that_is_not_enabled_stays_in_the_palette(offscreen: Offscreen
     app = App(offscreen((1000, 700)), worker)
     app.settle(4)
     open_palette(app)
-    app.hand.type_text("save checkpoint")
-    app.hand.key(imgui.Key.enter)
+    app.injector.type_text("save checkpoint")
+    app.injector.key(imgui.Key.enter)
     app.settle()
     assert (worker.sent, app.state.show_palette) == ([], True)
     assert imgui.get_io().want_text_input  # one can go on typing
@@ -131,10 +131,10 @@ def test_a_command_that_is_not_enabled_stays_in_the_palette(offscreen: Offscreen
 @pytest.mark.parametrize("size", [(60, 40), (320, 200), (640, 480), (2600, 300)])
 def test_help_and_palette_lie_within_every_window(offscreen: Offscreen, size: tuple[int, int]) -> None:
     app, _ = open_app(offscreen, size)
-    app.hand.key(imgui.Key.h)
+    app.injector.key(imgui.Key.h)
     app.settle()
     open_palette(app)
-    app.hand.type_text("f")
+    app.injector.type_text("f")
     app.settle()
     assert not app.state.notices
     drawn = {name: place for name, place in app.widgets.items() if name.startswith(("palette.", "help."))}
@@ -172,15 +172,15 @@ def new_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 def ask_for(app: App, how: str, key: imgui.Key, title: str) -> None:
     if how == "key":
-        app.hand.key(key, ctrl=True)
+        app.injector.key(key, ctrl=True)
     elif how == "menu":
-        app.hand.click(60, 10)
+        app.injector.click(60, 10)
         app.settle()
         click(app, f"menu.{title}")
     else:
         open_palette(app)
-        app.hand.type_text(title)
-        app.hand.key(imgui.Key.enter)
+        app.injector.type_text(title)
+        app.injector.key(imgui.Key.enter)
         app.settle()
 
 
@@ -205,6 +205,6 @@ def test_a_command_that_fails_becomes_a_notice(offscreen: Offscreen, how: str) -
     )
     assert "in fails" in shown.notice.detail
     assert not app.state.show_palette
-    app.hand.key(imgui.Key.space)
+    app.injector.key(imgui.Key.space)
     assert worker.sent == [Train()]
     app.close()

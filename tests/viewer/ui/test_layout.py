@@ -49,7 +49,7 @@ def move_the_divider(app: App) -> None:
     """Between the viewport and the right column."""
     _, top, right, bottom = viewport_of(app)
     edge, middle = right + 2, (top + bottom) / 2
-    app.hand.drag((edge, middle), (edge - 120, middle))
+    app.injector.drag((edge, middle), (edge - 120, middle))
     app.settle(5)
 
 

@@ -1,1 +1,1 @@
-"""The commands, a file for each group; every file in this folder is found by the registry."""
+"""The commands, one file per group. The registry finds every file in this folder."""

@@ -1,4 +1,4 @@
-"""Where the camera looks from."""
+"""Commands that move the camera."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def previous(state: AppState) -> list[Action]:
 
 
 def _neighbour(state: AppState, step: int) -> int:
-    """The training photo after (or before) the current one, around the end; without one, the first (or last)."""
+    """The index of the next (or previous) training photo, cyclic; without a current one, of the first (or last)."""
     assert state.snapshot.scene is not None
     train, current = state.snapshot.scene.split("train"), state.current_view
     if current not in train:

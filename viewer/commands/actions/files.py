@@ -1,4 +1,4 @@
-"""What is opened and written."""
+"""Commands that open and write files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SCREENSHOT = Path("screenshot.png")
 
 @command("file.open", "Open…", "File", 1, keys=("Ctrl+O",), menu="File")
 def show_path_field(state: AppState) -> list[Action]:
-    """Bring up the field for the path of a capture."""
+    """Show the field for the path of a capture."""
     state.show_panels = state.focus_open = True
     state.raise_panel = "Scene"
     return []
@@ -26,7 +26,7 @@ def show_path_field(state: AppState) -> list[Action]:
 
 @command("file.save", "Save checkpoint", "File", 2, keys=("Ctrl+S",), menu="File", enabled=scene_is_open)
 def save(state: AppState) -> list[Action]:
-    """Save where the user said; else in a file of the scene's name that is not there yet, which is then shown."""
+    """Save to the file in the form; without one, to a new file with the scene's name, which the form then shows."""
     if not state.checkpoint_file.strip() and state.snapshot.scene is not None:
         name = re.sub(r"[^\w.-]+", "-", state.snapshot.scene.name).strip(".-")[:80] or "checkpoint"
         numbered = (f"{name}{f'-{n}' if n > 1 else ''}{SUFFIX}" for n in itertools.count(1))
@@ -36,7 +36,7 @@ def save(state: AppState) -> list[Action]:
 
 @command("file.export", "Export orbit", "File", 3, keys=("Ctrl+E",), menu="File", enabled=scene_is_open)
 def export(state: AppState) -> list[Action]:
-    """Export as the form says, and show its panel: it says how long the export takes, and can cancel it."""
+    """Export what the form describes, and show its panel, which says how long it takes and can cancel it."""
     state.show_panels, state.raise_panel = True, "Export"
     return [StartFilmExport()]
 

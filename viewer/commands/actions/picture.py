@@ -1,4 +1,4 @@
-"""What the picture shows of each pixel: the render modes, one number key each."""
+"""Commands for the render modes, one number key each."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from nerf_core.rendering.modes import COLOR, MODES, mode_names
 from ...model.state import Action, AppState
 from ..registry import command
 
-KEYS = 9  # number keys; later modes are in the palette alone
+KEYS = 9  # number keys; further modes are only in the palette
 
 
 def show(mode: str, state: AppState) -> list[Action]:

@@ -1,4 +1,4 @@
-"""The opened ray."""
+"""Commands for the opened ray."""
 
 from __future__ import annotations
 

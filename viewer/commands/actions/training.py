@@ -1,4 +1,4 @@
-"""Start and stop training."""
+"""Commands that start and stop training."""
 
 from __future__ import annotations
 

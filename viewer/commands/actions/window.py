@@ -1,4 +1,4 @@
-"""What the window shows, and the window itself."""
+"""Commands for what the window shows, and for the window itself."""
 
 from __future__ import annotations
 
