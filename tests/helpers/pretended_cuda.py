@@ -256,6 +256,9 @@ class _Stream:
 
     def wait_stream(self, _: object) -> None: ...
 
+    def is_capturing(self) -> bool:
+        return Graph.recording is not None
+
 
 class Launches:
     """A module of Triton kernels, interpreted: they see what far tensors hold, and are recorded as one operation."""
@@ -300,6 +303,8 @@ def pretended_cuda() -> Iterator[None]:
             "get_device_capability": lambda _: (7, 5), "memory_allocated": lambda _: 0, "empty_cache": lambda: None,
             "Stream": _Stream, "stream": _Stream, "current_stream": _Stream, "CUDAGraph": Graph, "graph": recorded,
         },
+        # Optimizers ask these. A CPU build of torch knows no accelerator, a CUDA build would look for a driver.
+        torch.accelerator: {"current_accelerator": lambda check_available=False: CUDA, "current_stream": _Stream},
         torch: {"Generator": Generator, "autocast": lambda _, *args, **kwargs: autocast("cpu", *args, **kwargs)},
         nn.Module: {"to": _module_to},
         optimizer: {"_group_tensors_by_device_and_dtype": by_device},
