@@ -1,4 +1,4 @@
-"""What photos know of a point, against brute force."""
+"""What the training views observe of a point, compared with brute force."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def scene() -> Scene:
     return ring_scene(BALL)
 
 
-def test_photos_that_have_the_point_in_their_frame_are_told_from_the_others() -> None:
-    """Against the cameras' own projection, lens and all; some look away from the point, one stands in it."""
+def test_a_point_is_framed_where_the_camera_projects_it_into_the_photo() -> None:
+    """Compares with each camera's own projection, lens included. Some cameras look away; one lies at the last point."""
     scene, rng = make_scene(), np.random.default_rng(3)
     bent = tuple(replace(view, camera=replace(view.camera, lens=Lens(k1=0.3, p1=0.02))) for view in scene.views)
     training_views = TrainingViews(replace(scene, views=bent))
@@ -42,22 +42,22 @@ def test_photos_that_have_the_point_in_their_frame_are_told_from_the_others() ->
         assert np.isfinite(pixels).all()
 
 
-def test_of_very_many_photos_those_are_asked_that_look_from_everywhere(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As many as one likes: what one of them looked at from nearby is no extrapolation."""
+def test_a_choice_of_many_photos_keeps_the_nearest_and_covers_all_directions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """40 of 120 photos are used. They include the nearest in angle, and no photo's direction counts as unseen."""
     monkeypatch.setattr("nerf_core.probe.evidence.MOST_VIEWS", 40)
     scene = ring_scene(BALL, count=120, size=8)
-    look, air = -SIDE / np.linalg.norm(SIDE), np.array([0.0, 0.0, 0.9])  # above the ball: every photo sees that
+    look, air = -SIDE / np.linalg.norm(SIDE), np.array([0.0, 0.0, 0.9])  # above the ball, where every photo sees it
     asked = TrainingViews(scene).look(model_of(scene, BALL), air, look, 0.05)
     assert (asked.framed, len(asked.views), len(np.unique(asked.views))) == (120, 40, 40)
     monkeypatch.setattr("nerf_core.probe.evidence.MOST_VIEWS", 120)
-    everybody = TrainingViews(scene).look(model_of(scene, BALL), air, look, 0.05)
-    assert everybody.seen.all()
-    assert set(everybody.views[np.argsort(everybody.angle)][:20]) <= set(asked.views)
-    assert not unseen(everybody.directions, asked).any()
+    everything = TrainingViews(scene).look(model_of(scene, BALL), air, look, 0.05)
+    assert everything.seen.all()
+    assert set(everything.views[np.argsort(everything.angle)][:20]) <= set(asked.views)
+    assert not unseen(everything.directions, asked).any()
 
 
-def test_what_a_lens_folds_into_the_frame_is_not_in_it() -> None:
-    """A barrel lens's polynomial turns back far outside of the picture: a ray through that pixel looks elsewhere."""
+def test_a_point_that_the_lens_folds_into_the_frame_is_not_framed() -> None:
+    """A barrel lens's polynomial turns back far outside the picture. Rays through the pixel it gives look elsewhere."""
     camera = Camera(800, 600, 600.0, 600.0, 400.0, 300.0, np.eye(4)[:3], Lens(k1=-0.28))
     scene = make_scene()
     views = (replace(scene.views[0], camera=camera),)
@@ -75,7 +75,7 @@ def test_what_a_lens_folds_into_the_frame_is_not_in_it() -> None:
 
 
 def test_the_near_side_is_seen_from_the_near_side(scene: Scene) -> None:
-    """Of a point of the ball just those cameras see it that stand above its tangent plane, but for grazing looks."""
+    """Exactly the cameras above the tangent plane of a point of the ball see it, except at grazing angles."""
     point, look = np.array([0.7, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0])
     found = TrainingViews(scene).look(model_of(scene, BALL), point, look, 0.05)
     eyes = np.array([scene.views[i].camera.c2w[:, 3] for i in found.views])
@@ -90,8 +90,8 @@ def test_the_near_side_is_seen_from_the_near_side(scene: Scene) -> None:
     np.testing.assert_allclose(np.cos(found.angle), (-found.directions) @ look, atol=1e-12)
 
 
-def test_light_is_what_the_density_lets_through(scene: Scene) -> None:
-    """exp(−∫σ) from the camera to the margin, integrated finely; the field is thin, so that all values occur."""
+def test_transmittance_is_the_integral_of_the_density(scene: Scene) -> None:
+    """T = exp(−∫σ dt) from the camera to 0.1 before the point. The ball is thin, so that all values occur."""
     thin = replace(BALL, density=2.0)
     point, method = np.array([0.0, 0.3, 0.2]), model_of(scene, thin)
     found = TrainingViews(scene).look(method, point, np.array([0.0, 1.0, 0.0]), 0.1)
@@ -105,26 +105,26 @@ def test_light_is_what_the_density_lets_through(scene: Scene) -> None:
         assert found.transmittance[k] == pytest.approx(float(torch.exp(-torch.trapezoid(sigma, t))), abs=0.02)
 
 
-def test_colours_are_the_photos_the_models_and_the_points(scene: Scene) -> None:
+def test_observed_predicted_and_emitted_colours(scene: Scene) -> None:
     method = model_of(scene, BALL)
     found = TrainingViews(scene).look(method, SIDE, -SIDE / 0.7, 0.05)
     for k, view in enumerate(found.views):
         column, row = np.floor(found.pixels[k]).astype(int)
         np.testing.assert_allclose(found.observed[k], scene.images[view][row, column] / 65535, atol=1e-6)
-    np.testing.assert_allclose(found.observed, found.predicted, atol=1e-4)  # the model is what took the photos
+    np.testing.assert_allclose(found.observed, found.predicted, atol=1e-4)  # the photos were rendered from the model
     expected = np.clip(np.array(BALL.color) - BALL.gloss * found.directions, 0, 1)
     np.testing.assert_allclose(found.emitted, expected, atol=1e-5)
 
 
-def test_diffuse_is_what_every_photo_is_shown(scene: Scene) -> None:
-    """Of a ball that shows every camera its colour less a share of the direction to it."""
+def test_the_diffuse_colour_is_the_least_that_is_emitted_to_a_seeing_photo(scene: Scene) -> None:
+    """The ball shows each camera its colour minus gloss times the direction to the camera."""
     found = TrainingViews(scene).look(model_of(scene, BALL), SIDE, -SIDE / 0.7, 0.05)
     diffuse = diffuse_of(found)
     assert diffuse is not None
     towards = np.array([scene.views[i].camera.c2w[:, 3] for i in found.views]) - SIDE
     shown = np.array(BALL.color) - BALL.gloss * towards / np.linalg.norm(towards, axis=1)[:, None]
     np.testing.assert_allclose(diffuse, shown[found.seen].min(0), atol=1e-6)
-    assert (diffuse > shown.min(0) + 1e-3).any()  # not what it would show those behind it
+    assert (diffuse > shown.min(0) + 1e-3).any()  # cameras behind the ball do not count
     assert diffuse_of(found.at(np.arange(2))) is None
 
 
@@ -132,19 +132,20 @@ def test_without_the_near_ball_the_far_one_is_seen(scene: Scene) -> None:
     near = Ball((1.6, 0.0, 0.4), 0.2, (0.1, 0.1, 0.9))
     method, training_views = model_of(scene, BALL, near), TrainingViews(scene)
     point = np.array([1.8, 0.0, 0.4])
-    found = training_views.look(method, point, np.array([-1.0, 0.0, 0.0]), 0.15)  # a rim is soft
+    # the margin of 0.15 is wide because the ball's rim is soft
+    found = training_views.look(method, point, np.array([-1.0, 0.0, 0.0]), 0.15)
     asked = found.at(found.seen & (found.share > 0.5))
     assert len(asked.views) >= 3
     without, opaque, bare = training_views.otherwise(method, asked, np.array([-0.15, 0.6]))
-    np.testing.assert_allclose(without[1], asked.observed, atol=0.03)  # the photos know of no near ball
-    assert np.abs(without[0] - asked.observed).mean() > 0.2  # where nothing is taken out it is still there
+    np.testing.assert_allclose(without[1], asked.observed, atol=0.03)  # the photos show no near ball
+    assert np.abs(without[0] - asked.observed).mean() > 0.2  # the reach −0.15 takes nothing out
     np.testing.assert_allclose(without[0], asked.predicted, atol=0.05)
     np.testing.assert_allclose(opaque, asked.emitted, atol=0.05)
-    np.testing.assert_allclose(bare, 1.0, atol=0.05)  # white, with nothing in front of it
+    np.testing.assert_allclose(bare, 1.0, atol=0.05)  # the white background alone
 
 
 def test_opaque_is_what_is_seen_when_no_background_shows(scene: Scene) -> None:
-    """Of a hollow ball that lets half of the light through, its own colour, not half white."""
+    """A hollow ball transmits half of the background. `opaque` is the ball's own colour, not half white."""
     thin = model_of(scene, replace(BALL, density=6.0, skin=0.05, gloss=0.0))
     training_views = TrainingViews(scene)
     found = training_views.look(thin, np.array([0.75, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.1)
@@ -161,5 +162,5 @@ def test_no_training_photo_sees_a_point_behind_all_cameras(scene: Scene) -> None
     assert (found.framed, len(found.views), found.asked) == (0, 0, 24)
     without, opaque, bare = training_views.otherwise(model_of(scene, BALL), found, np.array([1.0]))
     assert (without.shape, opaque.shape, bare.shape) == ((1, 0, 3), (0, 3), (0, 3))
-    nobody = TrainingViews(replace(scene, splits={}))
-    assert nobody.look(model_of(scene, BALL), SIDE, -SIDE / 0.7, 0.05).asked == 0
+    no_views = TrainingViews(replace(scene, splits={}))
+    assert no_views.look(model_of(scene, BALL), SIDE, -SIDE / 0.7, 0.05).asked == 0

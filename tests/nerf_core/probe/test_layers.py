@@ -1,4 +1,4 @@
-"""Peaks of weight over t."""
+"""Layers are the peaks of weight over t."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ RADIUS, FAR = 1.0, 6.0
 
 
 def with_weights(t: np.ndarray, weights: np.ndarray, until: np.ndarray | None = None) -> PassProbe:
-    light = 1 - np.concatenate([[0], np.cumsum(weights)[:-1]])
+    transmittance = 1 - np.concatenate([[0], np.cumsum(weights)[:-1]])
     none = np.zeros_like(t)
     rgb = np.stack([t / 10, t / 20, np.full_like(t, 0.5)], -1)
     ends = np.append(t[1:], np.inf) if until is None else until
-    return PassProbe("fine", t, ends, ends - t, none, none, light, weights, rgb)
+    return PassProbe("fine", t, ends, ends - t, none, none, transmittance, weights, rgb)
 
 
 def test_two_peaks_are_two_layers() -> None:
@@ -29,7 +29,7 @@ def test_two_peaks_are_two_layers() -> None:
     first, second = pass_layers(with_weights(t, weights), FAR, RADIUS)
     assert (first.weight, second.weight) == (pytest.approx(0.3, abs=0.01), pytest.approx(0.6, abs=0.01))
     assert (first.t, second.t) == (pytest.approx(3.0, abs=0.01), pytest.approx(4.5, abs=0.01))
-    # of a normal distribution exp(−(x/a)²) a tenth lies under −0.906 a
+    # a tenth of a normal distribution exp(−(x/a)²) lies below −0.906 a
     assert first.thickness == pytest.approx(2 * 0.906 * 0.02, abs=0.01)
     assert second.thickness == pytest.approx(2 * 0.906 * 0.05, abs=0.01)
     assert (first.light, second.light) == (pytest.approx(1, abs=0.01), pytest.approx(0.7, abs=0.02))
@@ -74,7 +74,7 @@ def test_weights_add_up_whatever_the_samples() -> None:
         assert [layer.t for layer in found] == sorted(layer.t for layer in found)
 
 
-def test_a_ray_of_the_paper_has_its_wall() -> None:
+def test_the_heaviest_layer_is_the_wall() -> None:
     ray = make_ray()
     found = pass_layers(ray.passes[-1], ray.far, RADIUS)
     heaviest = max(found, key=lambda layer: layer.weight)

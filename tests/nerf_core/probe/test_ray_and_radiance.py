@@ -1,4 +1,4 @@
-"""One ray and one point, opened up, against fields that are known in closed form."""
+"""Opened rays and the radiance at a point, compared with fields that are known in closed form."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ SMALL = {  # so that forty steps take seconds
 
 
 class Ball(nn.Module):
-    """A ball of constant density whose colour says which way it is looked at: rgb = 0.5 + 0.5·d."""
+    """A ball of constant density whose colour encodes the viewing direction: rgb = 0.5 + 0.5·d."""
 
     def __init__(self, density: float = 200.0, radius: float = 1.0) -> None:
         super().__init__()
@@ -81,7 +81,7 @@ class Ball(nn.Module):
 
 
 def ball_method(scene: Scene, **field: float) -> Nerf:
-    """The real method with the closed form in the place of its networks."""
+    """The real method with the closed form in place of its networks."""
     method = Nerf(scene, NerfConfig(depth=1, width=4, tile=32), torch.device("cpu"), 0)
     method.networks = {name: Ball(**field) for name in method.networks}  # type: ignore[assignment]  # no MLP, by intent
     return method
@@ -120,7 +120,7 @@ def test_a_thin_medium_has_a_mean_but_no_median(scene: Scene) -> None:
     assert ray.depth_strongest == last.t[np.argmax(last.weights)]
 
 
-def test_the_median_is_where_half_of_the_light_has_come_from(scene: Scene) -> None:
+def test_the_median_depth_is_where_the_weights_sum_to_a_half(scene: Scene) -> None:
     ray = open_ray(ball_method(scene, density=1.0), scene, scene.views[0].camera, (8, 8), step=0)
     last = ray.passes[-1]
     total = 0.0
@@ -149,7 +149,7 @@ def test_the_opened_pixel_is_the_pixel_of_the_full_picture(make_trainer: Callabl
 
 
 @pytest.mark.parametrize("method", ["voxels", "hash"])
-def test_a_ray_is_opened_without_what_filled_it_up_beside_longer_ones(scene: Scene, method: str) -> None:
+def test_an_opened_ray_has_no_padding_samples(scene: Scene, method: str) -> None:
     trainer = Trainer(scene, RunSettings(method=method, changes={"samples": "2000"} if method == "hash" else {}))
     for _ in range(3):
         trainer.step()
@@ -166,7 +166,7 @@ def test_a_ray_is_opened_without_what_filled_it_up_beside_longer_ones(scene: Sce
 
 
 @pytest.mark.parametrize("method", ["voxels", "hash", "nerf-guided"])
-def test_a_ray_without_samples_shows_none(scene: Scene, method: str) -> None:
+def test_a_ray_without_samples_can_be_opened(scene: Scene, method: str) -> None:
     trainer = Trainer(scene, RunSettings(method=method, changes={"guide_steps": "2"} if "guided" in method else {}))
     model = trainer.method
     for _ in range(3):
@@ -194,8 +194,8 @@ def test_a_ray_without_samples_shows_none(scene: Scene, method: str) -> None:
 
 
 @pytest.mark.parametrize("method", ["voxels", "nerf-guided", "hash", "nerf"])
-def test_the_radiance_is_the_colour_that_a_ray_finds_there(scene: Scene, method: str) -> None:
-    """From another point and direction each: an axis that was mixed up would show."""
+def test_the_radiance_at_a_sample_is_the_samples_colour(scene: Scene, method: str) -> None:
+    """Three pixels differ in point and direction, so that exchanged axes would show."""
     trainer = Trainer(scene, RunSettings(method=method, changes=SMALL.get(method, {})))
     for _ in range(40):
         trainer.step()
@@ -208,7 +208,7 @@ def test_the_radiance_is_the_colour_that_a_ray_finds_there(scene: Scene, method:
         np.testing.assert_allclose(found.numpy(), last.rgb[k], atol=2e-3)
 
 
-def test_in_open_space_the_axis_ends_where_the_weight_does(scene: Scene) -> None:
+def test_in_open_space_far_is_where_the_weight_ends(scene: Scene) -> None:
     place = replace(scene, synthetic=False)
     trainer = Trainer(place, RunSettings(method="voxels", changes={"start": "12", "rays": "1024", "first_rays": "512"}))
     for _ in range(2):
@@ -225,7 +225,7 @@ def test_in_open_space_the_axis_ends_where_the_weight_does(scene: Scene) -> None
 
 
 @pytest.mark.parametrize("pixel", [(16, 0), (0, -1), (3, 16)])
-def test_a_pixel_outside_is_told(scene: Scene, pixel: tuple[int, int]) -> None:
+def test_a_pixel_outside_the_picture_is_refused(scene: Scene, pixel: tuple[int, int]) -> None:
     with pytest.raises(
         UserError, match=rf"pixel {pixel[0]} {pixel[1]}: outside the picture, columns 0 … 15, rows 0 … 15"
     ):
@@ -241,8 +241,8 @@ def opened(scene: Scene, pixel: tuple[int, int] = (9, 6), **field: float) -> tup
     return ray, open_radiance(method, scene, ray, camera.c2w[:, 1])
 
 
-def test_the_plot_is_over_the_way_to_the_viewer(scene: Scene) -> None:
-    """The network is given d, camera to point: a field of 0.5 + 0.5·d shows 0.5 − 0.5·v."""
+def test_radiance_is_plotted_over_directions_to_the_viewer(scene: Scene) -> None:
+    """The network gets d, camera to point. The plot is over v = −d: a field of 0.5 + 0.5·d shows 0.5 − 0.5·v."""
     _, radiance = opened(scene)
     assert SPHERE_ROWS * SPHERE_COLUMNS >= 4096
     assert disc_grid()[2].sum() >= 4096
@@ -258,7 +258,7 @@ def test_towards_the_viewer_the_point_emits_what_the_pixel_shows(scene: Scene) -
     assert centre[3] == 1
 
 
-def test_what_the_point_emits_back_along_its_ray_does_not_turn_with_the_disc(scene: Scene) -> None:
+def test_the_colour_back_along_the_ray_does_not_depend_on_the_discs_axis(scene: Scene) -> None:
     method, camera = model_of(scene, PlainBall((0.0, 0.0, 0.0), 0.7, (0.5, 0.5, 0.5), gloss=0.4)), scene.views[2].camera
     ray = open_ray(method, scene, camera, (9, 6), 0)
     facing, turned = (open_radiance(method, scene, ray, camera.c2w[:, 1], None, a) for a in ("viewer", "normal"))
@@ -268,7 +268,7 @@ def test_what_the_point_emits_back_along_its_ray_does_not_turn_with_the_disc(sce
     assert len(turned.rgb) == len(turned.directions)
 
 
-def test_the_point_is_the_median_else_the_strongest_sample_else_what_is_asked(scene: Scene) -> None:
+def test_the_point_is_at_the_given_t_or_the_median_or_the_strongest_sample(scene: Scene) -> None:
     for density in (200.0, 0.1):
         ray, radiance = opened(scene, density=density)
         assert radiance.t == (ray.depth_median if density > 1 else ray.depth_strongest)
@@ -317,8 +317,11 @@ def test_the_disc_is_the_whole_circle_and_nothing_but_it() -> None:
     assert np.array_equal(inside, np.hypot(x, y) < 1)
 
 
-def test_a_matt_ball_is_matt_and_a_known_one_has_its_number(scene: Scene) -> None:
-    """rgb = 0.5 + 0.5 d: over a hemisphere a direction's parts have variances 1/12, 1/3 and 1/3: √(¼ · ¼) in all."""
+def test_view_dependence_of_a_matt_ball_and_of_a_known_one(scene: Scene) -> None:
+    """For rgb = 0.5 + 0.5 d it is √(¼ · ¼) = ¼.
+
+    The components of d over a hemisphere have the variances 1/12, 1/3 and 1/3, whose mean is ¼.
+    """
     towards = torch.nn.functional.normalize(torch.randn(20, 3, dtype=torch.float64), dim=-1)
     found = view_dependence(ball_method(scene), torch.zeros(20, 3, dtype=torch.float64), towards)
     np.testing.assert_allclose(found, 0.25, atol=0.01)
@@ -326,7 +329,7 @@ def test_a_matt_ball_is_matt_and_a_known_one_has_its_number(scene: Scene) -> Non
     assert view_dependence(matt, torch.zeros(3, 3), towards[:3]).max() < 1e-6
 
 
-def test_a_frozen_ray_shows_the_pixel_to_its_own_camera(scene: Scene) -> None:
+def test_a_frozen_ray_has_the_pixels_colour_towards_its_own_camera(scene: Scene) -> None:
     method = ball_method(scene, density=1.0)
     ray, radiance = opened(scene, density=1.0)
     last = ray.passes[-1]
@@ -376,8 +379,8 @@ def test_a_slice_is_the_disc_along_a_line(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("plain", [False, True])
-def test_a_ray_that_is_opened_alone_is_the_pictures(scene: Scene, plain: bool) -> None:
-    """A ray of voxels is computed by itself: but for rounding it is the whole picture's, in torch's operations too."""
+def test_a_ray_opened_alone_equals_the_pictures_pixel(scene: Scene, plain: bool) -> None:
+    """The voxel method opens a ray by itself. Up to rounding it equals the picture's pixel, also with torch kernels."""
     trainer = Trainer(scene, RunSettings(method="voxels"))
     for _ in range(30):
         trainer.step()
@@ -393,12 +396,12 @@ def test_a_ray_that_is_opened_alone_is_the_pictures(scene: Scene, plain: bool) -
 
 
 def _in_space(scene: Scene, kind: str) -> Scene:
-    """The scene as an object in a box, as a place without end, or before one camera in NDC."""
+    """The scene in a box, without bounds, or before forward-facing cameras in NDC."""
     if kind == "world":
         return scene
     if kind == "contracted":
         return replace(scene, synthetic=False, background=(0.0, 0.0, 0.0))
-    turned = scene.views[0].camera.c2w  # rays of NDC look along −z: the world is turned, so that this camera does
+    turned = scene.views[0].camera.c2w  # NDC needs rays along −z: turn the world by this
     turn = np.linalg.inv(np.vstack([turned, [0, 0, 0, 1]]))[:3]
     views = []
     for k, view in enumerate(scene.views):
@@ -414,7 +417,7 @@ def _in_space(scene: Scene, kind: str) -> Scene:
 @pytest.mark.parametrize("space", ["world", "contracted", "ndc"])
 @pytest.mark.parametrize("method", ["voxels", "nerf-guided", "hash", "nerf"])
 def test_every_pixel_is_the_sum_of_its_samples(scene: Scene, method: str, space: str) -> None:
-    """10,000 and more of them, as they are opened, against the full picture."""
+    """Compares every opened pixel with the full picture: 10,816 in a box, 1,600 in the other spaces."""
     scene = _in_space(scene, space)
     trainer = Trainer(scene, RunSettings(method=method, changes=SMALL.get(method, {})))
     for _ in range(40):
@@ -432,9 +435,8 @@ def test_every_pixel_is_the_sum_of_its_samples(scene: Scene, method: str, space:
         most = max(most, float(weights.sum(-1).max()))
     assert worst < 1e-5
     assert 0.1 < most < 1 + 1e-5
-    some = (
-        200 if trainer.method.alone else 10
-    )  # and through what opens a pixel; with a tile of neighbours, if not alone
+    # Some also through open_ray: few if the method cannot trace a ray alone, as open_ray then traces a whole tile.
+    some = 200 if trainer.method.alone else 10
     for pixel in np.random.default_rng(0).integers(0, size, (some, 2)):
         ray = open_ray(trainer.method, scene, camera, (int(pixel[0]), int(pixel[1])), 40)
         last = ray.passes[-1]

@@ -1,4 +1,4 @@
-"""A pinned ray's records."""
+"""The history of a pinned ray: which steps are recorded, and what a record holds."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_bins_hold_the_weight() -> None:
     assert not binned(replace(ray, passes=(none,)), edges).any()
 
 
-def test_the_depth_is_the_median_and_none_where_less_than_half_of_the_light_met_anything() -> None:
+def test_the_depth_is_the_median_and_nan_where_the_opacity_is_under_a_half() -> None:
     recorder = HistoryRecorder(0, 100)
     recorder.add(make_ray(step=0))
     recorder.add(replace(make_ray(step=1), opacity=0.4, depth_median=None))
@@ -57,11 +57,11 @@ def test_the_depth_is_the_median_and_none_where_less_than_half_of_the_light_met_
     assert np.isnan(history.depth[1])
 
 
-def test_what_training_went_back_over_is_forgotten() -> None:
+def test_rewinding_drops_the_later_records() -> None:
     recorder = HistoryRecorder(0, 100)
     for step in (0, 1, 2, 5):
         recorder.add(make_ray(step=step))
-    recorder.add(make_ray(step=5))  # the same step again is no new record
+    recorder.add(make_ray(step=5))  # the same step again makes no new record
     recorder.rewind(2)
     history = recorder.view()
     assert history is not None
@@ -71,13 +71,13 @@ def test_what_training_went_back_over_is_forgotten() -> None:
             recorder.add(make_ray(step=step))
     history = recorder.view()
     assert history is not None
-    assert history.steps.tolist() == list(range(101))  # all of a schedule as short as this, twice trained or not
+    assert history.steps.tolist() == list(range(101))  # a schedule this short records every step, also if trained twice
     empty = HistoryRecorder(0, 100)
     assert empty.view() is None
 
 
 @pytest.mark.parametrize(("first", "last"), [(0, 100), (100, 100), (30_000, 30_000), (7, 20_000)])
-def test_past_its_schedule_records_go_on_ever_more_rarely(first: int, last: int) -> None:
+def test_records_past_the_schedule_become_rarer(first: int, last: int) -> None:
     recorder, due = HistoryRecorder(first, last), list[int]()
     for step in range(first, first + 100_000):
         if recorder.due(step):

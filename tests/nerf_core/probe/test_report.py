@@ -1,4 +1,4 @@
-"""Opened pixels as files, and cameras as command lines name them."""
+"""Files of opened pixels, and cameras given on the command line."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_npz_holds_lists_without_texts(opened: Opened, tmp_path: Path) -> None:
             assert arrays[name].dtype.kind == "U"
 
 
-def test_csv_has_a_line_a_sample(opened: Opened, tmp_path: Path) -> None:
+def test_csv_has_one_line_per_sample(opened: Opened, tmp_path: Path) -> None:
     write_inspection([opened, opened], tmp_path / "a.csv")
     rows = list(csv.DictReader(io.StringIO((tmp_path / "a.csv").read_text())))
     assert len(rows) == 2 * sum(len(p.t) for p in opened.ray.passes)
@@ -87,7 +87,7 @@ def test_a_figure_is_drawn_of_any_ray(opened: Opened, tmp_path: Path, kind: str,
 
 
 def met_nothing(opened: Opened) -> Opened:
-    """As packed methods open a ray through empty space: a pass without samples."""
+    """A ray through empty space as packed methods open it: its pass has no samples."""
     one = opened.ray.passes[-1]
     empty = replace(one, **{f.name: getattr(one, f.name)[:0] for f in fields(one) if f.name != "name"})
     depths = dict.fromkeys(("depth_expected", "depth_median", "depth_strongest"))
@@ -103,11 +103,11 @@ def axes_of(some: Opened) -> dict[str, Any]:
 
 
 def with_pass(some: Opened, t: list[float], until: list[float], weights: list[float]) -> Opened:
-    """One pass of given samples; no depths, and so no marks."""
+    """The ray with one pass of the given samples. It has no depths, so none are marked."""
     arrays = [np.array(v, np.float32) for v in (t, until, weights)]
-    share = 1 - np.cumsum(arrays[2]) + arrays[2]
-    one = PassProbe("made", arrays[0], arrays[1], arrays[1] - arrays[0], arrays[2], arrays[2] / share, share, arrays[2],
-                    np.full((len(t), 3), 0.5, np.float32))  # fmt: skip
+    transmittance = 1 - np.cumsum(arrays[2]) + arrays[2]
+    one = PassProbe("made", arrays[0], arrays[1], arrays[1] - arrays[0], arrays[2], arrays[2] / transmittance,
+                    transmittance, arrays[2], np.full((len(t), 3), 0.5, np.float32))  # fmt: skip
     depths = dict.fromkeys(("depth_expected", "depth_median", "depth_strongest"))
     ray = replace(some.ray, near=2.0, far=6.0, passes=(one,), opacity=float(np.sum(weights)), **depths)
     return replace(some, ray=ray, radiance=None, evidence=None)
@@ -141,7 +141,7 @@ def test_a_figure_shows_the_part_with_the_weight(opened: Opened) -> None:
         ([2.0, 3.0, 4.0, 5.0], [0.0, 0.04, 0.0, 0.0], True),
     ],
 )
-def test_a_figure_shows_the_whole_ray_where_it_matters(
+def test_a_figure_shows_the_whole_ray_if_its_weight_is_spread_or_low(
     opened: Opened, t: list[float], weights: list[float], whole: bool
 ) -> None:
     axes = axes_of(with_pass(opened, t, [v + 1 for v in t], weights))
@@ -150,7 +150,7 @@ def test_a_figure_shows_the_whole_ray_where_it_matters(
     assert ("part of" in axes["strip"].get_xlabel()) == (not whole)
 
 
-def test_an_empty_ray_says_so(opened: Opened) -> None:
+def test_the_figure_of_an_empty_ray_says_so(opened: Opened) -> None:
     for some, said in (
         (met_nothing(opened), {"the ray met nothing", "no samples"}),
         (with_pass(opened, [3.0], [3.1], [0.01]), {"the ray met nothing"}),
@@ -163,13 +163,13 @@ def test_an_empty_ray_says_so(opened: Opened) -> None:
         assert (low <= some.ray.near and high >= some.ray.far) == bool(said)
 
 
-def test_next_to_no_weight_is_not_drawn_large(opened: Opened) -> None:
+def test_a_tiny_weight_is_not_scaled_up(opened: Opened) -> None:
     for weight, height in ((0.01, 0.01), (0.06, 1.0)):
         line = axes_of(with_pass(opened, [3.0], [3.1], [weight]))["top"].lines[0]
         assert max(line.get_ydata()) == pytest.approx(height)
 
 
-def test_depths_that_are_one_place_have_a_row_each(opened: Opened) -> None:
+def test_equal_depths_are_marked_in_rows_of_their_own(opened: Opened) -> None:
     depths = dict.fromkeys(("depth_expected", "depth_median", "depth_strongest"), 3.5)
     marks = axes_of(replace(opened, ray=replace(opened.ray, **depths)))["marks"]
     rows = dict(zip((text.get_text() for text in marks.get_yticklabels()), marks.get_yticks(), strict=True))
@@ -203,7 +203,7 @@ def test_the_disc_ends_at_its_circle(opened: Opened) -> None:
 
 
 def test_the_disc_is_hatched_where_no_photo_looked_from(opened: Opened) -> None:
-    """On the page, pixel by pixel: the ball is of one colour, and what is not is a stripe, or one of the marks."""
+    """Checks the page pixel by pixel. The ball has one colour, so any other colour is a stripe or a mark."""
     radiance, evidence = opened.radiance, opened.evidence
     assert radiance is not None
     assert evidence is not None
@@ -246,7 +246,7 @@ def test_a_title_begins_with_a_capital_or_with_its_name(opened: Opened) -> None:
 
 
 def words_of(axes: Any) -> list[Any]:
-    """The texts that are drawn: labels of ticks in view alone."""
+    """The texts that are drawn. A tick's label is drawn only if the tick is in view."""
     found = [axes.title, axes.xaxis.label, axes.yaxis.label, *axes.texts]
     for axis in (axes.xaxis, axes.yaxis):
         low, high = axis.get_view_interval()
@@ -257,7 +257,7 @@ def words_of(axes: Any) -> list[Any]:
     return [text for text in found if text.get_visible() and text.get_text().strip()]
 
 
-def test_words_stay_on_the_page_and_apart(opened: Opened) -> None:
+def test_texts_stay_on_the_page_and_do_not_overlap(opened: Opened) -> None:
     named = long_name(opened, "the rim of the glossy ball, against the highlight of the left window")
     assert page([named]).texts[0].get_text().replace("\n", " ") == f"{named.name}: surface"
     letters = [long_name(opened, name) for name in (200 * "W", 60 * "il ", 20 * "white wall ")]
@@ -279,7 +279,7 @@ def test_words_stay_on_the_page_and_apart(opened: Opened) -> None:
             assert not box.overlaps(there), (one, other)
 
 
-def test_a_file_says_what_it_is_of(opened: Opened, tmp_path: Path) -> None:
+def test_a_file_names_the_scene_the_method_and_the_ray(opened: Opened, tmp_path: Path) -> None:
     steps, edges = np.array([0, 3]), np.linspace(2, 6, 5)
     history = RayHistory(edges, steps, np.ones((2, 4)), np.ones((2, 3)), np.array([np.nan, 3.0]), np.ones(2))
     write_inspection([replace(opened, name="the ball", history=history), opened], tmp_path / "a.json")
@@ -297,7 +297,7 @@ def test_a_file_says_what_it_is_of(opened: Opened, tmp_path: Path) -> None:
     assert "balls, nerf, step 7" in text
 
 
-def test_what_cannot_be_written_is_told(opened: Opened, tmp_path: Path) -> None:
+def test_an_unknown_suffix_and_an_empty_list_are_refused(opened: Opened, tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"ray\.txt: an opened ray is written as \.json, \.npz, \.csv, \.png, \.svg"):
         write_inspection([opened], tmp_path / "ray.txt")
     with pytest.raises(UserError, match="there is no opened ray"):
@@ -366,7 +366,7 @@ FLAT = {"width": 4, "height": 4, "fx": 4, "fy": 4, "cx": 2, "cy": 2, "c2w": np.e
     ],
     ids=str,
 )
-def test_a_file_that_holds_no_camera_is_told_what_one_is(document: object, words: str, tmp_path: Path) -> None:
+def test_a_file_without_a_camera_is_refused_with_what_is_needed(document: object, words: str, tmp_path: Path) -> None:
     file = tmp_path / "camera.json"
     file.write_text(json.dumps(document))
     with pytest.raises(UserError, match=words):
@@ -380,7 +380,7 @@ extreme = st.sampled_from([-1.0, -1e-3, 0.0, 1e-3, 1.0])
     st.sampled_from([1e-3, 1.0, 100.0, 1e9]), st.tuples(*[extreme] * 2), st.tuples(*[extreme] * 5),
     st.tuples(*[extreme] * 3),
 )  # fmt: skip
-def test_every_camera_that_is_taken_has_rays_of_numbers(
+def test_every_accepted_camera_has_finite_rays(
     focal: float, principal: tuple[float, ...], lens: tuple[float, ...], place: tuple[float, ...]
 ) -> None:
     values = camera_values(looking((4.0, 1.0, 0.9), 3))
@@ -389,8 +389,8 @@ def test_every_camera_that_is_taken_has_rays_of_numbers(
     values |= dict(zip(("k1", "k2", "k3", "p1", "p2"), (1e6 * k for k in lens), strict=True))
     camera = camera_of(values)
     pixels = torch.tensor([[0.5, 0.5], [2.5, 1.5], [1.0, 2.75]])
-    cameras, nobody = Cameras([camera], 2.0, 6.0), torch.zeros(3, dtype=torch.long)
-    for rays in (cameras.rays(nobody, pixels), cameras.plain_rays(nobody, pixels)):
+    cameras, zeros = Cameras([camera], 2.0, 6.0), torch.zeros(3, dtype=torch.long)
+    for rays in (cameras.rays(zeros, pixels), cameras.plain_rays(zeros, pixels)):
         assert all(bool(v.isfinite().all()) for v in (rays.origins, rays.directions, rays.near, rays.far))
         torch.testing.assert_close(rays.directions.norm(dim=-1), torch.ones(3))
 
@@ -416,5 +416,5 @@ def test_a_photo_is_picked_by_its_name_or_its_end(opened: Opened, tmp_path: Path
     np.testing.assert_array_equal(again.c2w, opened.camera.c2w)
     other = replace(opened, camera=scene.views[0].camera)
     write_inspection([opened, other], tmp_path / "rays.json")
-    first = picked_camera(scene, str(tmp_path / "rays.json"))  # of several that of the one that was opened
+    first = picked_camera(scene, str(tmp_path / "rays.json"))  # a file of several rays gives the first one's camera
     np.testing.assert_array_equal(first.c2w, opened.camera.c2w)

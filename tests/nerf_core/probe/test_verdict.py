@@ -1,4 +1,4 @@
-"""Faults planted into scenes that are known in closed form, and what is said of them."""
+"""Verdicts on faults that are planted into scenes known in closed form."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ def scene() -> Scene:
     return ring_scene(RED)
 
 
-def said(method: Method, scene: Scene, pixel: tuple[int, int] = MIDDLE) -> Verdict:
+def verdict_of(method: Method, scene: Scene, pixel: tuple[int, int] = MIDDLE) -> Verdict:
     return judge(method, TrainingViews(scene), open_ray(method, scene, CAMERA, pixel, 0))
 
 
 def front_of(ball: Ball) -> float:
-    """Where the middle pixel's ray meets a ball."""
+    """The distance at which the middle pixel's ray meets a ball."""
     ray = open_ray(model_of(ring_scene(RED, count=3, size=4), RED), ring_scene(RED, count=3, size=4), CAMERA, MIDDLE, 0)
     o = ray.origin - np.array(ball.center)
     along = o @ ray.direction
@@ -38,7 +38,7 @@ def front_of(ball: Ball) -> float:
 
 
 def test_a_ball_is_a_surface(scene: Scene) -> None:
-    verdict = said(model_of(scene, RED), scene)
+    verdict = verdict_of(model_of(scene, RED), scene)
     assert verdict.kind == "surface"
     assert verdict.surface_t == pytest.approx(front_of(RED), abs=0.05)
     (standing,) = verdict.standings
@@ -47,9 +47,9 @@ def test_a_ball_is_a_surface(scene: Scene) -> None:
     assert standing.error < 0.02
 
 
-def test_a_surface_whose_colour_is_wrong_is_told(scene: Scene) -> None:
+def test_the_wrong_colour_of_a_surface_is_reported(scene: Scene) -> None:
     method = model_of(scene, RED)
-    verdict = said(method, scene)
+    verdict = verdict_of(method, scene)
     assert "colour is wrong" not in verdict.reasons[0]
     off = tuple(replace(s, error=0.14, opaque=0.14) for s in verdict.standings)
     wrong = conclude(open_ray(method, scene, CAMERA, MIDDLE, 0), off)
@@ -58,25 +58,27 @@ def test_a_surface_whose_colour_is_wrong_is_told(scene: Scene) -> None:
 
 
 def test_past_the_ball_there_is_background(scene: Scene) -> None:
-    verdict = said(model_of(scene, RED), scene, (1, 1))
+    verdict = verdict_of(model_of(scene, RED), scene, (1, 1))
     assert (verdict.kind, verdict.surface_t, verdict.standings) == ("background", None, ())
 
 
 @pytest.mark.parametrize("density", [80.0, 4.0])
-def test_what_no_photo_shows_floats(scene: Scene, density: float) -> None:
-    """Opaque, it hides the ball from the ray; thin, both make the pixel. The eye is to rest on the ball."""
-    verdict = said(model_of(scene, RED, replace(FLOATER, density=density)), scene)
+def test_a_ball_that_no_photo_shows_is_a_floater(scene: Scene, density: float) -> None:
+    """An opaque one hides the red ball; a thin one shares the pixel with it. surface_t lies on the red ball."""
+    verdict = verdict_of(model_of(scene, RED, replace(FLOATER, density=density)), scene)
     assert verdict.kind == "floater"
     assert re.search(r"of (\d+) photos that see it \1 contradict it: error", verdict.reasons[0])
     assert verdict.surface_t == pytest.approx(front_of(RED), abs=0.05)
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_what_the_bare_background_shows_as_well_floats(scene: Scene, known: bool) -> None:
-    """White before white: no photo is matched worse with it, but hardly one needs it. On photographs, whose rays end
-    nowhere that is known, nothing can be said."""
+def test_a_white_ball_is_a_floater_before_a_known_white_background(scene: Scene, known: bool) -> None:
+    """No photo is matched worse with the white ball, but few photos need it.
+
+    The background of real photographs is unknown, so there the photos do not contradict the ball.
+    """
     white = replace(FLOATER, color=(1.0, 1.0, 1.0))
-    verdict = said(model_of(scene, RED, white), replace(scene, synthetic=known))
+    verdict = verdict_of(model_of(scene, RED, white), replace(scene, synthetic=known))
     (standing,) = verdict.standings
     assert standing.error is not None
     assert standing.error < 0.02
@@ -85,17 +87,17 @@ def test_what_the_bare_background_shows_as_well_floats(scene: Scene, known: bool
         assert verdict.kind == "floater"
         assert verdict.surface_t == pytest.approx(front_of(RED), abs=0.05)
     else:
-        assert standing.against < standing.voters / 4  # those from where it hides the ball
+        assert standing.against < standing.voters / 4  # the photos in which it hides the red ball
         assert verdict.kind == "surface"
 
 
 GRAIN = Ball((1.5, 0.0, 0.3375), 0.0, FLOATER.color, density=400.0)
 
 
-def test_what_hardly_a_photo_shows_that_sees_it_floats() -> None:
-    """A grain between the middles of most photos' pixels, none of which shows it."""
+def test_a_grain_that_no_photo_contains_is_a_floater() -> None:
+    """The grain lies between the pixel centres of most photos, so it counts in few of their pixels."""
     coarse = ring_scene(RED, size=8)
-    verdict = said(model_of(coarse, RED, replace(GRAIN, density=30.0)), coarse)
+    verdict = verdict_of(model_of(coarse, RED, replace(GRAIN, density=30.0)), coarse)
     front = verdict.standings[0]
     assert front.voters >= 10
     assert front.shown <= 4
@@ -104,27 +106,27 @@ def test_what_hardly_a_photo_shows_that_sees_it_floats() -> None:
     assert verdict.surface_t == pytest.approx(front_of(RED), abs=0.05)
 
 
-def test_what_is_finer_than_a_pixel_does_not_float() -> None:
-    """The same grain, but photos show it: those whose pixels' middles it lies beside say nothing against it."""
+def test_a_true_grain_finer_than_a_pixel_is_no_floater() -> None:
+    """The photos contain the grain. Those whose pixel centres miss it do not contradict it."""
     coarse = ring_scene(RED, GRAIN, size=8)
-    verdict = said(model_of(coarse, RED, GRAIN), coarse)
+    verdict = verdict_of(model_of(coarse, RED, GRAIN), coarse)
     front = verdict.standings[0]
     assert front.blank >= 4
     assert front.missing >= 3
     assert verdict.kind != "floater"
 
 
-def test_true_haze_does_not_float() -> None:
-    """So thin that what lies near its middle counts in no pixel; all photos would miss the whole."""
+def test_true_haze_is_no_floater() -> None:
+    """The haze is so thin that the part around its middle counts in no pixel, but all photos would miss the whole."""
     haze = Ball((0.0, 0.0, 0.0), 0.7, (0.2, 0.2, 0.3), density=0.17)
     scene = ring_scene(haze, size=16, count=12)
-    verdict = said(model_of(scene, haze), scene)
+    verdict = verdict_of(model_of(scene, haze), scene)
     assert verdict.kind == "fog"
     assert all(s.missing == s.voters for s in verdict.standings)
 
 
-def test_photos_vote_on_what_floats(scene: Scene) -> None:
-    one = said(model_of(scene, RED, FLOATER), scene).standings[0]
+def test_the_photos_votes_decide_whether_a_layer_floats(scene: Scene) -> None:
+    one = verdict_of(model_of(scene, RED, FLOATER), scene).standings[0]
 
     def floats(voters: int, against: int, missing: int, blank: int = 0, grains: float = 3.0) -> bool:
         layer = replace(one.layer, thickness=grains * one.layer.grain)
@@ -153,24 +155,24 @@ def test_a_radiance_point_lands_behind_the_floater(scene: Scene) -> None:
     assert asked.radiance.t == 2.5
 
 
-def test_a_ball_that_let_light_through_leaks(scene: Scene) -> None:
-    verdict = said(model_of(scene, replace(RED, density=0.6)), scene)
-    assert verdict.kind in ("background leak", "fog")  # it is as deep as the ball, so that both are true
+def test_a_ball_that_transmits_the_background_leaks(scene: Scene) -> None:
+    verdict = verdict_of(model_of(scene, replace(RED, density=0.6)), scene)
+    assert verdict.kind in ("background leak", "fog")  # the layer is as thick as the ball, so both are true
     hollow = replace(RED, density=6.0, skin=0.05)
-    assert said(model_of(scene, hollow), scene).kind == "background leak"
+    assert verdict_of(model_of(scene, hollow), scene).kind == "background leak"
 
 
 def test_a_true_veil_before_a_ball_is_several_surfaces() -> None:
     veil = replace(FLOATER, density=8.0, skin=0.03)
     scene = ring_scene(RED, veil)
-    verdict = said(model_of(scene, RED, veil), scene)
+    verdict = verdict_of(model_of(scene, RED, veil), scene)
     assert verdict.kind == "several surfaces"
     assert len(verdict.standings) >= 2
 
 
-def test_the_inside_that_shines_through_a_surface_is_none_of_its_own(scene: Scene) -> None:
-    """A hollow ball whose front keeps four fifths of the light, as photos cannot tell from an opaque one."""
-    verdict = said(model_of(scene, replace(RED, density=16.0, skin=0.05)), scene)
+def test_the_inside_that_shines_through_a_surface_is_no_second_surface(scene: Scene) -> None:
+    """The front of the hollow ball absorbs four fifths. Photos cannot tell such a ball from an opaque one."""
+    verdict = verdict_of(model_of(scene, replace(RED, density=16.0, skin=0.05)), scene)
     assert [s.layer.weight > 0.1 for s in verdict.standings] == [True, True]
     assert verdict.kind == "surface"
     assert verdict.surface_t == pytest.approx(front_of(RED), abs=0.06)
@@ -178,13 +180,13 @@ def test_the_inside_that_shines_through_a_surface_is_none_of_its_own(scene: Scen
 
 
 def test_what_no_photo_has_in_view_is_unobserved(scene: Scene) -> None:
-    """All cameras but those on the ray's side."""
+    """The training views are those on the far side of the ball."""
     behind = tuple(k for k, view in enumerate(scene.views) if view.camera.c2w[0, 3] < -2)
     blind = replace(scene, splits={"train": behind})
-    verdict = said(model_of(blind, RED), blind)
+    verdict = verdict_of(model_of(blind, RED), blind)
     assert verdict.kind == "unobserved"
     assert verdict.surface_t == pytest.approx(front_of(RED), abs=0.05)
 
 
 def test_faint_density_everywhere_is_fog(scene: Scene) -> None:
-    assert said(model_of(scene, Ball((0.0, 0.0, 0.0), 1.4, (0.6, 0.4, 0.4), 0.8)), scene).kind == "fog"
+    assert verdict_of(model_of(scene, Ball((0.0, 0.0, 0.0), 1.4, (0.6, 0.4, 0.4), 0.8)), scene).kind == "fog"

@@ -1,4 +1,4 @@
-"""The stages that every method shares: where the ray comes from, and which photo says what it should have been."""
+"""The stages that every method shares: the camera's ray, and the photo that has the true colour."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def numbers(text: str) -> np.ndarray:
 
 @pytest.mark.parametrize("k1", [0.0, BARREL])
 def test_the_camera_says_which_way_the_pixel_looks(scene: Scene, k1: float) -> None:
-    """Its last row, turned into the world, is the ray's direction: with a lens, only once that is undone."""
+    """The last row, rotated into the world, is the ray's direction. With a lens, its distortion is undone."""
     camera = replace(scene.views[0].camera, lens=Lens(k1=k1))
     method = model_of(scene, BALL)
     ray = open_ray(method, scene, camera, (3, 35), 0)
@@ -38,11 +38,11 @@ def test_the_camera_says_which_way_the_pixel_looks(scene: Scene, k1: float) -> N
     assert ("with the lens undone" in rows) == (k1 != 0)
     local = numbers(list(rows.values())[-1])
     direction = camera.c2w[:, :3] @ local / np.linalg.norm(local)
-    np.testing.assert_allclose(direction, ray.direction, atol=2e-3)  # it is written with three decimals
+    np.testing.assert_allclose(direction, ray.direction, atol=2e-3)  # the row has three decimals
 
 
-def test_a_photo_tells_only_of_what_its_lens_shows(scene: Scene) -> None:
-    """From where a photo was taken, another camera sees more: there the photo's lens folds and says nothing."""
+def test_a_photo_has_no_true_colour_where_its_lens_folds(scene: Scene) -> None:
+    """A wider camera at the photo's place sees directions at which the photo's lens folds and shows nothing."""
     lens = Camera(40, 30, 30.0, 30.0, 20.0, 15.0, scene.views[0].camera.c2w, Lens(k1=BARREL))
     photo = np.zeros((30, 40, 3), np.uint16)
     views = (replace(scene.views[0], camera=lens), *scene.views[1:])
