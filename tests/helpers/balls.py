@@ -1,4 +1,4 @@
-"""Scenes of balls whose photos and models are known in closed form: for planting faults, and finding them again."""
+"""Scenes of balls with photos and models in closed form, into which tests plant faults that must be found."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from nerf_core.methods.nerf.method import Nerf
 from nerf_core.rendering.images import render_camera
 
 SOFT = 60.0  # how steeply density falls at a ball's rim, per world unit
-WAVES = 11.0  # radians a world unit, along each axis: a wave is some ten pixels of the photos
+WAVES = 11.0  # radians per world unit along each axis: a wave is about ten pixels long in the photos
 CPU = torch.device("cpu")
 
 
@@ -27,12 +27,12 @@ class Ball:
     color: tuple[float, float, float]
     density: float = 80.0
     gloss: float = 0.0  # how much of the direction is added to the colour
-    skin: float = 0.0  # of a hollow ball, how far its skin reaches on either side of the radius
-    pattern: float = 0.0  # how far waves through space carry the colour up and down: what depth can be learnt from
+    skin: float = 0.0  # half the thickness of a hollow ball's skin; 0: the ball is solid
+    pattern: float = 0.0  # amplitude of a colour wave through space: a texture from which depth is learnt
 
 
 class Balls(nn.Module):
-    """The closed form in the place of a network: density adds up, colours are mixed by it."""
+    """The closed form with the interface of a network. Densities add up; colours are mixed in proportion to them."""
 
     def __init__(self, balls: tuple[Ball, ...]) -> None:
         super().__init__()
@@ -54,7 +54,7 @@ class Balls(nn.Module):
         return torch.stack(parts, -1)
 
     def geometry(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        return self._densities(x).sum(-1) - 0.01, x  # what is faint is nothing: the ReLU behind takes it away
+        return self._densities(x).sum(-1) - 0.01, x  # the ReLU that follows sets densities under 0.01 to 0
 
     def color(self, trunk: Tensor, encoded: Tensor) -> Tensor:
         share = self._densities(trunk)
@@ -75,14 +75,14 @@ class Balls(nn.Module):
 
 
 def model_of(scene: Scene, *balls: Ball) -> Nerf:
-    """The paper's method with balls in the place of its networks."""
+    """The paper's method with `Balls` instead of its networks."""
     method = Nerf(scene, NerfConfig(depth=1, width=4, tile=256, coarse_samples=96, fine_samples=96), CPU, 0)
     method.networks = {name: Balls(balls) for name in method.networks}  # type: ignore[assignment]  # no MLP, by intent
     return method
 
 
 def ring_scene(*balls: Ball, count: int = 24, size: int = 40) -> Scene:
-    """`count` cameras around the origin, at two heights, 4 away; photos of `balls`. Every camera trains."""
+    """A scene with photos of `balls` from `count` training views around the origin, at two heights and distance 4."""
     views = []
     for k in range(count):
         azimuth, height = 2 * np.pi * k / count, 0.4 if k % 2 else 1.4
@@ -99,7 +99,7 @@ def ring_scene(*balls: Ball, count: int = 24, size: int = 40) -> Scene:
 
 
 def looking(eye: tuple[float, float, float], size: int = 40) -> Camera:
-    """From `eye` to the origin, z up."""
+    """A camera at `eye` that looks at the origin, z up."""
     back = np.array(eye) / np.linalg.norm(eye)
     right = np.cross([0.0, 0.0, 1.0], back)
     right /= np.linalg.norm(right)

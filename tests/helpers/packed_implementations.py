@@ -1,4 +1,4 @@
-"""The packed kernels that this process can hold to the plain ones: with TRITON_INTERPRET=1 Triton's."""
+"""The packed kernels that this process can compare with the plain ones: Triton's if TRITON_INTERPRET=1."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ PLAIN = TorchPacked()
 
 
 def fast() -> dict[str, PackedKernels]:
-    """Those that are held to `PLAIN`. Triton decides when it is imported whether it interprets its kernels."""
+    """The kernels to compare with `PLAIN`, by name. Triton decides at its import whether it interprets its kernels."""
     if os.environ.get("TRITON_INTERPRET") == "1":
         from nerf_core.kernels.triton_packed import TritonPacked
 

@@ -1,4 +1,4 @@
-"""Whole files that a page of the documentation holds, loaded as if they lay in their folder."""
+"""Load the whole files that docs/extending.md shows, as if they lay in their folders."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ WHOLE_FILE = re.compile(r"^```python\n# (\S+\.py)\n(.*?)^```$", re.MULTILINE | r
 
 
 def files() -> dict[str, str]:
-    """The Python files of the page by their paths, each with its text."""
+    """The text of each Python file of the page, by its path."""
     return dict(WHOLE_FILE.findall(PAGE.read_text(encoding="utf-8")))
 
 
 def loader(patch: pytest.MonkeyPatch) -> Callable[[str, Registry[Any]], ModuleType]:
-    """A function that loads one of the files; what it registers in that registry is gone after the test."""
+    """Return a function that loads one of the files. What the file registers is removed after the test."""
 
     def load(path: str, registry: Registry[Any]) -> ModuleType:
-        registry.names()  # all that is there already
+        registry.names()  # load what is registered without the file
         patch.setattr(registry, "_items", {**registry._items})
         name = path.removesuffix(".py").replace("/", ".")
         module = ModuleType(name)
@@ -39,6 +39,6 @@ def loader(patch: pytest.MonkeyPatch) -> Callable[[str, Registry[Any]], ModuleTy
 
 
 def _line(path: str) -> int:
-    """Lines of the page before the file's first, so that a traceback names the right one."""
+    """Count the lines of the page before the file's first line, so that a traceback names the right line."""
     text = PAGE.read_text(encoding="utf-8")
     return text[: text.index(f"# {path}\n")].count("\n") + 1

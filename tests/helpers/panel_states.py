@@ -1,4 +1,4 @@
-"""Made-up data for panels: a scene, a ray through fog to a wall, a point that glows by direction, every odd state."""
+"""Made-up data for panels: a scene, a ray through fog to a wall, a point with view-dependent colour, odd states."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from viewer.model.state import AppState, ShownNotice
 
 
 def make_camera(eye: np.ndarray) -> Camera:
-    """Looks at the origin, z up."""
+    """A camera at `eye` that looks at the origin, z up."""
     back = eye / np.linalg.norm(eye)
     right = np.cross([0, 0, 1], back)
     right /= np.linalg.norm(right)
@@ -52,7 +52,7 @@ def make_scene(count: int = 24) -> Scene:
 
 
 def make_pass(name: str, t: np.ndarray, surface: float, density: float) -> PassProbe:
-    """Fog before a wall at `surface`."""
+    """The samples `t` (S,) through fog in front of a wall at `surface`."""
     sigma = density / (1 + np.exp(-(t - surface) * 60)) + 0.05 * np.maximum(np.sin(9 * t), 0)
     delta = np.append(np.diff(t), 1e10)
     alpha = 1 - np.exp(-sigma * delta)
@@ -84,7 +84,7 @@ def make_ray(density: float = 40.0, step: int = 12_400) -> RayProbe:
 
 
 def make_radiance(ray: RayProbe) -> RadianceProbe:
-    """rgb = 0.5 + 0.5 d with d = −v."""
+    """The radiance rgb = 0.5 − 0.5 v, where v is the direction from the point outwards."""
     t = ray.point_t()
     up, azimuth0 = np.array([0.0, 0, 1]), np.array([1.0, 0, 0])
     polar, azimuth = np.meshgrid(
@@ -107,7 +107,7 @@ def make_radiance(ray: RayProbe) -> RadianceProbe:
 
 
 def make_evidence(scene: Scene, radiance: RadianceProbe) -> Sightings:
-    """Twelve photos, of which every fourth has something in front of the point."""
+    """The evidence of twelve photos. In every fourth, something hides the point."""
     views = np.array(scene.split("train")[:12])
     count = len(views)
     directions = np.array([scene.views[i].camera.c2w[:, 3] - radiance.point for i in views])
@@ -189,7 +189,7 @@ def make_state(snapshot: Snapshot) -> AppState:
 
 
 def odd_ray() -> RayProbe:
-    """One pass, one sample, numbers that no plot likes."""
+    """A ray with an empty pass and a pass of one sample whose numbers are NaN or huge."""
     one = np.array([3.0], np.float32)
     nan = np.array([np.nan], np.float32)
     odd = PassProbe("packed", one, one * 1e10, one * 1e10, nan, nan, one, nan, np.full((1, 3), np.nan, np.float32))
@@ -210,7 +210,7 @@ def odd_opened() -> Opened:
 
 
 def states() -> dict[str, AppState]:
-    """By name, all that a panel has to survive."""
+    """The states in which every panel must draw, by name."""
     full, alone = make_snapshot(), Snapshot()
     noise = replace(full, step=3, saved_step=0, history=make_history(150), opened=None)
     found = {

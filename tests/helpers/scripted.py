@@ -1,4 +1,4 @@
-"""A worker that answers at once and always the same: a checkered ground and a ball, computed in closed form."""
+"""A worker that answers at once, always in the same way: a ball on a checkered ground, in closed form."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ BACKGROUND = (1.0, 1.0, 1.0)
 
 
 def pinhole(width: int, height: int, eye: tuple[float, float, float], target: tuple[float, float, float]) -> Camera:
-    """Looks from `eye` at `target`, z up, 45° high."""
+    """A camera at `eye` that looks at `target`, z up, with a vertical field of view of 45°."""
     back = np.subtract(eye, target).astype(float)
     back /= np.linalg.norm(back)
     right = np.cross([0.0, 0.0, 1.0], back)
@@ -55,7 +55,7 @@ def make_scene() -> Scene:
 
 
 def trace(origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance (R,), NaN for a miss, and colour (3, R) of what rays of unit direction (3, R) meet."""
+    """Return what rays with unit directions (3, R) hit first: distance (R,), NaN for a miss, and colour (3, R)."""
     ahead = origin @ directions
     root = ahead**2 - (origin @ origin - BALL**2)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -77,7 +77,7 @@ def trace(origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def rays(camera: Camera, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit directions (3, R) through pixel centres, and the z-depth of a unit step along each (R,)."""
+    """Return unit directions (3, R) through pixel centres, and the z-depth (R,) of a unit step along each."""
     local = np.stack([(x + 0.5 - camera.cx) / camera.fx, -(y + 0.5 - camera.cy) / camera.fy, -np.ones(x.shape)])
     length = np.sqrt(local[0] ** 2 + local[1] ** 2 + 1)
     return camera.c2w[:, :3] @ (local / length), 1 / length
@@ -90,7 +90,7 @@ def render(request: ViewRequest, stride: int = 1) -> Preview:
     return Preview(request.stamp, camera, rgba, depth, stride, True, 100, "fine")
 
 
-@lru_cache(maxsize=16)  # most tests look from where the window begins
+@lru_cache(maxsize=16)  # most tests use the camera with which the window starts
 def _picture(
     width: int, height: int, lens: tuple[float, float, float, float], c2w: bytes, stride: int
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -98,7 +98,7 @@ def _picture(
     rows, columns = np.arange(0, camera.height, stride), np.arange(0, camera.width, stride)
     rgba = np.full((len(rows), len(columns), 4), 255, np.uint8)
     depth = np.empty(rgba.shape[:2], np.float32)
-    for k in range(0, len(rows), 8):  # few enough rays for the processor's cache: twice as fast
+    for k in range(0, len(rows), 8):  # so few rays fit in the processor's cache, which is twice as fast
         y, x = np.meshgrid(rows[k : k + 8], columns, indexing="ij")
         directions, z = rays(camera, x.ravel(), y.ravel())
         t, color = trace(camera.c2w[:, 3], directions)
@@ -109,7 +109,7 @@ def _picture(
 
 
 def open_ray(inspect: Inspect) -> tuple[RayProbe, RadianceProbe]:
-    """64 samples around what was hit."""
+    """Open a ray with 64 samples, whose density peaks 0.1 behind the surface that it hits."""
     camera, (x, y) = inspect.camera, inspect.pixel
     directions, _ = rays(camera, np.array([x]), np.array([y]))
     origin = camera.c2w[:, 3]
@@ -119,9 +119,9 @@ def open_ray(inspect: Inspect) -> tuple[RayProbe, RadianceProbe]:
     surface = float(hit[0])
     sigma = np.zeros(64) if np.isnan(surface) else 12 * np.exp(-(((t - surface - 0.1) / 0.25) ** 2))
     alpha = 1 - np.exp(-sigma * delta)
-    light = np.concatenate([[1.0], np.cumprod(1 - alpha)[:-1]])
-    weights = alpha * light
-    opened = PassProbe("fine", t, t + delta, delta, sigma, alpha, light, weights, np.tile(color.T, (64, 1)))
+    transmittance = np.concatenate([[1.0], np.cumprod(1 - alpha)[:-1]])
+    weights = alpha * transmittance
+    opened = PassProbe("fine", t, t + delta, delta, sigma, alpha, transmittance, weights, np.tile(color.T, (64, 1)))
     opacity = float(weights.sum())
     rendered = weights @ opened.rgb + (1 - opacity) * np.asarray(BACKGROUND)
     median = None if opacity < 0.5 else surface
@@ -151,7 +151,7 @@ def _radiance(camera: Camera, point: np.ndarray, t: float, color: np.ndarray) ->
 
 
 class ScriptedWorker:
-    """The interface of `nerf_core.live.worker.Worker`. sent, views: what it was asked, in order."""
+    """Has the interface of `nerf_core.live.worker.Worker`. sent, views: the commands and requests in order."""
 
     def __init__(self, scene: Scene | None = None) -> None:
         steps = np.arange(0, 101, dtype=np.int64)
