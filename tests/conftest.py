@@ -9,16 +9,16 @@ from pathlib import Path
 import jaxtyping
 import pytest
 
-# Before anything imports them: calls of these are checked against the shapes they state, in tests alone.
+# Tests check calls of these modules against the shapes that they declare. The hook must precede their import.
 CHECKED = ["nerf_core.volume.encodings", "nerf_core.volume.sampling", "nerf_core.volume.compositing"]
 assert not set(CHECKED) & set(sys.modules)
 jaxtyping.install_import_hook(CHECKED, "beartype.beartype")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Give each of several workers a core of its own, where the system can: threads of two would wait for each other.
+    """Pin each xdist worker to cores of its own if the system can: threads of two workers would wait for each other.
 
-    Processes that a test starts inherit it. The thorough tests are few and long: there, one may need all cores.
+    Processes that a test starts inherit the cores. Thorough tests are few and long, so each of them may use all cores.
     """
     worker = os.environ.get("PYTEST_XDIST_WORKER", "")
     if worker and config.option.markexpr == "not thorough" and hasattr(os, "sched_setaffinity"):
@@ -28,7 +28,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The thorough tests begin with the longest, so that several workers end at about the same time."""
+    """Start the longest thorough tests first, so that all workers end at about the same time."""
 
     def seconds(item: pytest.Item) -> float:
         mark = item.get_closest_marker("thorough")
@@ -44,7 +44,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.fixture(scope="session")
 def scenes(request: pytest.FixtureRequest) -> Path:
-    """The folder given with --scenes; without it the test is skipped."""
+    """The folder given with --scenes. Without that option the test is skipped."""
     folder: Path | None = request.config.getoption("--scenes")
     if folder is None:
         pytest.skip("needs --scenes DIR")

@@ -1,4 +1,4 @@
-"""A new file in its folder is all that an addition takes: each registry finds it, and the program grows by it."""
+"""An addition is one new file in its folder: a registry finds the file, and the program offers what it adds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 METHOD = "nerf_core/methods/grid/method.py"
-# Where each addition must show up. The program is started once, with folders beside its own that hold the new files.
+# Prints for each kind whether the addition shows up. The program runs once, with the new files in its packages.
 LOOK = """
 import contextlib, importlib, io, json, sys
 from pathlib import Path
@@ -79,4 +79,4 @@ def test_an_addition_is_one_new_file(found: dict[str, bool], kind: str) -> None:
 
 def test_every_kind_is_looked_for(found: dict[str, bool]) -> None:
     assert set(found) == set(KINDS)
-    assert len(pages.files()) + 1 == len(KINDS) - 1  # the method is an example of its own, a subcommand comes by itself
+    assert len(pages.files()) + 1 == len(KINDS) - 1  # the method is in examples/; one file makes two kinds

@@ -1,4 +1,4 @@
-"""What is built: which packages and files the wheel has, under which names."""
+"""The wheel: which packages and files it has, under which names."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ SCRIPTS = {"nerf-viewer": "nerf_viewer.cli:command", "nerf-core": "nerf_core.cli
 
 def test_the_viewer_is_installed_under_a_name_of_its_own() -> None:
     with (ROOT / "pyproject.toml").open("rb") as file:
-        told = tomllib.load(file)
-    assert told["project"]["scripts"] == SCRIPTS
-    folders = told["tool"]["setuptools"]["package-dir"]
+        config = tomllib.load(file)
+    assert config["project"]["scripts"] == SCRIPTS
+    folders = config["tool"]["setuptools"]["package-dir"]
     assert folders == {"nerf_viewer": "viewer", "nerf_core.assets": "assets"}
     assert all((ROOT / folder).is_dir() for folder in folders.values())
-    assert told["tool"]["setuptools"]["dynamic"]["version"]["attr"] == "nerf_core.__version__"
+    assert config["tool"]["setuptools"]["dynamic"]["version"]["attr"] == "nerf_core.__version__"
 
 
 def test_the_citation_has_the_version() -> None:

@@ -18,13 +18,13 @@ from nerf_core.common.assets import assets_dir
 DEMO = assets_dir() / "demo"
 
 
-def surroundings(points: np.ndarray) -> np.ndarray:
-    """Signed distance of the whole scene (P,): each solid's exact one, least."""
+def scene_distance(points: np.ndarray) -> np.ndarray:
+    """Signed distance (P,) of the whole scene: the least of the exact distances of its solids."""
     return np.min([shape.distance(points) for _, shape in scene.SHAPES], axis=0)
 
 
 def inward_rays(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Rays from the cameras' sphere towards random places of the content: about half of them hit."""
+    """Rays from the cameras' sphere towards random places of the content. About half of them hit."""
     rng = np.random.default_rng(seed)
     origins = unit(rng.normal(size=(count, 3)) * [1, 1, 0.5] + [0, 0, 0.6]) * make_demo.DISTANCE
     targets = rng.uniform(-1, 1, (count, 3)) * [1.1, 1.1, 0.9]
@@ -40,34 +40,34 @@ def surface() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     return (origins + np.where(met, t, 0)[:, None] * directions)[met], normals[met], ids[met], -directions[met]
 
 
-def test_hit_is_the_first_place_where_a_brute_march_enters_the_scene() -> None:
+def test_hit_is_where_a_brute_force_march_first_enters_the_scene() -> None:
     origins, directions = inward_rays(1500)
     t, _, ids = scene.hit(origins, directions)
     assert set(np.unique(ids)) == {scene.MISS, *dict(scene.SHAPES)}, "the rays should meet every object"
     np.testing.assert_array_equal(np.isfinite(t), ids != scene.MISS)
     steps = np.arange(scene.NEAR, scene.FAR, 2e-3)
     for k in range(len(t)):
-        inside = surroundings(origins[k] + steps[:, None] * directions[k]) < 0
+        inside = scene_distance(origins[k] + steps[:, None] * directions[k]) < 0
         first = steps[np.argmax(inside)] if inside.any() else np.inf
-        # the march may step over a grazed sliver, never see one that `hit` does not
+        # the march may step over a grazed sliver, but it never sees one that `hit` misses
         assert t[k] <= first
         before = steps < t[k] - 1e-6
         assert not inside[before].any()
         if np.isfinite(t[k]):
-            assert abs(surroundings((origins[k] + t[k] * directions[k])[None])[0]) < 1e-8
+            assert abs(scene_distance((origins[k] + t[k] * directions[k])[None])[0]) < 1e-8
 
 
 def test_normals_are_the_gradient_of_the_distance(surface: tuple[np.ndarray, ...]) -> None:
     points, normals, _, eye = surface
     h = 1e-6
     gradient = np.stack(
-        [(surroundings(points + h * e) - surroundings(points - h * e)) / (2 * h) for e in np.eye(3)], -1
+        [(scene_distance(points + h * e) - scene_distance(points - h * e)) / (2 * h) for e in np.eye(3)], -1
     )
     smooth = np.abs(np.linalg.norm(gradient, axis=-1) - 1) < 1e-4  # not where two solids touch
     assert smooth.mean() > 0.99
     np.testing.assert_allclose(normals[smooth], gradient[smooth], atol=2e-4)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, atol=1e-12)
-    assert (dot(normals, eye) > -1e-4).all(), "a surface that was hit faces the eye"
+    assert (dot(normals, eye) > -1e-4).all(), "a surface that was hit must face the eye"
 
 
 def test_matte_radiance_ignores_the_direction_and_glossy_radiance_follows_it(surface: tuple[np.ndarray, ...]) -> None:
@@ -85,7 +85,7 @@ def test_matte_radiance_ignores_the_direction_and_glossy_radiance_follows_it(sur
         assert np.abs(one - two)[ids == name].max(-1).mean() > 0.03
 
 
-def test_one_place_on_the_ball_shows_highlight_and_depth_of_blue() -> None:
+def test_the_red_of_a_point_on_the_ball_varies_with_direction() -> None:
     normal = unit(np.array([[0.3, -0.5, 0.8]]))
     point = scene.BALL_AT + 0.40 * normal
     towards = unit(np.random.default_rng(1).normal(size=(2000, 3)))
@@ -98,7 +98,7 @@ def test_one_place_on_the_ball_shows_highlight_and_depth_of_blue() -> None:
 
 
 def test_soft_shadows_follow_shadow_rays_over_the_lamp() -> None:
-    """On the plinth, light past all solids against 256 exact rays over the key light's disc."""
+    """Compare the product of all solids' soft shadows on the plinth with 256 exact rays over the key light's disc."""
     rng = np.random.default_rng(2)
     radius, angle = 1.0 * np.sqrt(rng.uniform(size=300)), rng.uniform(0, 2 * np.pi, 300)
     points = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(300, scene.TOP)], -1)
@@ -125,11 +125,11 @@ def test_content_lies_within_the_bounds_of_every_camera() -> None:
             assert np.linalg.norm(shape.centre) + shape.bound < 1.3
     rng = np.random.default_rng(3)
     outside = unit(rng.normal(size=(20000, 3))) * rng.uniform(1.3, 3, (20000, 1))
-    assert (surroundings(outside) > 0).all()
+    assert (scene_distance(outside) > 0).all()
     assert make_demo.DISTANCE - 1.3 > scene.NEAR
     assert make_demo.DISTANCE + 1.3 < scene.FAR
     half_view = make_demo.CAMERA_ANGLE_X / 2
-    assert np.arcsin(1.3 / make_demo.DISTANCE) < half_view, "nothing is cut off by the picture's edge"
+    assert np.arcsin(1.3 / make_demo.DISTANCE) < half_view, "the whole content must be in the picture"
 
 
 def read(split: str) -> tuple[float, list[tuple[Path, np.ndarray]]]:
@@ -139,7 +139,7 @@ def read(split: str) -> tuple[float, list[tuple[Path, np.ndarray]]]:
 
 
 @pytest.mark.parametrize(("split", "at_least"), [("train", 60), ("val", 1), ("test", 10)])
-def test_every_split_has_its_pictures_and_sound_poses(split: str, at_least: int) -> None:
+def test_every_split_has_its_pictures_and_valid_poses(split: str, at_least: int) -> None:
     angle, frames = read(split)
     assert angle == make_demo.CAMERA_ANGLE_X
     assert len(frames) >= at_least
@@ -149,7 +149,7 @@ def test_every_split_has_its_pictures_and_sound_poses(split: str, at_least: int)
         np.testing.assert_allclose(pose[:3, :3].T @ pose[:3, :3], np.eye(3), atol=1e-11)
         assert np.linalg.det(pose[:3, :3]) > 0
         np.testing.assert_allclose(pose[:3, 3], make_demo.DISTANCE * pose[:3, 2], atol=1e-11)
-        assert pose[2, 3] > 0, "cameras stand on the upper hemisphere"
+        assert pose[2, 3] > 0, "cameras must be on the upper hemisphere"
         with Image.open(path) as picture:
             assert (picture.size, picture.mode) == ((make_demo.SIZE, make_demo.SIZE), "RGBA")
 
@@ -167,7 +167,7 @@ def test_shipped_pictures_are_those_of_the_scene(split: str, index: int) -> None
     with Image.open(path) as picture:
         shipped = np.asarray(picture).astype(int)
     apart = np.abs(make_demo.picture(pose).astype(int) - shipped)
-    # another processor's exp and power may differ in the last bit: a few values then round the other way
+    # another processor's exp and power may differ in the last bit, so that a few values round the other way
     assert apart.max() <= 1
     assert (apart > 0).mean() < 1e-3
 

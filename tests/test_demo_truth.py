@@ -1,4 +1,4 @@
-"""A model that is trained on the demo scene, against the scene's closed-form depth and radiance."""
+"""Compare a model trained on the demo scene with the scene's closed-form depth and radiance."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ def long(seconds: int) -> tuple[pytest.MarkDecorator, ...]:
     return pytest.mark.thorough(seconds), pytest.mark.timeout(3600)
 
 
-# nearer: how many times the depth's error must shrink: a grid begins as an even fog, whose mean depth is not far off,
-# a network anywhere. looked: test views, surface points and pixels of the ball that are compared.
+# shrink: the depth error must shrink by this factor. It is small for a grid, which begins as an even fog whose mean
+# depth is not far off. A network begins anywhere. counts: test views, surface points and pixels of the ball to compare.
 @pytest.mark.parametrize(
-    ("method", "preset", "downscale", "steps", "nearer", "looked"),
+    ("method", "preset", "downscale", "steps", "shrink", "counts"),
     [
         pytest.param("voxels", "auto", 8, 60, 2, (1, 60, 6), id="voxels-briefly"),
         pytest.param("voxels", "auto", 4, 400, 3, (2, 400, 24), id="voxels", marks=long(80)),
@@ -25,10 +25,10 @@ def long(seconds: int) -> tuple[pytest.MarkDecorator, ...]:
     ],
 )
 def test_training_approaches_the_truth(
-    method: str, preset: str, downscale: int, steps: int, nearer: float, looked: tuple[int, int, int]
+    method: str, preset: str, downscale: int, steps: int, shrink: float, counts: tuple[int, int, int]
 ) -> None:
-    """Before and after some steps, on smaller photos: trained once for all that is asked."""
-    views, points, pixels = looked
+    """Compare before and after some steps on smaller photos. One training serves all checks."""
+    views, points, pixels = counts
     settings = RunSettings(method=method, preset=preset)
     trainer = Trainer(load_scene(None, LoadOptions(downscale=downscale)), settings)
     before = compare(trainer, views, points) | microscope(trainer, pixels)
@@ -37,12 +37,12 @@ def test_training_approaches_the_truth(
     after = compare(trainer, views, points) | microscope(trainer, pixels)
 
     assert after["depth_median"] < 0.3  # scene units; the content is 2.6 across
-    assert after["depth_median"] < before["depth_median"] / nearer
+    assert after["depth_median"] < before["depth_median"] / shrink
 
     assert after["radiance_mean"] < 0.2
     assert after["radiance_mean"] < 0.85 * before["radiance_mean"]
 
-    # Where photos have looked from; elsewhere it extrapolates: there the plot is hatched, and the error larger indeed.
+    # observed: directions near those of photos. At the others the plot extrapolates and is hatched: larger errors.
     assert after["off"] < 0.15
     assert after["off"] < before["off"] / 4
     assert after["observed"] < 0.15

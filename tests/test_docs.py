@@ -1,4 +1,4 @@
-"""README and docs: short enough, links that lead somewhere, pictures that load fast, code that runs."""
+"""README and docs: the README is short, links work, pictures are small, imports in code blocks work."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
 PICTURES = sorted(p for p in (ROOT / "docs").iterdir() if p.suffix in (".webp", ".svg", ".png"))
-NEWCOMER_LINES = 200  # of the README: what one reads in five minutes
+README_LINES = 200  # at most: a newcomer reads them in five minutes
 LARGEST_PICTURE = 300_000  # bytes
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 OURS = re.compile(r"`((?:[\w.]+/)*[\w.]+\.py|(?:nerf_core|viewer|tests|assets|examples)(?:/[\w.]+)+/?)`")
@@ -37,7 +37,7 @@ def _links(page: Path) -> list[str]:
 
 
 def test_a_newcomer_reads_the_readme_in_five_minutes() -> None:
-    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= NEWCOMER_LINES
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= README_LINES
 
 
 @pytest.mark.parametrize("page", PAGES, ids=_name)
@@ -50,7 +50,7 @@ def test_links_lead_somewhere(page: Path) -> None:
         target = (page.parent / file).resolve() if file else page
         if not target.exists() or (anchor and anchor not in _anchors(target)):
             broken.append(link)
-    assert not broken, f"{_name(page)} links to what is not there: {', '.join(broken)}"
+    assert not broken, f"{_name(page)} has broken links: {', '.join(broken)}"
 
 
 def test_every_page_is_in_the_index() -> None:
@@ -65,18 +65,18 @@ def test_pictures_are_small_and_shown(picture: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=_name)
-def test_files_that_pages_name_are_there(page: Path) -> None:
-    """Names of our files and folders in backticks, from the root of the repository or of a package."""
+def test_files_that_pages_name_exist(page: Path) -> None:
+    """Check the file and folder names in backticks, relative to the root of the repository or of a package."""
     text = LINKED.sub("", FENCE.sub("", page.read_text(encoding="utf-8")))
     named = [name for name in OURS.findall(text) if "NAME" not in name and name not in pages.files()]
     bases = (ROOT, ROOT / "nerf_core", ROOT / "viewer")
     missing = [name for name in named if not any((base / name).exists() for base in bases)]
-    assert not missing, f"{_name(page)} names what is not there: {', '.join(missing)}"
+    assert not missing, f"{_name(page)} names files that do not exist: {', '.join(missing)}"
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if PYTHON.search(p.read_text(encoding="utf-8"))], ids=_name)
-def test_what_pages_import_is_there(page: Path) -> None:
-    """Imports of nerf_core in Python blocks; whole examples are run by tests of their own."""
+def test_imports_on_pages_work(page: Path) -> None:
+    """Run the imports of nerf_core in Python blocks. Other tests run the whole examples."""
     for block in PYTHON.findall(page.read_text(encoding="utf-8")):
         imports = [
             node for node in ast.parse(block).body

@@ -34,7 +34,7 @@ def test_every_example_is_tested() -> None:
 
 def test_train_and_render(tmp_path: Path) -> None:
     psnr = script("train_and_render")(tmp_path, FEW, SMALL)
-    assert psnr > 10  # a picture of the mean colour has some 12
+    assert psnr > 10  # a picture of the mean colour alone has about 12 dB
     assert (tmp_path / "rendering.png").is_file()
     assert (tmp_path / "photo.png").is_file()
 

@@ -53,9 +53,9 @@ def load(monkeypatch: pytest.MonkeyPatch) -> Load:
 
 def test_every_file_of_the_page_is_tested() -> None:
     tests = [Path(__file__), ROOT / "tests" / "viewer" / "test_extending.py"]
-    told = "".join(test.read_text(encoding="utf-8") for test in tests)
+    text = "".join(test.read_text(encoding="utf-8") for test in tests)
     assert pages.files()
-    assert [path for path in pages.files() if f'load("{path}"' not in told] == []
+    assert [path for path in pages.files() if f'load("{path}"' not in text] == []
 
 
 @pytest.mark.parametrize("path", pages.files())
@@ -159,7 +159,7 @@ def test_a_verdict_class(load: Load) -> None:
     ray = panel_states.make_ray()
     opened = panel_states.make_opened(ray)
     assert opened.verdict is not None
-    missed = replace(opened.verdict.standings[0], against=0, blank=0, missing=11)  # no floater, then
+    missed = replace(opened.verdict.standings[0], against=0, blank=0, missing=11)  # so that it is no floater
     assert conclude(ray, (replace(missed, error=0.2),)).kind == "wrong colour"
     assert conclude(ray, (replace(missed, error=0.02),)).kind == "surface"
 

@@ -21,7 +21,7 @@ ROOT = Path(__file__).parent.parent
 
 @pytest.fixture(scope="module")
 def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """Variables under which the installed package is found."""
+    """Environment variables with which Python finds the installed package."""
     if importlib.util.find_spec("setuptools") is None:
         pytest.skip("needs setuptools, which the test extra installs")
     target = tmp_path_factory.mktemp("site")
@@ -40,7 +40,7 @@ for words in json.loads(sys.argv[1]):
 """
 
 
-def test_what_another_package_brings_is_listed_and_used(environment: dict[str, str], tmp_path: Path) -> None:
+def test_a_plugin_is_listed_and_used(environment: dict[str, str], tmp_path: Path) -> None:
     demo, photos = load_scene(None, LoadOptions(downscale=10)), tmp_path / "photos"
     photos.mkdir()
     lines = []
