@@ -1,13 +1,14 @@
-"""How near a model trained on the demo scene comes to the truth, which is known in closed form.
+"""Measure how near a model trained on the demo scene comes to the truth, which is known in closed form.
 
     python tests/benchmarks/demo_truth.py [--seconds 300] [--downscale 2]
 
-Depth: at pixels of the test views that truly see a surface, the rendered expected depth against the analytic
-distance. Radiance: at true surface points that the test views see, the colour that the model emits towards the camera
-and towards other training cameras that see the point, against the analytic radiance. Spread with direction: for the
-glossy ball and for the matt vase, how much the emitted colour changes between those cameras, model and truth. And what
-the microscope's radiance plot shows of the glossy ball, direction by direction: where photos have looked from, and
-where it extrapolates.
+- Depth: the error of the rendered expected depth, at pixels of the test views that truly see a surface.
+- Radiance: the error of the colour that the model emits towards training cameras that see a point, at true surface
+  points that the test views see.
+- Spread: how much the emitted colour changes between those cameras, in the model and in truth, for the glossy ball and
+  for the matt vase.
+- Microscope: the error of its radiance plot on the glossy ball, for directions near those of photos and for the others,
+  where the plot extrapolates.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "assets"))
 import demo_scene
 
 POINTS = 400  # surface points whose radiance is compared
-OBSERVED = np.radians(20)  # from a photo's look at a point: what the radiance plot does not hatch
-CAMERAS = 8  # training cameras that each point is looked at from
+OBSERVED = np.radians(20)  # directions this near to a photo's are observed: the radiance plot does not hatch them
+CAMERAS = 8  # training cameras per point, at most
 
 
 def compare(trainer: Trainer, views: int = 3, points: int = POINTS, seed: int = 0) -> dict[str, float]:
@@ -46,7 +47,7 @@ def compare(trainer: Trainer, views: int = 3, points: int = POINTS, seed: int = 
         t, normal, objects = demo_scene.hit(rays.origins.double().numpy(), rays.directions.double().numpy())
         solid = np.isfinite(t)
         error = np.abs(rendered.depth.numpy()[solid] - t[solid])
-        depth_errors.append(np.where(np.isnan(error), scene.far - scene.near, error))  # a hole is as wrong as can be
+        depth_errors.append(np.where(np.isnan(error), scene.far - scene.near, error))  # a hole has the largest error
         met = rays.origins.numpy()[solid] + t[solid, None] * rays.directions.numpy()[solid]
         hits.append((met, normal[solid], objects[solid]))
     hit, normals, objects = (np.concatenate(v) for v in zip(*hits, strict=True))
@@ -82,12 +83,14 @@ def _radiance(
 
 
 def microscope(trainer: Trainer, pixels: int = 24, seed: int = 0) -> dict[str, float]:
-    """What the radiance plot of opened pixels shows, against the truth; lengths and colours as in `compare`.
+    """Compare the radiance plot of opened pixels with the truth. Units are those of `compare`.
 
-    Pixels of the first test view that truly see the glossy ball. off: how far the plot's point lies from the true one.
-    observed: the error over all directions of the outer side that are within OBSERVED of a photo that sees the point;
-    extrapolated: over the others, which the plot hatches. spread: how much the colour changes over the observed ones.
-    Medians over the pixels.
+    The pixels are those of the first test view that truly see the glossy ball. Each figure is the median over them:
+
+    off: the distance between the plot's point and the true one.
+    observed: the error over the outward directions within OBSERVED of a photo that sees the point.
+    extrapolated: the error over the other outward directions, which the plot hatches.
+    spread: how much the colour changes over the observed directions; spread_truth: the same in truth.
     """
     scene, rng = trainer.scene, np.random.default_rng(seed)
     camera = scene.views[scene.split("test")[0]].camera
@@ -120,12 +123,12 @@ def microscope(trainer: Trainer, pixels: int = 24, seed: int = 0) -> dict[str, f
 
 
 def _mean(errors: np.ndarray) -> float:
-    """NaN of none: from nowhere near has a photo looked."""
+    """Return the mean error, or NaN if there are no errors."""
     return float(errors.mean()) if len(errors) else np.nan
 
 
 def _spread(rgb: np.ndarray) -> float:
-    """The root of the mean square by which a channel of colours (K, 3) differs from its mean."""
+    """Return the RMS difference between colours (K, 3) and their mean, over all channels."""
     return float(np.sqrt(np.square(rgb - rgb.mean(0)).mean())) if len(rgb) else np.nan
 
 
@@ -144,7 +147,7 @@ def _seen_from(point: np.ndarray, normal: np.ndarray, centres: np.ndarray, rng: 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=300.0, help="of training")
+    parser.add_argument("--seconds", type=float, default=300.0, help="seconds of training")
     parser.add_argument("--downscale", type=int, default=2)
     parser.add_argument("--method", default="auto")
     args = parser.parse_args()

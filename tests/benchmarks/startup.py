@@ -1,9 +1,9 @@
-"""How long a person waits for the window and for the first picture of the demo scene.
+"""Measure how long a user waits for the window and for the first picture of the demo scene.
 
     xvfb-run -s '-screen 0 1600x1000x24' python tests/benchmarks/startup.py
 
-Each round is a fresh process; the first warms the disk's cache and is not counted. Medians and spread, in seconds
-since the process was started, and for the picture since training began.
+Each round is a fresh process. The first warms the disk's cache and is not counted. Prints the median and the spread of
+the seconds since the process was started, and for the picture also of those since training began.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import time
 
 
 def child(started: float) -> None:
-    """Open the window as the command does; print when what was there."""
+    """Open the window as the command does. Print the seconds from `started` until each part is there."""
     from nerf_core.common.signals import Signals
     from nerf_core.live.messages import OpenScene, Train
     from nerf_core.training.settings import RunSettings

@@ -1,11 +1,11 @@
-"""The tables of figures: how fast every method learns on this machine, what a step, a picture and a frame take.
+"""Measure the figures of docs/figures.md: how fast each method learns, how long a step, a picture and a frame take.
 
     xvfb-run -s '-screen 0 1600x1000x24' python tests/benchmarks/tables.py --scenes DIR [--rows lego100-voxels …]
 
-Each run is a process of its own: its peak memory is its own, and what numba compiles is there before its clock starts
-(the time to compile everything anew is measured apart). PSNR is on held-out photos, seconds are of training alone.
-Rays a second take turns with the plain float32 step of the paper's model in one process. Where there is CUDA, the rows
-are other ones. Writes tables.json and tables.png to --out and prints medians with least and largest.
+Each run is a process of its own, so that it has its own peak memory. What numba compiles is there before the clock
+starts; the time to compile is measured apart. PSNR is measured on held-out photos, and seconds are those of training
+alone. Rays per second are measured in turns with the plain float32 step of the paper's model, in one process. A machine
+with CUDA has other rows. Writes tables.json and tables.png to --out, and prints medians with the least and the largest.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from nerf_core.volume.voxel_grid import VoxelGrid
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the table: PSNR after `seconds`, and when it passed `levels` (dB); views: test views at most."""
+    """One line of the table: PSNR after `seconds`, and when it passed `levels` (dB). marks: evaluations at most."""
 
     scene: str
     downscale: int
@@ -76,7 +76,7 @@ CUDA_ROWS = {
     "lego100-guided": Row("lego", 8, "nerf-guided", 120, marks=10),
 }
 HERE = Path(__file__).parent
-SCRIPTS = {  # what they print is a row as it stands
+SCRIPTS = {  # what they print becomes a row unchanged
     "training": ("training.py",),
     "demo-truth": ("demo_truth.py",),
     "startup": ("startup.py",),
@@ -97,7 +97,7 @@ def held_out_psnr(trainer: Trainer) -> float:
 
 
 def learn(scene: Scene, row: Row, seed: int) -> dict[str, Any]:
-    """PSNR over seconds of training; evaluating is not counted."""
+    """Train a model, and return its PSNR over seconds of training. Time to evaluate is not counted."""
     trainer = Trainer(scene, RunSettings(method=row.method, seed=seed, changes=dict(row.changes)))
     marks = list(np.geomspace(min(1.0, row.seconds / 20), row.seconds, row.marks))
     curve = []
@@ -114,7 +114,7 @@ def learn(scene: Scene, row: Row, seed: int) -> dict[str, Any]:
 
 
 def passed(curve: list[tuple[float, float]], level: float) -> float | None:
-    """Seconds at which the curve first passes `level`, between two looks in proportion; None where it never does."""
+    """Return when the curve first passes `level` in seconds, linearly interpolated, or None if it never does."""
     before = (0.0, 0.0)
     for t, value in curve:
         if value >= level:
@@ -125,7 +125,7 @@ def passed(curve: list[tuple[float, float]], level: float) -> float | None:
 
 
 def rates(scene: Scene, rounds: int) -> dict[str, Any]:
-    """Rays a second of the voxel method, warm, and of the paper's model written plainly in float32, in turns."""
+    """Measure rays per second of the voxel method after 600 steps, in turns with the paper's model in plain float32."""
     from training import PlainNerf, seconds
 
     trainer = Trainer(scene, RunSettings(method="voxels"))
@@ -196,15 +196,15 @@ def official(scene: Scene, rounds: int) -> list[float]:
 
 
 def thousand(rounds: int) -> dict[str, list[float]]:
-    """1,000 photos of 4 megapixels with the memory that photos may take unless it is set: seconds to open them,
-    milliseconds of a voxel step, most memory held (GiB)."""
+    """Measure 1,000 photos of 4 megapixels with the default memory limit for photos: seconds to open them,
+    milliseconds of a voxel step, peak memory (GiB)."""
     from PIL import Image
 
     count, width, height = 1000, 2464, 1632
     scene = load_scene(None, LoadOptions())
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for i in range(8):  # different ones; the others are further links to their files
+        for i in range(8):  # different photos; the others are hard links to these
             photo = Image.fromarray((scene.images[i] >> 8).astype(np.uint8)).resize((width, height))
             photo.save(folder / f"{i}.jpg", quality=92)
         frames = []
@@ -233,12 +233,12 @@ def peak_gib() -> float:
 
 
 def determinism(scene: Scene, rounds: int) -> dict[str, list[float]]:
-    """Milliseconds of a voxel step whose shards have gradients of their own, and of one whose shards race for one."""
+    """Milliseconds of a voxel step if each shard has its own gradients, and if all shards add to one array."""
     from nerf_core.kernels import numba_voxels as loops
     from nerf_core.kernels.cpu_voxels import CpuVoxels
 
     class Racing(CpuVoxels):
-        """All shards add to one array, and updates are lost where two do at once."""
+        """Adds the gradients of all shards to one array. Where two shards add at once, an addition is lost."""
 
         def _fit(self, grid: VoxelGrid) -> None:
             new = self._grid is None or self._grid.rows is not grid.rows
@@ -277,7 +277,7 @@ def determinism(scene: Scene, rounds: int) -> dict[str, list[float]]:
 
 
 def compile_seconds() -> dict[str, float]:
-    """A first step's preparation with an empty cache, and with a full one."""
+    """Seconds to compile the loops with an empty cache, and to load them from a full one."""
     code = (
         "import time, nerf_core, torch; from nerf_core.kernels.choice import packed_kernels, voxel_kernels\n"
         "cpu = torch.device('cpu'); begin = time.perf_counter(); voxel_kernels(cpu); middle = time.perf_counter()\n"
@@ -301,7 +301,7 @@ def compile_seconds() -> dict[str, float]:
 
 
 def one(args: argparse.Namespace) -> dict[str, Any]:
-    """What a child process measures."""
+    """Measure what this child process was started for."""
     if args.child == "compile":
         return compile_seconds()
     if args.child == "thousand":
@@ -337,7 +337,7 @@ def spread(values: list[float], digits: int = 1) -> str:
 
 
 def processor() -> str:
-    """Its name; the standard library knows none on Linux."""
+    """Return the processor's name, which the standard library does not know on Linux."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="ascii").splitlines()
     except OSError:
@@ -346,7 +346,7 @@ def processor() -> str:
     return names[0] if names else platform.processor() or platform.machine()
 
 
-def told(name: str, row: Row, runs: list[dict[str, Any]]) -> None:
+def report(name: str, row: Row, runs: list[dict[str, Any]]) -> None:
     parts = [f"{spread([run['curve'][-1][1] for run in runs], 2)} dB after {row.seconds:.0f} s"]
     for level in row.levels:
         times = [passed(run["curve"], level) for run in runs]
@@ -386,7 +386,7 @@ def main() -> None:
     parser.add_argument("--scenes", type=Path, required=True, help="folder with lego, fern and fox")
     parser.add_argument("--out", type=Path, default=Path("runs/tables"))
     parser.add_argument("--rows", nargs="*", default=names, metavar="ROW", help=f"some of {', '.join(names)}")
-    parser.add_argument("--repeat", type=int, default=5, help="runs of each row (of those over 100 s one alone)")
+    parser.add_argument("--repeat", type=int, default=5, help="runs of each row (one run if it is over 100 s)")
     parser.add_argument("--child", default="", help=argparse.SUPPRESS)
     parser.add_argument("--seed", type=int, default=0, help=argparse.SUPPRESS)
     args = parser.parse_args()
@@ -403,7 +403,7 @@ def main() -> None:
         if name in rows:
             count = args.repeat if rows[name].seconds <= 100 else 1
             results[name] = [child(args, name, seed) for seed in range(count)]
-            told(name, rows[name], results[name])
+            report(name, rows[name], results[name])
         elif name in SCRIPTS:
             script, *words = SCRIPTS[name]
             done = subprocess.run([sys.executable, HERE / script, *words], capture_output=True, text=True, check=False)

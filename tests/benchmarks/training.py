@@ -1,9 +1,10 @@
-"""How many rays a second the paper's NeRF trains at, against the same model written plainly in float32.
+"""Compare the training speed of the paper's NeRF with that of the same model written plainly in float32.
 
     python tests/benchmarks/training.py
 
-Both take turns on the same batches in one process: five rounds, medians and spread. Once with fresh weights, where
-every sample has a gradient, and once after `--warm` steps on the demo scene, where most of space is known to be empty.
+Both train in turns on the same batches in one process. Prints medians and spread of five rounds, in rays per second.
+It measures twice: with fresh weights, where every sample has a gradient, and after `--warm` steps on the demo scene,
+where most of space is known to be empty.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ def encode(p: Tensor, frequencies: int) -> Tensor:
 
 
 class PlainNerf:
-    """The best-known PyTorch port's way: dense autograd, all rays at once, float32."""
+    """NeRF as in the best-known PyTorch port: dense autograd, all rays at once, float32."""
 
     def __init__(self, white: Tensor) -> None:
         self.coarse, self.fine, self.white = PlainNetwork(), PlainNetwork(), white

@@ -1,13 +1,18 @@
-"""How often the verdict on a pixel is right: faults planted into scenes whose truth is known, a table of classes.
+"""Measure how often the verdict on a pixel is right, by class, with faults planted in scenes of known truth.
 
     PYTHONPATH=.:tests/helpers python tests/benchmarks/verdicts.py [--seeds 17 18 19] [--rays 40] [--out FILE.json]
 
-Each seed is a scene of its own: balls at random, none of them near white, photos in closed form before white. Voxel
-models are trained on photos with a fault and judged: with a ball that is not there (floater; judged by the photos as
-they should be), with one camera's pose off by 25° or four by 8° (what they leave in front of the surface floats; judged
-by the same photos and wrong poses), with less density than was learnt (background leak), with cameras of one side alone
-(unobserved), for a few steps only (fog); and, without a fault, surfaces, true veils before surfaces (several surfaces)
-and background. Rules and thresholds were set on seeds 100 and up, and on 1–16, which have been looked at since.
+Each seed gives a scene of random balls, none of them near white, with closed-form photos on a white background. Voxel
+models are trained on it and judged. The planted faults, by class:
+
+- floater: the training photos show a ball that the judging photos do not; or one camera's pose is off by 25°, or four
+  by 8°, and the model is judged with the same wrong poses. What such poses leave in front of the surface floats.
+- background leak: the density is reduced after training.
+- unobserved: only the cameras of one side train.
+- fog: training takes only a few steps.
+- surface, several surfaces (a true veil in front of a surface) and background: no fault.
+
+Rules and thresholds were set on seeds 100 and up and on seeds 1–16, so that none of these is a test any more.
 """
 
 from __future__ import annotations
@@ -39,17 +44,17 @@ from nerf_core.volume.voxel_grid import DENSITY
 
 CLASSES = ("surface", "several surfaces", "floater", "fog", "background leak", "unobserved", "background")
 SIZE, CAMERAS, STEPS, FOG_STEPS, PATTERN = 64, 40, 800, 12, 0.35
-DARKEST = 0.5  # one channel of each colour at most: what is near white before white photos hardly tell from nothing
-THINNED = 0.12  # of the density is left where the background is to leak through
-FRONT = 0.2  # world units in front of the true surface, over 6 grains: what is nearer is that surface out of place
-LEFT = 0.2  # weight in front of the truth that makes a floater, or of the background that makes a leak
-RIM = 0.85  # of a ball's radius: rays that pass farther out graze it,
-ROOM = 0.1  # and so do those that pass it by so little, in world units: two pixels
+DARKEST = 0.5  # least channel of each colour, at most: photos hardly tell a near-white ball from the white background
+THINNED = 0.12  # share of the density that is left, so that the background leaks through
+FRONT = 0.2  # world units in front of the true surface, over 6 grains: what is nearer is that surface, displaced
+LEFT = 0.2  # least weight in front of the true surface for a floater, or of the background for a leak
+RIM = 0.85  # of a ball's radius: a ray that passes farther from the centre grazes the ball
+MARGIN = 0.1  # world units, two pixels: a ray that misses a ball by less grazes it too
 
 
 @dataclass(frozen=True)
 class Case:
-    """A model, the scene that it is judged against, and which rays are of which class."""
+    """A model, the scene that it is judged with, and rays whose true class is `label`. plant: the planted fault."""
 
     label: str
     plant: str
@@ -60,7 +65,7 @@ class Case:
 
 @dataclass(frozen=True)
 class World:
-    """Opaque balls; veil and intruder are further ones that only some cases have."""
+    """Opaque balls and their scene. veil, intruder: balls that only some cases add."""
 
     balls: tuple[Ball, ...]
     veil: Ball
@@ -101,7 +106,7 @@ def with_photos(scene: Scene, other: Scene) -> Scene:
 
 
 def thinned(method: Method) -> Method:
-    """The same model with so much less density that light passes: σ = softplus(s + bias), and its inverse."""
+    """Multiply the model's density by THINNED in place, through σ = softplus(s + bias) and its inverse."""
     assert isinstance(method, Voxels)
     for rows in (method.grid.rows, method.ema_rows):
         sigma = THINNED * torch.nn.functional.softplus(rows[:, DENSITY] + method.config.bias).clamp(min=1e-20)
@@ -113,14 +118,13 @@ def thinned(method: Method) -> Method:
 
 
 def first_hit(origin: np.ndarray, direction: np.ndarray, balls: tuple[Ball, ...]) -> tuple[float, Ball] | None:
-    """The nearest ball on a ray that passes within RIM of its radius, and the distance; None where none is, or one is
-    only grazed."""
+    """Return the distance to the nearest ball on a ray, and the ball. None if the ray meets no ball, or grazes one."""
     found: list[tuple[float, Ball]] = []
     for ball in balls:
         offset = origin - np.array(ball.center)
         along = float(offset @ direction)
         apart = float(np.sqrt(max(float(offset @ offset) - along**2, 0.0)))
-        if along > 0 or apart > ball.radius + ROOM:
+        if along > 0 or apart > ball.radius + MARGIN:
             continue
         if apart > RIM * ball.radius:
             return None
@@ -129,17 +133,17 @@ def first_hit(origin: np.ndarray, direction: np.ndarray, balls: tuple[Ball, ...]
 
 
 def clear(origin: np.ndarray, direction: np.ndarray, balls: tuple[Ball, ...]) -> bool:
-    """Whether a ray passes all balls at some distance."""
+    """Return whether a ray misses all balls by at least MARGIN."""
     for ball in balls:
         offset = origin - np.array(ball.center)
         along = float(offset @ direction)
-        if along < 0 and float(offset @ offset) - along**2 < (ball.radius + ROOM) ** 2:
+        if along < 0 and float(offset @ offset) - along**2 < (ball.radius + MARGIN) ** 2:
             return False
     return True
 
 
 def visible_from(point: np.ndarray, camera: Camera, balls: tuple[Ball, ...]) -> bool:
-    """Whether a camera has a point of the balls' surfaces in its frame, and nothing before it."""
+    """Return whether a camera has a point of the balls' surfaces in its frame and no ball hides the point."""
     (pixel,), (depth,) = camera.project(point[None])
     if depth <= 0 or not (0 <= pixel[0] < camera.width and 0 <= pixel[1] < camera.height):
         return False
@@ -158,13 +162,13 @@ def visible_from(point: np.ndarray, camera: Camera, balls: tuple[Ball, ...]) -> 
 
 
 class Picker:
-    """Random rays of cameras that no photo was taken from."""
+    """Draws random rays of cameras that took no photo."""
 
     def __init__(self, seed: int, count: int) -> None:
         self._rng, self._count = np.random.default_rng(seed), count
 
     def rays(self, wanted: object, tries: int = 40_000) -> list[tuple[Camera, tuple[int, int]]]:
-        """Those for which `wanted(origin, direction)` holds."""
+        """Return rays for which `wanted(origin, direction)` is true."""
         assert callable(wanted)
         found: list[tuple[Camera, tuple[int, int]]] = []
         for _ in range(tries):
@@ -245,7 +249,7 @@ def cases(world: World, seed: int, count: int) -> list[Case]:
 
 
 def _turned(c2w: np.ndarray, degrees: float) -> np.ndarray:
-    """The camera turned aside."""
+    """Return the pose turned sideways."""
     a = np.radians(degrees)
     spin = np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]])
     return np.concatenate([c2w[:, :3] @ spin, c2w[:, 3:]], 1)
@@ -254,7 +258,7 @@ def _turned(c2w: np.ndarray, degrees: float) -> np.ndarray:
 def _left_in_front(
     method: Method, scene: Scene, balls: tuple[Ball, ...], origin: np.ndarray, direction: np.ndarray
 ) -> bool:
-    """Whether a wrong pose has left something of weight on a ray, in front of the truth."""
+    """Return whether wrong poses have left a weight over LEFT on a ray, FRONT or more in front of the true surface."""
     hit = first_hit(origin, direction, balls)
     if hit is None and not clear(origin, direction, balls):
         return False
@@ -263,9 +267,9 @@ def _left_in_front(
 
 
 def _weights(method: Method, scene: Scene, origin: np.ndarray, direction: np.ndarray) -> tuple[Tensor, Tensor]:
-    """The samples of a ray as the model has it: t and weights, both (1, S)."""
+    """Return the model's samples on a ray: t and weights, both (1, S)."""
     o, d = (torch.from_numpy(v).float()[None] for v in (origin, direction))
-    length = -float(np.linalg.norm(origin) / (origin @ direction))  # of a z-depth of 1: cameras look at the origin
+    length = -float(np.linalg.norm(origin) / (origin @ direction))  # per z-depth: cameras look at the origin
     last = traced(method, Rays(o, d, torch.tensor([scene.near * length]), torch.tensor([scene.far * length]))).passes[
         -1
     ]
@@ -278,8 +282,8 @@ def _weights(method: Method, scene: Scene, origin: np.ndarray, direction: np.nda
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, nargs="*", default=[17, 18, 19])
-    parser.add_argument("--rays", type=int, default=40, help="of each case")
-    parser.add_argument("--darkest", type=float, default=DARKEST, help="of each colour one channel is at most")
+    parser.add_argument("--rays", type=int, default=40, help="rays of each case")
+    parser.add_argument("--darkest", type=float, default=DARKEST, help="least channel of each colour, at most")
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
     said: Counter[tuple[str, str, str]] = Counter()

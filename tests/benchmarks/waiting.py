@@ -1,9 +1,10 @@
-"""How long OpenMP's threads should spin before they sleep: training speed for several counts, alone and in company.
+"""Measure the training speed for several spin counts of OpenMP's threads, alone and beside a busy process.
 
     python tests/benchmarks/waiting.py
 
-Every figure is a fresh process that trains the paper's NeRF on the demo scene: rays a second over its last 40 steps;
-the median of `--rounds`, the counts in turn. In company means beside one process that keeps a core busy.
+Threads that wait spin so many times before they sleep. Each measurement is a fresh process that trains the paper's NeRF
+on the demo scene, and gives the rays per second of its last 40 steps. The counts take turns, and each figure is the
+median of `--rounds` measurements. The busy process keeps one core busy.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ WARM, STEPS = 40, 40
 
 
 def train() -> None:
-    """The child: print rays a second."""
+    """Train in this child process, and print rays per second."""
     from nerf_core.datasets import LoadOptions, load_scene
     from nerf_core.training.settings import RunSettings
     from nerf_core.training.trainer import Trainer
@@ -35,7 +36,7 @@ def train() -> None:
 
 
 def measured(count: str) -> float:
-    # GNU OpenMP spins 300,000 times where nothing is set and there is a core for every thread
+    # GNU OpenMP's default is 300,000 spins if there is a core for every thread
     environment = {"OMP_WAIT_POLICY": "PASSIVE", "GOMP_SPINCOUNT": "300000" if count == "default" else count}
     done = subprocess.run(
         [sys.executable, __file__, "--child"], env={**os.environ, **environment}, capture_output=True, text=True,
@@ -52,8 +53,8 @@ def main() -> None:
     if args.child:
         train()
         return
-    for company in (False, True):
-        busy = subprocess.Popen([sys.executable, "-c", "while True: pass"]) if company else None
+    for crowded in (False, True):
+        busy = subprocess.Popen([sys.executable, "-c", "while True: pass"]) if crowded else None
         try:
             rates: dict[str, list[float]] = {count: [] for count in COUNTS}
             for _ in range(args.rounds):
@@ -63,7 +64,7 @@ def main() -> None:
             if busy is not None:
                 busy.kill()
                 busy.wait()
-        print("beside a busy process:" if company else "alone:")
+        print("beside a busy process:" if crowded else "alone:")
         for count, values in rates.items():
             print(
                 f"  {count:>8} {statistics.median(values):6.0f} rays/s (min {min(values):.0f}, max {max(values):.0f})"

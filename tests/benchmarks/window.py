@@ -1,13 +1,17 @@
-"""How smoothly the window runs while the model trains, and what that costs the training.
+"""Measure how smoothly the window runs while the model trains, and what that costs the training.
 
     xvfb-run -s '-screen 0 1600x1000x24' python tests/benchmarks/window.py
 
-A real window on the demo scene: training alone, then with the window at rest, then with a hand that orbits all the
-time, then under the microscope, in turns: eight rays pinned, every second another pixel clicked, every half a second
-other panels brought to the front. Prints the distribution of frame times (what drawing one took, up to its being on
-the screen), the delay from a moved camera to the first newly computed pixels for it on the screen (not the warp of the
-old picture), and what training keeps of its speed alone in the same round; under the microscope also the delay from a
-click until every panel has the new ray on the screen, and the time between two looks at a pinned ray.
+A real window shows the demo scene. Each round measures training alone, and then three phases: the window at rest, a
+user who orbits all the time, and a user at the microscope. The last pins eight rays, clicks another pixel every second,
+and brings other panels to the front every half second. Prints
+
+- for each phase, the frame times (from the start of drawing until the frame is on the screen) and the training speed as
+  a share of that alone in the same round,
+- for orbiting, the delay from a moved camera until the first newly computed pixels are on the screen (not the warp of
+  the old picture),
+- for the microscope, the delay from a click until every panel shows the new ray, and the time between two updates of a
+  pinned ray.
 """
 
 from __future__ import annotations
@@ -37,18 +41,18 @@ from nerf_core.training.settings import RunSettings
 from viewer.app.app import App
 from viewer.window import Window
 
-TABS = (  # of the two places where the microscope's panels lie
+TABS = (  # brought to the front together, one in each of the two docks of the microscope
     ("Ray", "Radiance"), ("Samples", "Evidence"), ("Ray history", "Slice"), ("Follow this pixel", "Radiance"),
 )  # fmt: skip
-MOUSE = 1 / 125  # seconds between what a mouse reports
-WARM = 600  # steps before the measuring begins: by then a voxel grid is as fine as it becomes
+MOUSE = 1 / 125  # seconds between two reports of a mouse
+WARM = 600  # steps before measuring begins: a voxel grid then has its final resolution
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=8.0, help="of each phase of a round")
+    parser.add_argument("--seconds", type=float, default=8.0, help="seconds of each phase of a round")
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--offscreen", action="store_true", help="through EGL instead of a window")
+    parser.add_argument("--offscreen", action="store_true", help="draw through EGL instead of in a window")
     parser.add_argument("--method", default="auto")
     args = parser.parse_args()
     window = _window(args.offscreen)
@@ -59,18 +63,18 @@ def main() -> None:
     resting, orbiting, microscope = phases = [
         _Phase("at rest"), _Phase("orbiting all the time", 3), _Phase("under the microscope", clicks=True),
     ]  # fmt: skip
-    hand = _Hand(app)
+    user = _User(app)
 
     def turn(phase: _Phase) -> None:
         if phase.clicks:
-            hand.click()
+            user.click()
         if phase.pixels:
             window.poll(MOUSE)
             app.state.camera.orbit(phase.pixels, 0, 500)
             app.frame()
         else:
             end = time.perf_counter() + 0.05
-            app.run(lambda: time.perf_counter() > end)  # which waits as long as there is nothing to show
+            app.run(lambda: time.perf_counter() > end)  # waits while there is nothing to show
 
     while not link.frames:
         turn(resting)
@@ -80,9 +84,9 @@ def main() -> None:
         alone = _speed(worker, args.seconds, lambda: time.sleep(0.05))
         app.state.camera.orbit(1, 0, 500)  # the window asks for pictures again
         for phase in phases:
-            hand.pin(8 if phase.clicks else 0)
+            user.pin(8 if phase.clicks else 0)
             work = partial(turn, phase)
-            _speed(worker, 2.0, work)  # its panels are filled and its first previews there before the measuring begins
+            _speed(worker, 2.0, work)  # fills its panels and makes its first previews before measuring
             link.frames.clear()
             link.delays.clear()
             link.opened.clear()
@@ -94,9 +98,9 @@ def main() -> None:
             phase.looked += link.looked
     for phase in phases:
         _report(phase)
-    _tell("moved camera to new pixels", orbiting.delays)
-    _tell("click to the new ray in every panel", microscope.opened)
-    _tell("between two looks at a pinned ray", microscope.looked)
+    _print_times("moved camera to new pixels", orbiting.delays)
+    _print_times("click to the new ray in every panel", microscope.opened)
+    _print_times("between two looks at a pinned ray", microscope.looked)
     worker.stop()
     app.close()
     window.close()
@@ -113,7 +117,7 @@ def _window(offscreen: bool) -> Window:
 
 
 def _training(settings: RunSettings, window: Window) -> Worker:
-    """A worker that has trained on the demo scene for a while, and goes on."""
+    """Start a worker that trains on the demo scene, and wait for its first WARM steps."""
     worker = Worker(settings, wake=window.wake)
     worker.start()
     worker.send(OpenScene(None, settings))
@@ -125,7 +129,7 @@ def _training(settings: RunSettings, window: Window) -> Worker:
 
 @dataclass
 class _Phase:
-    """pixels: how far a hand drags the camera around in each turn; clicks: whether it opens ray after ray."""
+    """pixels: how far the user drags the camera in each turn. clicks: whether the user opens ray after ray."""
 
     name: str
     pixels: int = 0
@@ -140,13 +144,13 @@ class _Phase:
 def _report(phase: _Phase) -> None:
     low, middle, high = min(phase.kept), statistics.median(phase.kept), max(phase.kept)
     print(f"{phase.name}: training keeps {middle:.0%} ({low:.0%} – {high:.0%}) of its speed alone, asked for 60%")
-    _tell("frame", [one for frames in phase.frames for one in frames])
+    _print_times("frame", [one for frames in phase.frames for one in frames])
     rounds = [float(np.percentile(frames, 99)) for frames in phase.frames if frames]
     print(f"  p99 of a round's frames: {statistics.median(rounds):.0f} ({min(rounds):.0f} – {max(rounds):.0f}) ms")
 
 
-class _Hand:
-    """Opens a random pixel every second, and turns over the panels' tabs twice a second."""
+class _User:
+    """Opens a random pixel every second, and brings other tabs to the front twice a second."""
 
     def __init__(self, app: App) -> None:
         self._app, self._rng = app, np.random.default_rng(0)
@@ -176,20 +180,20 @@ class _Hand:
 
 
 def _speed(worker: Worker, seconds: float, work: Callable[[], None]) -> float:
-    """Training steps per second of wall time while `work` is called over and over."""
+    """Return the training steps per second of wall time while `work` is called again and again."""
     begin, step = time.perf_counter(), worker.snapshot().step
     while time.perf_counter() - begin < seconds:
         work()
     return (worker.snapshot().step - step) / (time.perf_counter() - begin)
 
 
-def _tell(name: str, milliseconds: list[float]) -> None:
+def _print_times(name: str, milliseconds: list[float]) -> None:
     p = np.percentile(milliseconds, [50, 95, 99, 100])
     print(f"  {name}: {len(milliseconds)} times, p50 {p[0]:.1f}, p95 {p[1]:.1f}, p99 {p[2]:.1f}, max {p[3]:.1f} ms")
 
 
 class _Stopwatch:
-    """A worker that notes what frames took, and how long a view waited until its first pixels were on the screen."""
+    """A worker that records how long frames take, and how long requests wait until their result is on the screen."""
 
     def __init__(self, worker: Worker) -> None:
         self._worker = worker
@@ -198,7 +202,7 @@ class _Stopwatch:
         self.opened: list[float] = []
         self.looked: list[float] = []
         self._clicked: tuple[Inspect, float] | None = None
-        self._pins: dict[int, tuple[int, float]] = {}  # of which step, and when it came
+        self._pins: dict[int, tuple[int, float]] = {}  # by pin: the step of its newest ray, and when that ray came
         self._asked: dict[int, float] = {}
         self._read = worker.snapshot()
         self.notices = worker.notices
@@ -218,7 +222,7 @@ class _Stopwatch:
         return self._read
 
     def painted(self, seconds: float) -> None:
-        """A frame is on the screen, with what was read last."""
+        """Record that a frame with the snapshot read last is on the screen."""
         self._worker.painted(seconds)
         self.frames.append(1e3 * seconds)
         snapshot = self._read
