@@ -1,4 +1,4 @@
-"""Every panel in every state, drawn without GL; and what its widgets ask for when they are clicked."""
+"""Every panel draws in every state, without GL, and its widgets return the right actions when clicked."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ SCREEN = (1280, 800)
 
 
 class Screen:
-    """One panel's window, its real theme and fonts; textures are names without pixels. See `viewer.panels.Ui`."""
+    """A `Ui` (viewer/ui/contract.py) for one panel, with the real theme and fonts. Textures are not uploaded."""
 
     def __init__(self) -> None:
         self.theme = DarkTheme()
@@ -140,7 +140,7 @@ def screen(imgui_context: None) -> Iterator[Screen]:
     implot.create_context()
     io = imgui.get_io()
     io.display_size = ImVec2(*SCREEN)
-    io.delta_time = 0.2  # slow hands: two clicks are no double click
+    io.delta_time = 0.2  # so slow that two clicks are no double click
     io.backend_flags |= imgui.BackendFlags_.renderer_has_textures
     yield Screen()
     implot.destroy_context()
@@ -198,7 +198,7 @@ def test_a_finished_training_does_not_start_again(screen: Screen, widget: str) -
         ("scene", "scene.demo", OpenScene(None, RunSettings(), train=True)),
     ],
 )
-def test_what_forgets_steps_asks_first(
+def test_actions_that_discard_steps_ask_first(
     screen: Screen, panel: str, widget: str, action: Action, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "run").mkdir()
@@ -214,7 +214,7 @@ def test_what_forgets_steps_asks_first(
     assert f"{asked}_confirm" not in screen.widgets
 
 
-def test_what_is_not_there_forgets_nothing(screen: Screen) -> None:
+def test_loading_a_missing_file_discards_nothing_and_asks_nothing(screen: Screen) -> None:
     state = make_state(make_snapshot("paused"))
     path = Path("run/last.safetensors")
     assert screen.click(PANELS.get("training")(), state, "training.load") == [LoadCheckpoint(path)]
@@ -267,7 +267,7 @@ def test_the_start_panel_offers_every_method(screen: Screen, name: str) -> None:
     assert (state.settings.method, state.settings.changes) == (name, {})
 
 
-def test_another_method_begins_anew_after_a_question(screen: Screen) -> None:
+def test_another_method_starts_over_after_a_question(screen: Screen) -> None:
     panel, state = PANELS.get("scene")(), make_state(replace(make_snapshot("paused"), method="nerf"))
     screen.click(panel, state, "scene.method")
     assert screen.click(panel, state, "scene.method.voxels") == []
@@ -279,7 +279,7 @@ def test_another_method_begins_anew_after_a_question(screen: Screen) -> None:
     assert state.settings.method == "voxels"
 
 
-def test_another_method_asks_nothing_where_nothing_is_lost(screen: Screen) -> None:
+def test_another_method_asks_nothing_if_nothing_is_lost(screen: Screen) -> None:
     panel, state = PANELS.get("scene")(), make_state(replace(make_snapshot("paused"), method="nerf", saved_step=12_400))
     screen.click(panel, state, "scene.method")
     assert screen.click(panel, state, "scene.method.nerf") == []
@@ -287,7 +287,7 @@ def test_another_method_asks_nothing_where_nothing_is_lost(screen: Screen) -> No
     assert screen.click(panel, state, "scene.method.voxels") == [UseMethod("voxels", train=True)]
 
 
-def test_photos_go_round_the_training_split(screen: Screen) -> None:
+def test_next_and_previous_photo_wrap_around_in_the_training_split(screen: Screen) -> None:
     panel, state = PANELS.get("scene")(), make_state(make_snapshot())
     assert screen.click(panel, state, "scene.next") == [GoToView(0)]
     state.current_view = 19
@@ -318,16 +318,16 @@ def test_view_buttons(screen: Screen) -> None:
 
 
 def test_the_constants_of_the_open_model_can_be_read(screen: Screen, monkeypatch: pytest.MonkeyPatch) -> None:
-    said: list[str] = []
-    monkeypatch.setattr(imgui, "text_unformatted", said.append)
+    texts: list[str] = []
+    monkeypatch.setattr(imgui, "text_unformatted", texts.append)
     config = NerfConfig(width=128, learning_rate=1.5e-3)
     panel, state = PANELS.get("scene")(), make_state(replace(make_snapshot(), config=config.to_json()))
     screen.size = (360, 900)
     screen.click(panel, state, "scene.constants")
-    said.clear()
+    texts.clear()
     screen.frame(panel, state)
-    assert {"128", "0.0015", "float32", "True"} <= set(said)
-    assert len(constants(NerfConfig)) <= len(said)
+    assert {"128", "0.0015", "float32", "True"} <= set(texts)
+    assert len(constants(NerfConfig)) <= len(texts)
 
 
 def test_another_path_brings_its_own_fields(screen: Screen) -> None:
@@ -351,7 +351,7 @@ def test_export_starts_and_cancels(screen: Screen) -> None:
     assert found["training"].film.png_frames
 
 
-def test_the_export_tells_its_time_before_it_starts() -> None:
+def test_the_export_shows_its_duration_before_it_starts() -> None:
     from viewer.panels.export import OwnPath, estimate
 
     form, own = FilmForm(), OwnPath(200, 150, 4.0)
@@ -411,7 +411,7 @@ def test_the_median_depth_can_be_asked_for_again(screen: Screen) -> None:
 @pytest.mark.parametrize("widget", ["radiance.disc", "radiance.sphere"])
 @pytest.mark.parametrize("place", [(0.5, 0.5), (0.3, 0.4), (0.7, 0.6)])
 def test_hover_reads_the_direction_under_the_mouse(screen: Screen, widget: str, place: tuple[float, float]) -> None:
-    """The field is rgb = 0.5 + 0.5 d, so the colour tells the direction; and marks must lie where hovers read."""
+    """The field is rgb = 0.5 − 0.5 v, so the colour gives the direction v. Its mark must lie under the mouse."""
     from viewer.panels.radiance import RadiancePanel
 
     panel, state = RadiancePanel(), make_state(make_snapshot())
@@ -456,7 +456,7 @@ def test_pins_are_opened_hidden_removed_and_written(screen: Screen) -> None:
     assert screen.click(panel, state, "rays.pin") == [PinRay.of(state.inspect)]
 
 
-def test_a_line_of_the_table_points_at_its_sample(screen: Screen) -> None:
+def test_a_hovered_line_of_the_table_points_at_its_sample(screen: Screen) -> None:
     panel, state = PANELS.get("samples")(), make_state(make_snapshot())
     screen.size = (760, 300)
     screen.frame(panel, state)
@@ -473,7 +473,7 @@ def test_a_line_of_the_table_points_at_its_sample(screen: Screen) -> None:
     assert state.pointed_at.one == 0
 
 
-def test_a_place_in_the_table_is_of_one_line_alone(screen: Screen) -> None:
+def test_every_place_in_the_table_belongs_to_one_line(screen: Screen) -> None:
     panel, state = PANELS.get("samples")(), make_state(make_snapshot())
     screen.size = (760, 300)
     screen.frame(panel, state)
@@ -490,7 +490,7 @@ def test_a_place_in_the_table_is_of_one_line_alone(screen: Screen) -> None:
         assert state.sample == state.pointed_at == SampleRef(1, under)
 
 
-def test_a_sample_is_meant_on_its_stretch_and_close_to_it_alone() -> None:
+def test_a_sample_is_found_only_on_its_stretch_and_close_to_it() -> None:
     from viewer.draw.ray_steps import Steps, sample_at, steps_of
 
     (_, fine) = steps_of(make_ray())
@@ -516,7 +516,7 @@ def test_a_choice_of_the_density_axis_stays_from_ray_to_ray(screen: Screen, choi
     panel, state = RayPanel(), make_state(make_snapshot())
     screen.size = (900, 420)
     screen.frame(panel, state)
-    wanted = panel.plots.log_density  # by itself
+    wanted = panel.plots.log_density  # the automatic choice
     screen.click(panel, state, f"ray.log {choice}")
     assert panel.plots.log_density == (choice == "on")
     for density in (0.5, 4000.0):
@@ -562,7 +562,7 @@ def test_a_photo_of_the_evidence_is_flown_to(screen: Screen) -> None:
 def test_a_thumbnail_is_of_the_photo_around_the_point(
     screen: Screen, point: tuple[float, float, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Through a lens, and at the rim, where the outermost pixels go on."""
+    """Through a lens, and at the photo's rim, beyond which the outermost pixels are repeated."""
     rng, scene = np.random.default_rng(5), make_scene()
     views = tuple(replace(view, camera=replace(view.camera, lens=Lens(k1=-0.2))) for view in scene.views)
     photos = Photos.of([rng.integers(0, 65536, (150, 200, 3), np.uint16) for _ in views])
@@ -616,7 +616,7 @@ def test_the_line_of_a_ray_in_a_photo_passes_through_its_points() -> None:
     np.testing.assert_array_equal(np.isfinite(epipolar(inside, ray)).all(-1), depth > 0)
 
 
-def test_the_photos_angles_are_to_where_one_stands() -> None:
+def test_the_photos_angles_are_relative_to_the_current_camera() -> None:
     from viewer.panels.evidence import _angles, _summary
 
     snapshot = make_snapshot()
@@ -642,7 +642,7 @@ def test_the_radiance_is_of_the_point_or_of_the_whole_ray(screen: Screen) -> Non
     assert screen.click(panel, state, "radiance.normal") == [SetDisc("normal")]
 
 
-def test_what_no_photo_looked_at_is_hatched() -> None:
+def test_directions_far_from_every_photo_are_hatched() -> None:
     from nerf_core.probe import FAR_DEGREES, unseen
     from viewer.panels.radiance import Pictures
 
@@ -662,10 +662,10 @@ def test_what_no_photo_looked_at_is_hatched() -> None:
 
 
 @pytest.mark.parametrize("around", ["viewer", "normal"])
-def test_specular_is_what_the_ray_saw_beyond_the_diffuse(
+def test_specular_is_the_colour_on_the_ray_minus_the_diffuse_one(
     screen: Screen, around: Literal["viewer", "normal"], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """However the disc is turned, and wherever the camera has gone since."""
+    """However the disc is turned, and wherever the camera has moved since."""
     shown: dict[str, str] = {}
     figures = "viewer.panels.radiance.figures"
     monkeypatch.setattr(figures, lambda ui, name, rows: shown.update({row[0]: row[1] for row in rows}))
@@ -681,10 +681,10 @@ def test_specular_is_what_the_ray_saw_beyond_the_diffuse(
     assert shown["specular in this ray"] == triple(expected)
 
 
-def test_a_slice_is_the_models_colours_and_those_of_the_photos_beside_it(
+def test_a_slice_shows_the_models_colours_and_those_of_the_photos_near_it(
     screen: Screen, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Photos by the angle at which they look, in the slice and out of it; the field is rgb = 0.5 − 0.5 v."""
+    """Photos near the slice are plotted at their angle in it. The field is rgb = 0.5 − 0.5 v."""
     from viewer.panels.slice import SlicePanel
 
     lines: dict[str, tuple[np.ndarray, np.ndarray]] = {}
@@ -721,10 +721,10 @@ def test_a_slice_is_the_models_colours_and_those_of_the_photos_beside_it(
         angles, values = lines[f"channel {c}"]
         assert (angles.min(), angles.max()) == pytest.approx((-80, 80), abs=2)
         expected = 0.5 - 0.5 * np.array([look(angle)[c] for angle in angles])
-        np.testing.assert_allclose(values, expected, atol=0.03)  # of pixels, which are coarse at the rim
+        np.testing.assert_allclose(values, expected, atol=0.03)  # read from pixels, which are coarse at the rim
 
 
-def test_every_station_is_drawn(screen: Screen) -> None:
+def test_every_stage_is_drawn(screen: Screen) -> None:
     panel, state = PANELS.get("walk")(), make_state(make_snapshot())
     screen.size = (2200, 300)
     screen.frame(panel, state)
@@ -792,7 +792,7 @@ def test_the_history_opens_where_the_weights_are_and_follows_them(screen: Screen
     assert shown(young) == pytest.approx((np.log1p(40), *around))
     assert shown(replace(history, weights=0 * weights)) == pytest.approx((np.log1p(12_000), 2, 6))
     assert shown(replace(history, weights=weights)) == pytest.approx((np.log1p(12_000), *around))
-    # where the user has gone, the axes stay
+    # after the user has zoomed, the axes stay
     left, top, right, bottom = screen.widgets["ray_history.map"]
     imgui.get_io().add_mouse_pos_event((left + right) / 2, (top + bottom) / 2)
     screen.frame(panel, state)
@@ -808,7 +808,7 @@ def test_the_history_opens_where_the_weights_are_and_follows_them(screen: Screen
         screen.frame(panel, state)
     assert shown(replace(history, weights=weights)) == pytest.approx((np.log1p(12_000), *around))
     assert shown(young) == pytest.approx((np.log1p(40), *around))
-    # another ray's begin anew
+    # the axes of another ray begin at its weights
     screen.frame(panel, state)
     imgui.get_io().add_mouse_wheel_event(0, -2)
     assert shown(young) != pytest.approx((np.log1p(40), *around))
@@ -825,7 +825,7 @@ def test_the_historys_map_shows_at_each_step_the_record_in_force(screen: Screen)
     weights[np.arange(count), peaks] = 1
     greys = np.linspace(0, 1, count)
     history = replace(history, steps=history.steps + 381, weights=weights, color=np.tile(greys[:, None], (1, 3)))
-    for records in (count - 2, count):  # and it follows as the history grows
+    for records in (count - 2, count):  # the map follows as the history grows
         part = slice(0, records)
         some = replace(
             history, steps=history.steps[part], weights=weights[part], color=history.color[part],
@@ -839,16 +839,16 @@ def test_the_historys_map_shows_at_each_step_the_record_in_force(screen: Screen)
         for x in range(columns):
             step = 381 + np.expm1(x / (columns - 1) * np.log1p(some.steps[-1] - 381))
             k = max(i for i, since in enumerate(some.steps) if since <= step + 1e-3)
-            green = drawn[:, x, 1].astype(int)  # which grows with the weight, all along the map's colours
+            green = drawn[:, x, 1].astype(int)  # grows with the weight over the whole colour map
             assert bins - 1 - green.argmax() == peaks[k]
             assert (green > green.min()).sum() == 1
             assert strip[0, x, :3] == pytest.approx(255 * greys[k], abs=0.6)
 
 
-def test_the_history_tells_of_the_record_that_it_shows(screen: Screen, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_history_tooltip_describes_the_hovered_record(screen: Screen, monkeypatch: pytest.MonkeyPatch) -> None:
     panel, state = PANELS.get("ray_history")(), make_state(make_snapshot())
-    told: list[str] = []
-    monkeypatch.setattr(imgui, "set_tooltip", told.append)
+    shown_texts: list[str] = []
+    monkeypatch.setattr(imgui, "set_tooltip", shown_texts.append)
     screen.size = (900, 260)
     for _ in range(3):
         screen.frame(panel, state)
@@ -857,7 +857,7 @@ def test_the_history_tells_of_the_record_that_it_shows(screen: Screen, monkeypat
         imgui.get_io().add_mouse_pos_event(x, (top + bottom) / 2)
         screen.frame(panel, state)
         screen.frame(panel, state)
-        assert told[-1].startswith(expected)
+        assert shown_texts[-1].startswith(expected)
 
 
 # ---- notices ----------------------------------------------------------------------------------------------------
@@ -865,7 +865,7 @@ def test_the_history_tells_of_the_record_that_it_shows(screen: Screen, monkeypat
 
 def test_an_error_stays_until_it_is_dismissed(screen: Screen) -> None:
     panel, state = PANELS.get("toasts")(), states()["failed"]
-    for now, shown in ((100.0, {0, 2}), (5000.0, {2})):  # the warning is for the panel and the status bar
+    for now, shown in ((100.0, {0, 2}), (5000.0, {2})):  # warnings are only in the panel and the status bar
         state.time = now
         for _ in range(3):
             screen.frame(panel, state)
@@ -876,14 +876,14 @@ def test_an_error_stays_until_it_is_dismissed(screen: Screen) -> None:
 
 
 @pytest.mark.parametrize("name", ["toasts", "notices"])
-def test_a_path_is_told_once(screen: Screen, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[str] = []
+def test_a_path_is_shown_once(screen: Screen, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown_texts: list[str] = []
     for function in ("text_unformatted", "text_wrapped"):
-        monkeypatch.setattr(imgui, function, told.append)
+        monkeypatch.setattr(imgui, function, shown_texts.append)
     screen.frame(PANELS.get(name)(), states()["failed"])
-    assert told.count("saved") == 1
-    assert sum("run/last.safetensors" in text for text in told) == 1
-    assert "out of memory" in told
+    assert shown_texts.count("saved") == 1
+    assert sum("run/last.safetensors" in text for text in shown_texts) == 1
+    assert "out of memory" in shown_texts
 
 
 def test_the_path_of_a_result_is_copied(screen: Screen) -> None:
@@ -891,10 +891,10 @@ def test_the_path_of_a_result_is_copied(screen: Screen) -> None:
     assert imgui.get_clipboard_text() == str(Path("run/last.safetensors"))
 
 
-# ---- words ------------------------------------------------------------------------------------------------------
+# ---- texts ------------------------------------------------------------------------------------------------------
 
 
-def test_words() -> None:
+def test_texts_of_figures() -> None:
     spans = {0.44: "0.4 s", 59.6: "1 min 0 s", 70.2: "1 min 10 s", 7500: "2 h 5 min", None: "–", float("nan"): "–"}
     for seconds, text in spans.items():
         assert duration(seconds) == text
@@ -903,7 +903,7 @@ def test_words() -> None:
     assert vector(np.array([0.5, -1.25])) == " 0.500 −1.250"
 
 
-def test_hatched_pictures_are_the_colours_with_stripes_where_nobody_looked() -> None:
+def test_hatched_pictures_are_the_colours_with_stripes_where_no_photo_looked() -> None:
     from viewer.panels.radiance import HATCH, ZOOM, _hatched
 
     rng = np.random.default_rng(0)
