@@ -1,4 +1,4 @@
-"""A display of our own, windows on it and off it, and an imgui context."""
+"""Fixtures: a virtual display, windows on it and offscreen, and an imgui context."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SIZE = (640, 480)
 
 @pytest.fixture(scope="session", autouse=True)
 def data_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Where closing sessions leave unsaved weights: not with the user's own."""
+    """The folder where closing sessions save unsaved weights, instead of the user's own."""
     folder = tmp_path_factory.mktemp("data")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_DATA_HOME", str(folder))
@@ -26,7 +26,7 @@ def data_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.fixture(scope="session")
 def display() -> Iterator[str]:
-    """An Xvfb of our own: the tests neither need nor disturb the user's screen."""
+    """A virtual display (Xvfb): the tests neither need nor disturb the user's screen."""
     if shutil.which("Xvfb") is None:
         pytest.skip("needs Xvfb (Debian package xvfb)")
     read, write = os.pipe()
@@ -56,7 +56,7 @@ def window(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> I
 
 @pytest.fixture
 def offscreen() -> Iterator[Callable[..., Window]]:
-    """Opens offscreen windows and closes them after the test."""
+    """A function that opens offscreen windows. They are closed after the test."""
     opened: list[Window] = []
 
     def open_one(size: tuple[int, int] = SIZE, scale: float = 1.0) -> Window:

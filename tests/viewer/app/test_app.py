@@ -51,7 +51,7 @@ SIZE = (840, 620)
 
 
 class Clock:
-    """Every look at it is one frame of 60 Hz later."""
+    """A clock that moves on by one frame of 60 Hz whenever it is read."""
 
     def __init__(self) -> None:
         self.now = 1000.0
@@ -85,7 +85,7 @@ def middle(app: App) -> tuple[float, float]:
 
 
 def rest(app: App) -> None:
-    """Until the camera no longer counts as moving."""
+    """Draw frames until the camera no longer counts as moving."""
     app.settle(15)
 
 
@@ -124,7 +124,7 @@ def test_views_are_requested_while_moving_and_once_more_at_rest(start: Start) ->
     rest(app)
     count = len(worker.views)
     rest(app)
-    assert len(worker.views) == count  # nothing changed: nothing is asked for
+    assert len(worker.views) == count  # nothing changed, so nothing is requested
     x, y = middle(app)
     app.injector.drag((x, y), (x + 40, y))
     rest(app)
@@ -224,7 +224,7 @@ def test_a_double_click_focuses_the_surface_under_it(start: Start) -> None:
     app.settle(30)  # the jump eases
     expected = camera.c2w[:, 3] + distance[0] * directions[:, 0]
     np.testing.assert_allclose(app.state.camera.pivot, expected, atol=1e-4)
-    assert sum(isinstance(command, Inspect) for command in worker.sent) == 1  # the second click is part of the first
+    assert sum(isinstance(command, Inspect) for command in worker.sent) == 1  # the second click opens no ray of its own
 
 
 def test_dragging_the_depth_asks_for_the_same_ray_again(start: Start) -> None:
@@ -328,7 +328,7 @@ def test_ctrl_o_finds_the_path_field_although_the_panels_are_hidden(start: Start
 
 
 @pytest.mark.parametrize("name", [".", "/", "~nobody-of-this-name/x.mp4"])
-def test_a_name_that_is_no_file_is_told(start: Start, name: str) -> None:
+def test_a_film_name_that_cannot_be_a_file_is_an_error(start: Start, name: str) -> None:
     app, worker = start()
     app.state.film.file = name
     app.injector.key(imgui.Key.e, ctrl=True)
@@ -339,7 +339,7 @@ def test_a_name_that_is_no_file_is_told(start: Start, name: str) -> None:
 
 @pytest.mark.parametrize("letter_first", [True, False])
 def test_a_chord_that_is_over_before_the_next_frame_counts(start: Start, letter_first: bool) -> None:
-    """Both keys go down and up between two frames, as from a script or under a slow machine's load."""
+    """Both keys go down and up between two frames, as from a script or on a slow machine."""
     app, worker = start()
     io, place = imgui.get_io(), app.state.camera.c2w().copy()
     up = [imgui.Key.s, imgui.Key.left_ctrl, imgui.Key.mod_ctrl]
@@ -352,7 +352,7 @@ def test_a_chord_that_is_over_before_the_next_frame_counts(start: Start, letter_
     np.testing.assert_array_equal(app.state.camera.c2w(), place)
 
 
-def test_a_chord_whose_ctrl_came_a_frame_before_and_was_let_go_first_counts(start: Start) -> None:
+def test_a_chord_counts_if_ctrl_is_pressed_a_frame_earlier_and_released_first(start: Start) -> None:
     app, worker = start()
     io, place = imgui.get_io(), app.state.camera.c2w().copy()
     for key in (imgui.Key.left_ctrl, imgui.Key.mod_ctrl):
@@ -366,7 +366,7 @@ def test_a_chord_whose_ctrl_came_a_frame_before_and_was_let_go_first_counts(star
     np.testing.assert_array_equal(app.state.camera.c2w(), place)
 
 
-def test_saving_without_a_name_takes_one_that_no_file_has(
+def test_saving_without_a_name_takes_an_unused_one(
     start: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -376,7 +376,7 @@ def test_saving_without_a_name_takes_one_that_no_file_has(
     Path(f"{name}.safetensors").touch()
     for _ in range(2):
         app.injector.key(imgui.Key.s, ctrl=True)
-    assert worker.sent == [SaveCheckpoint(Path(f"{name}-2.safetensors"))] * 2  # its own file is written again
+    assert worker.sent == [SaveCheckpoint(Path(f"{name}-2.safetensors"))] * 2  # the second overwrites the first
     assert app.state.checkpoint_file == f"{name}-2.safetensors"
 
 
@@ -410,9 +410,9 @@ def test_ctrl_s_and_ctrl_e_save_and_export(start: Start) -> None:
     assert (film.cameras[0].width, film.cameras[0].height) == (40, 30)  # the training photos' size
 
 
-def test_a_text_field_has_its_keys_to_itself(start: Start) -> None:
+def test_typing_into_a_text_field_runs_no_commands(start: Start) -> None:
     app, worker = start((1000, 1200))
-    app.injector.key(imgui.Key.o, ctrl=True)  # puts the keyboard into the path's field
+    app.injector.key(imgui.Key.o, ctrl=True)  # gives the keyboard focus to the path's field
     app.settle()
     assert imgui.get_io().want_text_input
     eye = app.state.camera.c2w()
@@ -425,11 +425,11 @@ def test_a_text_field_has_its_keys_to_itself(start: Start) -> None:
     app.injector.key(imgui.Key.enter)
     app.settle()
     asked = [command for command in worker.sent if isinstance(command, OpenScene)]
-    confirmed = app.widgets.get("scene.open_confirm")  # opening forgets 100 steps: the panel asks first
+    confirmed = app.widgets.get("scene.open_confirm")  # opening a scene discards 100 steps, so the panel asks first
     assert asked or confirmed
 
 
-# ---- what goes wrong ------------------------------------------------------------------------------------------------
+# ---- errors ---------------------------------------------------------------------------------------------------------
 
 
 class Faulty:
@@ -465,7 +465,7 @@ class Sound:
         return [CancelExport()] if imgui.is_item_clicked() else []
 
 
-def test_a_panel_that_fails_tells_once_and_spares_the_others(start: Start) -> None:
+def test_a_failing_panel_is_reported_once_and_the_others_go_on(start: Start) -> None:
     faulty, sound = Faulty(), Sound()
     app, worker = start(panels=[faulty, sound])
     drawn = sound.drawn
@@ -528,7 +528,7 @@ def test_a_screenshot_that_cannot_be_written_is_a_notice(start: Start, tmp_path:
 
 
 @pytest.mark.parametrize("size", [(0, 0), (1, 1), (60, 40), (320, 200), (2600, 300)])
-def test_no_size_is_too_odd(start: Start, size: tuple[int, int]) -> None:
+def test_the_window_draws_at_any_size(start: Start, size: tuple[int, int]) -> None:
     app, _ = start()
     app.window.resize(*size)
     app.settle(4)
@@ -569,7 +569,7 @@ def test_an_idle_window_draws_nothing(start: Start) -> None:
     app, _ = start()
     app.settle(5)
     drew = [app.frame() for _ in range(180)]  # three seconds
-    assert any(drew[:60])  # what the last input left to settle
+    assert any(drew[:60])  # the frames in which the last input settles
     assert not any(drew[90:])
 
 
@@ -581,7 +581,7 @@ def test_live_figures_are_drawn_seldom(start: Start) -> None:
     for k in range(240):
         worker.current = replace(worker.current, step=200 + k)
         drew += app.frame()
-    assert 3 <= drew <= 10  # offscreen, in 4 to 8 seconds of the clock, which also moves when the app looks twice
+    assert 3 <= drew <= 10  # one per second offscreen, in 4 to 8 seconds: the app may read the clock twice in a frame
 
 
 def test_both_kinds_of_window_show_the_same(window: Window) -> None:
@@ -633,7 +633,7 @@ def test_every_registered_panel_was_drawn(start: Start) -> None:
     app.injector.click(*middle(app))
     app.settle()
     assert PANELS.names()
-    assert not app.state.notices  # a panel that fails would have told
+    assert not app.state.notices  # a failing panel would have made one
 
 
 # ---- pinned rays --------------------------------------------------------------------------------------------------
@@ -672,8 +672,8 @@ def test_pins_that_are_shown_are_named_in_the_picture(start: Start, monkeypatch:
     assert named == ["ray 1"]
 
 
-def test_what_a_notice_tells_of_is_there_when_it_is_read(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The worker publishes before it tells; whoever read the state before the notices would miss it by a frame."""
+def test_the_state_that_a_notice_speaks_of_is_read_with_it(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The worker publishes a state before its notice. Reading the state first could miss it by a frame."""
     app, worker = start()
     told = Notice("info", "loaded")
 
@@ -691,7 +691,7 @@ def test_what_a_notice_tells_of_is_there_when_it_is_read(start: Start, monkeypat
 def test_the_presses_of_a_double_click_may_be_some_pixels_apart(start: Start) -> None:
     app, worker = start()
     rest(app)
-    app._focus_behind = lambda: None  # pyright: ignore[reportAttributeAccessIssue]  the verdict is still to come
+    app._focus_behind = lambda: None  # pyright: ignore[reportAttributeAccessIssue]  as before the verdict arrives
     x, y = middle(app)
     app.injector.click(x, y)
     app.injector.click(x + 2, y - 1)
@@ -700,8 +700,8 @@ def test_the_presses_of_a_double_click_may_be_some_pixels_apart(start: Start) ->
     assert app.state.focus is app.state.inspect
 
 
-def test_a_double_click_opens_a_ray_where_its_first_press_did_not(start: Start) -> None:
-    """That press closed a menu, say."""
+def test_a_double_click_opens_a_ray_if_its_first_press_did_not(start: Start) -> None:
+    """The first press may have closed a menu, for example."""
     app, worker = start()
     rest(app)
     app._focus_behind = lambda: None  # pyright: ignore[reportAttributeAccessIssue]
@@ -715,7 +715,7 @@ def test_a_double_click_opens_a_ray_where_its_first_press_did_not(start: Start) 
 
 
 @pytest.mark.parametrize("kind", ["floater", "several surfaces"])
-def test_a_double_click_lands_where_the_verdict_has_the_surface(
+def test_a_double_click_focuses_the_surface_that_the_verdict_names(
     start: Start, kind: Literal["floater", "several surfaces"]
 ) -> None:
     app, worker = start()
@@ -724,7 +724,7 @@ def test_a_double_click_lands_where_the_verdict_has_the_surface(
     app.settle()
     opened = worker.current.opened
     assert opened is not None
-    assert app.state.focus is None  # the verdict, a surface, has come already
+    assert app.state.focus is None  # the verdict, a surface, has arrived already
     app.state.focus = app.state.inspect
     worker.current = replace(
         worker.current, opened=replace(opened, verdict=Verdict(kind, ("one layer",), 7.5, (), "good"))
@@ -732,7 +732,7 @@ def test_a_double_click_lands_where_the_verdict_has_the_surface(
     app.settle(40)  # the camera eases there
     np.testing.assert_allclose(app.state.camera.pivot, opened.ray.origin + 7.5 * opened.ray.direction, atol=1e-4)
     app.state.focus = app.state.inspect
-    app.state.camera.orbit(80, 10, 600)  # who goes on meanwhile is not called back
+    app.state.camera.orbit(80, 10, 600)  # a user who moves on meanwhile is not moved back
     pivot = app.state.camera.pivot.copy()
     app.settle(40)
     assert app.state.focus is None

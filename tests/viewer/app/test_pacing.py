@@ -1,4 +1,4 @@
-"""When frames are drawn, on a clock of our own."""
+"""When frames are drawn, in simulated time."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from viewer.app.pacing import FASTEST, FIGURES, PICTURE, SETTLE_SECONDS, SLOWEST
 
 
 def frames(pacer: Pacer, seconds: float, *, start: float = 100.0, **news: bool) -> int:
-    """How many are drawn in a stretch of time in which there is always something new of this kind."""
+    """Count the frames drawn in `seconds` in which there is always something new of this kind."""
     count, step = 0, 0.001
     for k in range(round(seconds / step)):
         now = start + k * step
@@ -29,7 +29,7 @@ def test_each_kind_of_news_has_its_own_cap() -> None:
     assert frames(Pacer(), 2, figures=True) in range(round(2 / FIGURES) - 2, round(2 / FIGURES) + 2)
 
 
-def test_offscreen_only_a_hand_is_drawn_fast() -> None:
+def test_offscreen_only_input_is_drawn_fast() -> None:
     for news in ({"picture": True}, {"figures": True}):
         assert frames(Pacer(watched=False), 5, **news) in (5, 6)
     assert frames(Pacer(watched=False), 1, user=True) > 50
@@ -64,7 +64,7 @@ def test_the_wait_ends_when_a_frame_is_due() -> None:
     assert 0 < pacer.wait(10.001) <= FASTEST
 
 
-def test_frames_that_take_long_keep_to_their_part_of_the_time() -> None:
+def test_slow_frames_keep_to_their_share_of_the_time() -> None:
     def per_second(seconds: float, part: float) -> float:
         pacer, drawn, now = Pacer(), 0, 0.0
         while now < 10:
@@ -83,7 +83,7 @@ def test_frames_that_take_long_keep_to_their_part_of_the_time() -> None:
     assert per_second(0.04, 0.2) == pytest.approx(1 / SLOWEST, rel=0.1)
 
 
-def test_a_picture_that_a_hand_waits_for_is_shown_at_once() -> None:
+def test_a_picture_that_the_user_waits_for_is_shown_at_once() -> None:
     pacer = Pacer()
     for k in range(50):
         pacer.drew(k / 20, 0.04, 0.2)

@@ -81,13 +81,13 @@ def test_the_palette_runs_what_is_typed_and_chosen(opened: tuple[App, scripted.S
     app.injector.key(imgui.Key.enter)
     app.settle()
     assert app.state.show_cameras
-    open_palette(app)  # without what was typed before
+    open_palette(app)  # it opens empty
     assert "palette.file.open" in app.widgets
     click(app, "palette.picture.view-dependence")
     assert (app.state.mode, app.state.show_palette) == ("view-dependence", False)
 
 
-def test_what_is_typed_into_the_palette_is_no_command(opened: tuple[App, scripted.ScriptedWorker]) -> None:
+def test_keys_typed_into_the_palette_run_no_commands(opened: tuple[App, scripted.ScriptedWorker]) -> None:
     app, worker = opened
     app.injector.key(imgui.Key.p, ctrl=True)
     for key in (imgui.Key.space, imgui.Key.h, imgui.Key.period, imgui.Key._2):
@@ -98,7 +98,7 @@ def test_what_is_typed_into_the_palette_is_no_command(opened: tuple[App, scripte
     assert (worker.sent, app.state.show_help, app.state.mode, app.state.show_palette) == ([], False, "colour", True)
 
 
-def test_escape_and_a_click_beside_it_close_the_palette_alone(opened: tuple[App, scripted.ScriptedWorker]) -> None:
+def test_escape_and_a_click_elsewhere_close_only_the_palette(opened: tuple[App, scripted.ScriptedWorker]) -> None:
     app, worker = opened
     left, top, right, bottom = app.widgets["viewport"]
     app.injector.click((left + right) / 2, (top + bottom) / 2)
@@ -115,7 +115,7 @@ def test_escape_and_a_click_beside_it_close_the_palette_alone(opened: tuple[App,
     assert [type(command) for command in worker.sent] == [Inspect]
 
 
-def test_a_command_that_is_not_enabled_stays_in_the_palette(offscreen: Offscreen) -> None:
+def test_a_disabled_command_leaves_the_palette_open(offscreen: Offscreen) -> None:
     worker = scripted.ScriptedWorker(None)
     app = App(offscreen((1000, 700)), worker)
     app.settle(4)
@@ -124,7 +124,7 @@ def test_a_command_that_is_not_enabled_stays_in_the_palette(offscreen: Offscreen
     app.injector.key(imgui.Key.enter)
     app.settle()
     assert (worker.sent, app.state.show_palette) == ([], True)
-    assert imgui.get_io().want_text_input  # one can go on typing
+    assert imgui.get_io().want_text_input  # the user can go on typing
     app.close()
 
 
@@ -160,7 +160,7 @@ def fails(state):
 
 @pytest.fixture
 def new_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """A file beside those of the folder."""
+    """Add a file with commands to those of the folder."""
     COMMANDS.names()
     (tmp_path / "extra.py").write_text(NEW, encoding="utf-8")
     monkeypatch.setattr(actions, "__path__", [*actions.__path__, str(tmp_path)])

@@ -1,4 +1,4 @@
-"""Every command by the rules of commands, and the places that list them."""
+"""The rules for every command, and the places that list commands."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_chords(text: str, key: imgui.Key, ctrl: bool) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "Ctrl+", "Hyper+S", "ß", "F99", "count"])
-def test_a_chord_that_does_not_exist_is_told(text: str) -> None:
+def test_a_chord_that_does_not_exist_is_an_error(text: str) -> None:
     with pytest.raises(ValueError, match="no key is called"):
         Chord.parse(text)
 
@@ -77,7 +77,7 @@ def test_training_starts_and_pauses_with_the_same_command() -> None:
     assert run("training.toggle", make_state(make_snapshot(status="paused"))) == [Train()]
 
 
-def test_photos_go_round() -> None:
+def test_next_and_previous_photo_wrap_around() -> None:
     state = make_state(make_snapshot())
     assert state.snapshot.scene is not None
     train = state.snapshot.scene.split("train")
@@ -100,10 +100,10 @@ def test_tooltips_end_in_the_keys() -> None:
     assert with_keys("end", "window.quit") == "end"
 
 
-# ---- what lists them ------------------------------------------------------------------------------------------------
+# ---- lists of commands ----------------------------------------------------------------------------------------------
 
 
-def test_the_documented_table_of_keys_is_the_registry() -> None:
+def test_the_documented_table_of_keys_matches_the_registry() -> None:
     """If this fails, put the printed table between <!-- keys --> and <!-- /keys -->."""
     files = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
     texts = [file.read_text(encoding="utf-8") for file in files]

@@ -1,4 +1,4 @@
-"""What reaches the pixels: imgui's lists, the preview, its warp, and lines in space."""
+"""The drawn pixels: imgui's draw lists, the preview, its warp, and lines in space."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_alpha_blends_over_what_is_there(canvas: tuple[Window, ImguiRenderer]) -
     np.testing.assert_allclose(paint(canvas, draw)[50, 100], [255, 204, 204], atol=1)
 
 
-def test_clip_rectangles_cut(canvas: tuple[Window, ImguiRenderer]) -> None:
+def test_nothing_is_drawn_outside_a_clip_rectangle(canvas: tuple[Window, ImguiRenderer]) -> None:
     def draw(lists: imgui.ImDrawList) -> None:
         lists.push_clip_rect(ImVec2(40, 10), ImVec2(60, 30))
         lists.add_rect_filled(ImVec2(0, 0), ImVec2(200, 100), rgba(0, 255, 0))
@@ -91,7 +91,7 @@ def test_textures_stand_upright_and_update_only_for_a_new_array(canvas: tuple[Wi
     np.testing.assert_array_equal(pixels[5, 15], [0, 255, 0])
     np.testing.assert_array_equal(pixels[15, 5], [0, 0, 255])
     image[0, 0] = [9, 9, 9, 255]
-    np.testing.assert_array_equal(paint(canvas, draw)[5, 5], [255, 0, 0])  # the same object: not looked at again
+    np.testing.assert_array_equal(paint(canvas, draw)[5, 5], [255, 0, 0])  # the same array object is not uploaded again
     image = image.copy()
     np.testing.assert_array_equal(paint(canvas, draw)[5, 5], [9, 9, 9])
     image = np.full((3, 5, 4), 77, np.uint8)
@@ -190,7 +190,7 @@ def test_a_warp_to_the_same_camera_changes_nothing_but_the_tint(
 ) -> None:
     preview = scripted.render(ViewRequest(1, CAMERA, False), stride)
     grey = preview.rgba.copy()
-    grey[..., :3] = preview.rgba[..., :3].mean(-1, keepdims=True).astype(np.uint8)  # without hue, paler is the same
+    grey[..., :3] = preview.rgba[..., :3].mean(-1, keepdims=True).astype(np.uint8)  # the tint changes no grey
     preview = replace(preview, rgba=grey)
     picture.draw(preview, CAMERA, (1.0, 1.0, 1.0))
     flat = on_screen(canvas, picture, CAMERA)
@@ -231,7 +231,7 @@ def test_a_nearer_surface_hides_a_farther_one_after_the_warp(picture: ViewportPi
     picture.draw(preview, shifted, BLACK)
     row = read(picture)[50, :, 0]
     assert (row[63:77] == 200).all()
-    assert (row[10:58] == 50).all()  # what comes to light takes the far surface's colour, not a smear of both
+    assert (row[10:58] == 50).all()  # uncovered pixels take the far surface's colour, not a mixture of both
     assert (row[85:100] == 50).all()
 
 
@@ -281,7 +281,7 @@ def test_clipped_lines_stay_in_the_picture_and_on_themselves() -> None:
     for p in (a[visible], b[visible]):
         assert (p >= -1e-6).all()
         assert (p <= [200 + 1e-6, 150 + 1e-6]).all()
-    for k in np.flatnonzero(visible):  # every visible sample of the line lies on what is drawn of it
+    for k in np.flatnonzero(visible):  # every visible point of the line lies on its drawn part
         points = starts[k] + np.linspace(0, 1, 50)[:, None] * (ends[k] - starts[k])
         pixels, z = camera.project(points)
         inside = (z > 0.011) & (pixels > 0).all(-1) & (pixels < [200, 150]).all(-1)
@@ -319,7 +319,7 @@ def test_the_axes_turn_with_the_camera() -> None:
 
 
 def test_the_sample_under_the_mouse_is_the_one_that_is_drawn_there(canvas: tuple[Window, ImguiRenderer]) -> None:
-    """Seen from aside, each that weighs something is found at its place; looked at along the ray, none is."""
+    """Seen from the side, each sample with some weight is found at its place. Seen along the ray, none is."""
     ray, camera, corner, em = make_ray(), make_camera(np.array([0.5, 3.2, 1.0])), np.array([30.0, 20.0]), 3.0
     last = ray.passes[-1]
     places = camera.project(ray.origin + last.t[:, None] * ray.direction)[0] + corner
@@ -362,7 +362,7 @@ def test_rims_lie_around_the_samples_and_over_none_of_them(canvas: tuple[Window,
 
 
 def test_discs_that_later_ones_cover_are_not_drawn() -> None:
-    """What is left out could not be seen: each lies within one that is drawn after it."""
+    """Each disc that is left out lies within one that is drawn after it."""
     rng = np.random.default_rng(0)
     for spread in (0.0, 2.0, 30.0):
         places, radii = spread * rng.normal(size=(120, 2)), rng.uniform(2.0, 7.0, 120)
@@ -378,8 +378,8 @@ def test_discs_that_later_ones_cover_are_not_drawn() -> None:
 
 
 @pytest.mark.parametrize("eye", [(0.5, 3.2, 1.0), (3.2, 0.0, 2.4), (0.4, -1.5, 0.3)])
-def test_a_tag_lies_whole_in_the_picture(canvas: tuple[Window, ImguiRenderer], eye: tuple[float, ...]) -> None:
-    """Also where one looks along the ray, and where the ray leaves the picture."""
+def test_a_tag_lies_wholly_in_the_picture(canvas: tuple[Window, ImguiRenderer], eye: tuple[float, ...]) -> None:
+    """Also if the camera looks along the ray, and if the ray leaves the picture."""
     ray, camera, blue = make_ray(), make_camera(np.array(eye)), ImVec4(0, 0, 1, 1)
     start, end = (ray.origin + t * ray.direction for t in (ray.near, ray.far))
 
@@ -409,12 +409,12 @@ def test_tags_of_rays_that_end_at_one_place_lie_apart(canvas: tuple[Window, Imgu
 
     alone, together = paint(canvas, lambda lists: draw(lists, 1)), paint(canvas, draw)
     assert area(together, 0) == area(alone, 0) > 200
-    assert area(together, 1) == pytest.approx(area(alone, 0), rel=0.2)  # but for what the letters cover
+    assert area(together, 1) == pytest.approx(area(alone, 0), rel=0.2)  # except for what the letters cover
     assert area(together, 2) == pytest.approx(area(alone, 0), rel=0.2)
 
 
 @pytest.mark.parametrize("y", [0.0, 37.0, 185.0])
-def test_boxes_are_moved_apart_by_as_little_as_can_be(y: float) -> None:
+def test_boxes_are_moved_apart_by_as_little_as_possible(y: float) -> None:
     taken: list[Box] = []
     for _ in range(8):
         taken.append(clear_of(taken, Box(10, y, 40, 15), 200))
@@ -426,7 +426,7 @@ def test_boxes_are_moved_apart_by_as_little_as_can_be(y: float) -> None:
     assert taken[0].y == y
     beside = Box(60, y, 40, 15)
     assert clear_of(taken, beside, 200) == beside
-    assert clear_of(taken, Box(10, y, 40, 150), 200) == Box(10, y, 40, 150)  # there is no room
+    assert clear_of(taken, Box(10, y, 40, 150), 200) == Box(10, y, 40, 150)  # no free place is that high
 
 
 def test_the_tag_of_a_ray_seen_from_its_camera_lies_to_the_right(canvas: tuple[Window, ImguiRenderer]) -> None:

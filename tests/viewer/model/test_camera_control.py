@@ -1,4 +1,4 @@
-"""The user's camera: what each hand movement promises, and that no sequence of them breaks it."""
+"""The user's camera: the effect of each movement, and that no sequence of movements breaks it."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def assert_level(camera: CameraControl) -> None:
     assert camera.c2w()[:, 1] @ UP > 0
 
 
-def test_stands_without_a_scene() -> None:
+def test_works_without_a_scene() -> None:
     camera = CameraControl()
     assert camera.c2w().shape == (3, 4)
     assert camera.c2w().dtype == np.float64
@@ -96,8 +96,8 @@ def test_starts_at_the_first_training_photo_level() -> None:
     assert_level(camera)
 
 
-def test_starts_in_a_place_at_its_most_central_photo() -> None:
-    """Five cameras in a row, one of them turned away: the middle one of the others is most like all."""
+def test_starts_at_the_most_central_photo_of_a_photographed_place() -> None:
+    """Of five cameras in a row, of which the last is turned away, the third is the most similar to all."""
     views = [photo(azimuth, 0.2, 0.1) for azimuth in (0.0, 0.2, 0.4, 0.6, 3.0)]
     scene = replace(
         make_scene(), synthetic=False, views=tuple(View(str(i), c) for i, c in enumerate(views)),
@@ -106,7 +106,7 @@ def test_starts_in_a_place_at_its_most_central_photo() -> None:
     np.testing.assert_allclose(control(scene).c2w()[:, 3], views[2].c2w[:, 3], atol=1e-12)
 
 
-def test_starts_on_an_orbit_where_nothing_was_trained_on() -> None:
+def test_starts_on_an_orbit_without_training_photos() -> None:
     camera = control(replace(make_scene(), splits={}))
     np.testing.assert_allclose(pixel(camera, CENTER), [WIDTH / 2, HEIGHT / 2])
     assert_level(camera)
@@ -131,8 +131,8 @@ def test_orbit_keeps_the_pivot_and_never_flips(dx: float, dy: float) -> None:
     assert_level(camera)
 
 
-def test_orbit_follows_the_hand() -> None:
-    """What lies before the pivot moves with the pointer: the camera goes the other way."""
+def test_orbit_follows_the_pointer() -> None:
+    """A point in front of the pivot moves with the pointer, because the camera moves the other way."""
     camera = control()
     near = under(camera, WIDTH / 2, HEIGHT / 2, camera.distance - 0.5)
     camera.orbit(20, 12, HEIGHT)
@@ -191,7 +191,7 @@ def test_fly() -> None:
     np.testing.assert_array_equal(large.c2w(), before)
 
 
-def test_a_hitch_does_not_leap() -> None:
+def test_a_slow_frame_does_not_make_a_leap() -> None:
     short, long = control(), control()
     short.fly(0, 0, 1, 0.1)
     long.fly(0, 0, 1, 60.0)
@@ -228,7 +228,7 @@ def test_focus_straight_up_at_the_eye_and_at_nothing() -> None:
         np.testing.assert_allclose(pixel(camera, point), [WIDTH / 2, HEIGHT / 2], atol=1e-6)
 
 
-def test_frame_sees_the_centre_from_the_present_side() -> None:
+def test_frame_shows_the_centre_from_the_present_side() -> None:
     camera = control()
     camera.orbit(200, 40, HEIGHT)
     side = camera.c2w()[:, :3]
@@ -297,7 +297,7 @@ def test_a_turn_on_the_spot_keeps_the_eye_and_every_jump_stays_upright() -> None
         assert_level(camera)
 
 
-def test_a_hand_stops_a_jump() -> None:
+def test_input_stops_a_jump() -> None:
     camera = control()
     camera.go_to(photo(2.2, 0.5, -0.4))
     camera.update(1.0)

@@ -1,6 +1,7 @@
 """The `nerf-viewer` command: the real app, worker and files, offscreen and in a real window.
 
-Importing all that a window needs takes seconds, so most commands run in this process; a few run in one of their own.
+Importing everything that a window needs takes seconds, so most tests run the command in this process. A few start a new
+one.
 """
 
 from __future__ import annotations
@@ -42,20 +43,20 @@ Completed = subprocess.CompletedProcess[str]
 
 
 def without(options: list[str], given: list[str]) -> list[str]:
-    """`options`, pairs of a name and a value, but those that are `given`: an option is given once."""
+    """Return `options`, pairs of a name and a value, without those in `given`: each option may be given once."""
     pairs = [options[i : i + 2] for i in range(0, len(options), 2)]
     return [word for name, value in pairs if name == "--set" or name not in given for word in (name, value)]
 
 
 def viewer(*arguments: str) -> Completed:
-    """The command in this process."""
+    """Run the command in this process."""
     with redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()) as err:
         status = main(arguments)
     return Completed(arguments, status, out.getvalue(), err.getvalue())
 
 
 def process(*arguments: str, cwd: Path | None = None, env: dict[str, str] | None = None) -> Completed:
-    """The command as a process of its own."""
+    """Run the command in a process of its own."""
     command = [sys.executable, "-m", "viewer.cli", *arguments]
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[3]), **(env or {})}
     return subprocess.run(
@@ -65,7 +66,7 @@ def process(*arguments: str, cwd: Path | None = None, env: dict[str, str] | None
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One run that asks for everything at once."""
+    """The folder of a run that asks for every kind of file at once."""
     out = tmp_path_factory.mktemp("out")
     done = viewer(
         *TINY, "--headless", "--steps", "60", "--click", "0.5", "0.5", "--screenshot", str(out / "shot.png"),
@@ -105,11 +106,11 @@ def test_the_inspected_ray_obeys_the_equations(written: Path) -> None:
     for one in ray["passes"]:
         t, delta, sigma, rgb, weights = (np.array(one[k]) for k in ("t", "delta", "sigma", "rgb", "weights"))
         alpha = 1 - np.exp(-sigma * delta)
-        light = np.concatenate([[1.0], np.cumprod(1 - alpha)[:-1]])
+        transmittance = np.concatenate([[1.0], np.cumprod(1 - alpha)[:-1]])
         assert np.all(np.diff(t) >= 0)
         assert np.allclose(one["alpha"], alpha, atol=1e-5)
-        assert np.allclose(one["transmittance"], light, atol=1e-5)
-        assert np.allclose(weights, light * alpha, atol=1e-5)
+        assert np.allclose(one["transmittance"], transmittance, atol=1e-5)
+        assert np.allclose(weights, transmittance * alpha, atol=1e-5)
     color = weights @ rgb + (1 - weights.sum()) * np.array(ray["background"])
     assert np.abs(color - ray["color"]).max() < 1e-5
     assert ray["opacity"] == pytest.approx(weights.sum(), abs=1e-6)
@@ -201,7 +202,7 @@ def test_a_process_ends_with_one_line_and_status_2(mistake: list[str], tmp_path:
     assert not list(tmp_path.iterdir())
 
 
-def test_eight_pins_fit_beside_what_the_demo_pins_and_every_file_has_them(tmp_path: Path) -> None:
+def test_eight_pins_replace_those_of_the_demo_and_every_file_has_them(tmp_path: Path) -> None:
     tiny = ["--method", "voxels", "--device", "cpu", "--threads", "1", "--downscale", "8", "--size", "640x400"]
     pins = [word for k in range(MOST_PINS) for word in ("--pin", f"0.{k + 1}", "0.4")]
     files, model = [tmp_path / "rays.json", tmp_path / "rays.csv"], tmp_path / "model.safetensors"
@@ -223,7 +224,7 @@ def test_eight_pins_fit_beside_what_the_demo_pins_and_every_file_has_them(tmp_pa
     assert not (tmp_path / "x.npy").exists()
 
 
-def test_what_was_trained_outlives_a_file_that_cannot_be_written(data_home: Path, tmp_path: Path) -> None:
+def test_trained_weights_are_saved_if_a_file_cannot_be_written(data_home: Path, tmp_path: Path) -> None:
     for old in data_home.rglob("*.safetensors"):
         old.unlink()
     done = viewer(*TINY, "--headless", "--steps", "3", "--click", "5000", "5", "--inspect", str(tmp_path / "x.json"))
@@ -245,18 +246,18 @@ def test_an_autosave_never_replaces_an_older_one(data_home: Path) -> None:
     path = autosave_path(scene)
     assert not path.exists()
     kept = sorted(folder.glob(f"{prefix}-2020*"))
-    assert len(kept) == 9  # with the one that is to be written, ten
+    assert len(kept) == 9  # ten with the one that is to be written
     assert kept[0].name.endswith("000003.safetensors")
 
 
 @pytest.fixture
 def screen(display: str, tmp_path: Path) -> dict[str, str]:
-    """The environment of a window on a screen, whose user has no layout and no weights yet."""
+    """Environment variables for a window on the virtual display, for a user who has no layout and no weights yet."""
     home = {"XDG_CONFIG_HOME": str(tmp_path / "config"), "XDG_DATA_HOME": str(tmp_path / "data")}
     return {"DISPLAY": display, "WAYLAND_DISPLAY": ""} | home
 
 
-def test_a_window_does_the_same(screen: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_works_in_a_window(screen: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in screen.items():
         monkeypatch.setenv(name, value)
     shot = tmp_path / "window.png"
@@ -271,18 +272,16 @@ def test_closing_a_training_window_loses_nothing(screen: dict[str, str], tmp_pat
     command = [sys.executable, "-m", "viewer.cli", *TINY, *asked]
     with subprocess.Popen(command, env={**os.environ, **screen}, stdout=subprocess.PIPE, text=True) as window:
         assert window.stdout is not None
-        assert any(line.startswith("training: ") for line in window.stdout)  # how far it is, after some seconds
+        assert any(line.startswith("training: ") for line in window.stdout)  # its first progress, after seconds
         window.send_signal(signal.SIGTERM)
         begin = time.monotonic()
         assert window.wait(timeout=PATIENCE) == 143
-        assert time.monotonic() - begin < 5  # whoever sends SIGTERM soon sends SIGKILL
+        assert time.monotonic() - begin < 5  # the sender of a SIGTERM soon sends SIGKILL
     assert saved.is_file()
     assert not list(tmp_path.glob("*.mp4"))
 
 
-def test_a_window_that_cannot_open_what_it_was_told_says_so_and_ends(
-    screen: dict[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_window_ends_with_one_line_about_a_mistake(screen: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in screen.items():
         monkeypatch.setenv(name, value)
     done = viewer("nowhere")
@@ -293,10 +292,10 @@ def test_a_window_that_cannot_open_what_it_was_told_says_so_and_ends(
     assert "--scale 2" in done.stderr
 
 
-def test_offscreen_with_nothing_asked_for_leaves_a_picture_an_orbit_and_a_ray(
+def test_offscreen_without_requests_a_picture_an_orbit_and_a_ray_are_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As the first command of the README does on a machine without a display, but with less training."""
+    """Like the first command of the README on a machine without a display, but with less training."""
     monkeypatch.chdir(tmp_path)
     done = viewer(*TINY, "--headless", "--steps", "5")
     assert done.returncode == 0, done.stderr
@@ -317,7 +316,7 @@ def test_a_window_without_a_display_works_offscreen(tmp_path: Path, monkeypatch:
 
 
 def test_gl_and_training_live_in_one_process() -> None:
-    """With a CUDA build of torch, triton is there too: loaded after Mesa's LLVM it would end the process."""
+    """A CUDA build of torch brings triton, which would crash the process if it were loaded after Mesa's LLVM."""
     pytest.importorskip("triton", reason="only Linux on x86-64 has triton")
     code = (
         "from viewer.window.egl_window import EglWindow; w = EglWindow((64, 64)); import triton, torch;"
@@ -358,15 +357,15 @@ def test_the_free_camera_may_turn_away_in_ndc(scenes: Path) -> None:
     assert not exists.any()
 
 
-def test_a_checkpoint_is_looked_at_before_anything_else_is_done(tmp_path: Path) -> None:
+def test_a_checkpoint_is_checked_before_anything_else_is_done(tmp_path: Path) -> None:
     junk = tmp_path / "junk.safetensors"
     junk.write_bytes(b"no header at all")
     with pytest.raises(UserError, match=r"junk\.safetensors: not a readable checkpoint"):
         Wishes(load=junk).check()
 
 
-def test_both_commands_write_the_same_of_a_pixel(tmp_path: Path) -> None:
-    """The microscope through the window's worker, and straight from a run: one checkpoint, one schema, equal arrays."""
+def test_both_commands_write_the_same_for_a_pixel(tmp_path: Path) -> None:
+    """Both open one pixel of one checkpoint, and their files have one schema and equal arrays."""
     options = ["--method", "voxels", "--device", "cpu", "--threads", "1", "--downscale", "8"]
     assert core.main(["train", "--out", str(tmp_path), *options, "--steps", "40"]) == 0
     (model,) = tmp_path.rglob("*.safetensors")
@@ -391,7 +390,7 @@ def test_both_commands_write_the_same_of_a_pixel(tmp_path: Path) -> None:
 
 
 def _numbers(value: object, name: str = "") -> dict[str, np.ndarray]:
-    """Every array of numbers in what JSON holds, by its path."""
+    """Return every array of numbers in a JSON document by its path."""
     if isinstance(value, dict):
         return {k: v for key, inner in value.items() for k, v in _numbers(inner, f"{name}/{key}").items()}
     if isinstance(value, list) and any(isinstance(inner, dict) for inner in value):

@@ -16,7 +16,7 @@ from viewer.session.wishes import Wishes
 from viewer.window import Window
 
 
-def test_the_window_tells_which_plugins_could_not_be_loaded(
+def test_the_window_shows_which_plugins_cannot_be_loaded(
     offscreen: Callable[..., Window], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(METHODS, "problems", ["the method nope cannot be loaded"])
@@ -26,10 +26,10 @@ def test_the_window_tells_which_plugins_could_not_be_loaded(
         try:
             signals.received = signal.SIGTERM  # so that the window closes at once
             session._attend(Wishes())
-            told = [shown.notice for shown in session.app.state.notices]
+            notices = [shown.notice for shown in session.app.state.notices]
         finally:
             session.close()
-    assert [(one.level, one.text) for one in told] == [
+    assert [(one.level, one.text) for one in notices] == [
         ("warning", "the method nope cannot be loaded"),
         ("warning", "the dataset never cannot be loaded"),
     ]

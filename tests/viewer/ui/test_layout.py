@@ -1,4 +1,4 @@
-"""Where the docks are remembered, and what happens when that file is no good."""
+"""The saved layout of the docks, and what happens if its file is damaged."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Open = Callable[[Path | None], App]
 
 @pytest.fixture
 def opened(offscreen: Offscreen) -> Iterator[Open]:
-    """Opens apps, one at a time, and closes what a failed test leaves."""
+    """A function that opens apps, one at a time. Those that a failed test leaves open are closed."""
     apps: list[App] = []
 
     def open_app(file: Path | None) -> App:
@@ -46,7 +46,7 @@ def viewport_of(app: App) -> tuple[float, ...]:
 
 
 def move_the_divider(app: App) -> None:
-    """Between the viewport and the right column."""
+    """Drag the divider between the viewport and the right column."""
     _, top, right, bottom = viewport_of(app)
     edge, middle = right + 2, (top + bottom) / 2
     app.injector.drag((edge, middle), (edge - 120, middle))
@@ -80,7 +80,7 @@ def test_the_tab_in_front_is_in_front_again(opened: Open, tmp_path: Path, title:
 
 
 def test_a_layout_that_lacks_a_panel_gives_way_to_the_default(opened: Open, tmp_path: Path) -> None:
-    """As one of an older version does; the new panel would float over the others."""
+    """A layout of an older version lacks new panels, which would float over the others."""
     file = tmp_path / "layout.ini"
     app = opened(file)
     default = viewport_of(app)
@@ -93,7 +93,7 @@ def test_a_layout_that_lacks_a_panel_gives_way_to_the_default(opened: Open, tmp_
     assert not again.state.notices
 
 
-def test_a_panel_that_nobody_placed_does_not_float_over_the_others(opened: Open, tmp_path: Path) -> None:
+def test_a_panel_without_a_dock_does_not_float_over_the_others(opened: Open, tmp_path: Path) -> None:
     file = tmp_path / "layout.ini"
     app = opened(file)
     default = viewport_of(app)
@@ -106,7 +106,7 @@ def test_a_panel_that_nobody_placed_does_not_float_over_the_others(opened: Open,
     assert viewport_of(opened(file)) == pytest.approx(default, abs=2)
 
 
-def test_panels_that_were_hidden_when_the_window_closed_come_back_to_their_places(opened: Open, tmp_path: Path) -> None:
+def test_panels_that_were_hidden_when_the_window_closed_return_to_their_places(opened: Open, tmp_path: Path) -> None:
     file = tmp_path / "layout.ini"
     app = opened(file)
     default = viewport_of(app)
@@ -145,15 +145,15 @@ def test_a_damaged_file_is_kept_aside_and_the_default_shown(opened: Open, tmp_pa
     assert file.read_text("utf-8").startswith(HEADER)
 
 
-def test_a_place_that_cannot_be_written_is_told_once(opened: Open, tmp_path: Path) -> None:
+def test_a_layout_file_that_cannot_be_written_is_reported_once(opened: Open, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     app = opened(tmp_path / "file" / "layout.ini")
     for _ in range(2):
         move_the_divider(app)
         app.settle(10)
-    told = [shown.notice.text for shown in app.state.notices]
-    assert len(told) == 1
-    assert "cannot be kept" in told[0]
+    notices = [shown.notice.text for shown in app.state.notices]
+    assert len(notices) == 1
+    assert "cannot be kept" in notices[0]
 
 
 def test_without_a_file_nothing_is_written(opened: Open, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -174,7 +174,7 @@ def test_the_default_comes_back_on_demand(opened: Open) -> None:
 
 
 def test_a_panel_that_floats_covers_what_is_under_it(opened: Open) -> None:
-    """Docked panels paint no background: what was cleared lies behind them, but the picture behind one that floats."""
+    """Docked panels paint no background, because only the cleared window lies behind them. Floating panels do."""
     app = opened(None)
     left, top, right, bottom = (round(edge) for edge in viewport_of(app))
     x, y = (left + right) // 2, (top + bottom) // 2

@@ -1,4 +1,4 @@
-"""One contract, two windows."""
+"""The contract that both kinds of window fulfil."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from viewer.window import DisplayError, Window, open_window
 
 
 def settle(window: Window) -> None:
-    """A real window learns of its size from the system, some events later."""
+    """Process events: a real window learns its size from the system some events later."""
     for _ in range(20):
         window.poll(0.01)
 
@@ -71,7 +71,7 @@ def test_wake_ends_a_wait_from_another_thread_and_is_no_input(window: Window) ->
     waker.join()
 
 
-def test_closing_is_asked_for_then_seen(window: Window) -> None:
+def test_a_request_to_close_is_seen(window: Window) -> None:
     assert not window.should_close()
     window.request_close()
     assert window.should_close()
@@ -115,7 +115,7 @@ def test_real_keys_and_buttons_reach_imgui(display: str, monkeypatch: pytest.Mon
     window.close()
 
 
-def test_no_display_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_display_is_an_error_of_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(DisplayError, match=r"cannot open a window: .*DISPLAY.*--headless") as caught:
@@ -124,7 +124,7 @@ def test_no_display_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_training_and_drawing_share_one_process() -> None:
-    """Triton's and Mesa's LLVM clash in a process that opens GL first; it would die here, not raise."""
+    """Triton's and Mesa's LLVM clash in a process that opens GL first. It would crash here, not raise."""
     script = """
 from viewer.window import open_offscreen
 window = open_offscreen((64, 64))
