@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import logging
 import pkgutil
+import threading
 from collections.abc import Callable
 from importlib.metadata import entry_points
 from importlib.util import find_spec
@@ -15,9 +16,11 @@ from nerf_core.common.errors import UserError, shorten
 T = TypeVar("T")
 S = TypeVar("S")
 
+_LOADING = threading.RLock()  # one for all registries: with one each, two threads could wait for each other's imports
+
 
 class Registry(Generic[T]):
-    """Named plug-ins of one kind. They are found on first use, not on import.
+    """Named plug-ins of one kind. They are found on first use, not on import. Threads may share it.
 
     kind: what one of them is called in messages ("method").
     package: every module of this package is imported. A sub-package counts as a plug-in if it has a module `leaf`.
@@ -31,7 +34,7 @@ class Registry(Generic[T]):
         self.problems: list[str] = []
         self._package, self._leaf, self._group = package, leaf, entry_points
         self._items: dict[str, T] = {}
-        self._complete = False
+        self._complete = self._loading = False
 
     def register(self, name: str) -> Callable[[S], S]:
         """Decorator that adds a plug-in under `name` and returns it unchanged.
@@ -68,7 +71,17 @@ class Registry(Generic[T]):
     def _load(self) -> None:
         if self._complete:
             return
-        self._complete = True  # first, so that a plug-in may ask for names while it is imported
+        with _LOADING:
+            if self._complete or self._loading:  # a plug-in may ask for names while it is imported
+                return
+            self._loading = True
+            try:
+                self._import_all()
+                self._complete = True  # after all imports, so that an ImportError is raised at every use
+            finally:
+                self._loading = False
+
+    def _import_all(self) -> None:
         package = importlib.import_module(self._package)
         for module in sorted(pkgutil.iter_modules(package.__path__), key=lambda m: m.name):
             name = f"{self._package}.{module.name}"
