@@ -85,14 +85,8 @@ class _Session:
         self._good = LastGood(self.trainer)
 
     def run(self) -> bool:
-        finished = True
         try:
-            while not self.goal.reached(self.trainer):
-                self._between_chunks()
-                self._after(self.trainer.step(self._between_chunks))
-            self._good.remember(self.trainer)
-        except _StoppedError:
-            finished = False
+            finished = self._train()
             self._good.remember(self.trainer)
         except Exception as error:
             self._save()
@@ -108,6 +102,16 @@ class _Session:
         self._log()
         self._save()
         return finished
+
+    def _train(self) -> bool:
+        """Train until the goal is reached. Returns False if training was stopped before."""
+        try:
+            while not self.goal.reached(self.trainer):
+                self._between_chunks()
+                self._after(self.trainer.step(self._between_chunks))
+        except _StoppedError:
+            return False
+        return True
 
     def _between_chunks(self) -> None:
         if self.stop():

@@ -137,6 +137,19 @@ def test_broken_weights_are_never_saved(run: RunFolder, make_trainer: Make) -> N
     assert [p.stem for p in run.checkpoints()] == ["step_00000001", "step_00000002"]
 
 
+def test_an_interrupt_while_weights_are_broken_saves_the_last_good_state(run: RunFolder, make_trainer: Make) -> None:
+    trainer = make_trainer()
+
+    def stop() -> bool:
+        if trainer.step_count == 2:
+            trainer.method.parameters()[0].data[0, 0] = torch.nan
+        return trainer.step_count == 2
+
+    with pytest.raises(Diverged, match=r"step 2: method.* is not finite; .* went back to step 0 and saved it"):
+        train_run(run, trainer, Goal(5), stop=stop)
+    assert reloaded(run, trainer).step_count == 0
+
+
 def test_a_full_disk_on_the_way_is_a_warning(run: RunFolder, make_trainer: Make) -> None:
     folder, warnings = run.path / "checkpoints", []
     folder.rmdir()
