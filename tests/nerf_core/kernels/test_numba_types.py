@@ -1,4 +1,4 @@
-"""What numba makes of the loops' types."""
+"""The types that numba infers in the compiled loops."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from nerf_core.kernels.cpu_rays import ray_arrays
 from nerf_core.volume.cells import Cells
 
 
-def test_a_march_counts_in_single_precision() -> None:
-    """An integer among float32 operands makes float64: slower, and rounded differently when it goes through memory."""
+def test_a_march_computes_in_single_precision() -> None:
+    """An integer operand beside float32 gives float64: slower, and rounded differently when stored as float32."""
     cells = Cells.of(np.zeros(3), np.ones(3), torch.ones(2, 2, 2, dtype=torch.bool), contracted=True)
     one = torch.ones(1, 3)
     rays = ray_arrays(BoxRays(one, one, one, one[:, 0], one[:, 0]), one[:, 0])
-    compiler: Any = njit  # which returns a dispatcher, not what its stubs say
-    march = compiler(numba_march.march.py_func)  # compiled here: what comes from a cache does not tell its types
+    compiler: Any = njit  # it returns a dispatcher, although its stubs say otherwise
+    march = compiler(numba_march.march.py_func)  # compiled here, as a cached function has no types
     march(cells.cell_arrays(), rays, 0, np.float32(1), np.zeros(80, np.float32))
     (compiled,) = march.overloads.values()
     for name in ("t", "last", "dt", "px", "ux", "gap", "norm"):

@@ -1,4 +1,4 @@
-"""Packed samples and the hash grid: the fast kernels against the plain ones, and these against the equations."""
+"""Packed samples and the hash grid: the fast kernels against the plain ones, the plain ones against the equations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from nerf_core.volume.cells import Cells
 from nerf_core.volume.compositing import absorb, composite
 
 LEVELS = HashLevels((2, 5, 11, 40))
-MARCHED = 100 if "triton" in fast() else 300  # rays; interpreted, a block of 64 takes seconds
+MARCHED = 100 if "triton" in fast() else 300  # rays; Triton's interpreter takes seconds for 64 of them
 WHITE = torch.tensor([1.0, 0.5, 0.25])
 each_fast = pytest.mark.parametrize("kernels", fast().values(), ids=fast().keys())
 each = pytest.mark.parametrize("kernels", [*fast().values(), PLAIN], ids=[*fast().keys(), "torch"])
@@ -27,7 +27,7 @@ def generator(seed: int = 0) -> torch.Generator:
 
 
 def some_samples(rays: int = 40) -> tuple[Samples, Tensor, Tensor]:
-    """Rays with 0 … 9 samples, their optical depths (some infinite to the eye, some zero) and colours."""
+    """Rays with 0 … 9 samples, their optical depths (some opaque, some zero) and colours."""
     g = generator(1)
     counts = torch.randint(0, 10, (rays,), generator=g)
     counts[:2], counts[-1] = 0, 0
@@ -72,7 +72,7 @@ def test_a_march_finds_the_same_samples(kernels: PackedKernels, contracted: bool
     assert len(mine.t) > 2.5 * MARCHED
     torch.testing.assert_close(mine.x, theirs.x, atol=2e-2, rtol=0)
     torch.testing.assert_close(mine.t, theirs.t, atol=1e-2, rtol=1e-2)
-    near = mine.t < 50  # toward infinity a step's length is all rounding
+    near = mine.t < 50  # farther out a step's length is mostly rounding
     torch.testing.assert_close(mine.width[near], theirs.width[near], atol=1e-2, rtol=1e-2)
     assert a.x.min() >= 0
     assert a.x.max() <= 1
@@ -88,12 +88,12 @@ def test_a_march_from_far_away_takes_steps_that_float32_can_tell_apart(
     away = torch.tensor([10.0, 1e4, 1e6, 1e8, 1e12, 1e25])
     origins = away[:, None] * torch.tensor([0.6, 0.0, 0.8])
     d = (-origins / away[:, None]).contiguous()
-    last = 1e4 + 2 * away  # as contracted scenes have it, a horizon
+    last = 1e4 + 2 * away  # the horizon of contracted scenes
     samples = kernels.march(cells, BoxRays(origins, d, d, 0 * away, last), 0.5, torch.full_like(away, 0.5))
     counts = samples.row_offsets.diff()
     assert counts[0] >= 64
     assert counts.max() < 1000
-    # a step of 2⁻²² of the distance is 1/4 at a million: from there some samples still meet the box
+    # the least step, 2⁻²² of the distance, is 1/4 at a distance of 10⁶: some samples still meet the box
     assert counts[2] >= 4
     assert bool((samples.width >= samples.t * 2.0**-22 * 0.99).all())
     assert bool(((samples.x >= 0) & (samples.x <= 1)).all())
@@ -102,7 +102,7 @@ def test_a_march_from_far_away_takes_steps_that_float32_can_tell_apart(
 @pytest.mark.filterwarnings("ignore:.*encountered in:RuntimeWarning")  # numpy's, in Triton's interpreter
 @pytest.mark.parametrize("contracted", [False, True])
 @each
-def test_what_is_no_ray_finds_no_samples(kernels: PackedKernels, contracted: bool) -> None:
+def test_an_invalid_ray_finds_no_samples(kernels: PackedKernels, contracted: bool) -> None:
     half = 2.0 if contracted else 1.0
     cells = Cells.of(np.full(3, -half), np.full(3, half / 4), torch.ones(8, 8, 8, dtype=torch.bool), contracted)
     bad = torch.tensor([torch.nan, torch.inf, -torch.inf])
@@ -121,10 +121,10 @@ def test_what_is_no_ray_finds_no_samples(kernels: PackedKernels, contracted: boo
 
 @pytest.mark.parametrize("extent", [0.1, 1.0, 10.0])
 @each
-def test_leaps_leave_next_to_nothing_out(kernels: PackedKernels, extent: float) -> None:
-    """In contracted space a leap follows the tangent of a bent ray: here of rays from far outside to the middle.
+def test_leaps_miss_under_3_percent_of_the_samples(kernels: PackedKernels, extent: float) -> None:
+    """In contracted space a leap follows the tangent of a bent ray. The rays here run from far outside to the middle.
 
-    Box coordinates are the world's / extent.
+    Box coordinates are world coordinates divided by the extent.
     """
     g, count = generator(), MARCHED
     occupied = torch.rand(12, 12, 12, generator=g) < 0.02
@@ -142,7 +142,7 @@ def test_leaps_leave_next_to_nothing_out(kernels: PackedKernels, extent: float) 
 
 
 @each_fast
-def test_a_march_fills_a_room_of_given_size(kernels: PackedKernels) -> None:
+def test_a_march_fills_a_given_capacity(kernels: PackedKernels) -> None:
     cells = Cells.of(np.full(3, -1.0), np.full(3, 0.5), torch.rand(4, 4, 4, generator=generator()) < 0.5, False)
     d = torch.nn.functional.normalize(torch.randn(60, 3, generator=generator(1)), dim=-1)
     rays = BoxRays(-2 * d + 0.2, d, d, torch.zeros(60), torch.full((60,), 9.0))
@@ -168,7 +168,7 @@ def test_features_and_their_gradients_agree(kernels: PackedKernels, width: int) 
     for into, k in zip(found, (kernels, PLAIN), strict=True):
         k.encode_gradient(gradient, LEVELS, x, into)
     torch.testing.assert_close(found[0], found[1], atol=1e-4, rtol=1e-4)
-    # and it is the transpose: ⟨g, E table⟩ = ⟨Eᵀ g, table⟩
+    # encode_gradient is the transpose of encode: ⟨g, E table⟩ = ⟨Eᵀ g, table⟩
     assert float((gradient * features).sum()) == pytest.approx(float((found[0] * table).sum()), rel=1e-3)
 
 
@@ -185,7 +185,7 @@ def test_a_dense_level_interpolates_its_vertices(kernels: PackedKernels) -> None
 @each
 @pytest.mark.parametrize("endless", [False, True])
 def test_packed_rays_are_composited_like_full_ones(kernels: PackedKernels, endless: bool) -> None:
-    """endless: the last sample of each ray reaches to where space ends."""
+    """endless: the last sample of each ray is unbounded, with an optical depth of 10¹²."""
     samples, tau, rgb = some_samples()
     if endless:
         tau[samples.row_offsets[1:][samples.row_offsets.diff() > 0] - 1] = 1e12

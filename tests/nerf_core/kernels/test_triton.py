@@ -1,4 +1,4 @@
-"""The Triton kernels, in a process that interprets them: in this one Triton may be imported already, to compile."""
+"""The Triton kernels, interpreted in a process of their own: in this one Triton may already be set to compile."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ TYPES = {
     "*i32": "resolutions",
     "i32": "rays capacity count rows levels nx ny nz",
     "fp32": "step bx by bz sx sy sz epsilon",
-}  # fmt: skip  of the kernels' arguments; others point to fp32
+}  # fmt: skip  types of the kernels' arguments; the others are pointers to fp32
 
 
 def interpreted(words: str, *checks: Path) -> int:
-    """How many of the checks whose names fit `words` passed, all that were not left out."""
+    """Run the tests whose names match `words`, as pytest's -k does. Returns how many passed; none may be skipped."""
     pytest.importorskip("triton")
     environment = {**os.environ, "TRITON_INTERPRET": "1"}
     command = [sys.executable, "-m", "pytest", "-v", "-p", "no:cacheprovider", "-n0", "-k", words, *checks]
@@ -39,8 +39,8 @@ def interpreted(words: str, *checks: Path) -> int:
     ("checks", "words", "fewest"),
     [(PACKED, "triton and not leaps and not far_away", 13), (FIXED_STEP, "triton and no_room", 1)],
 )
-def test_the_interpreted_kernels_pass_what_the_others_pass(checks: Path, words: str, fewest: int) -> None:
-    """All but the longest: long marches, and several steps of training."""
+def test_the_interpreted_kernels_pass_the_short_checks(checks: Path, words: str, fewest: int) -> None:
+    """All checks but long marches and several steps of training."""
     assert interpreted(words, checks) >= fewest
 
 
@@ -57,7 +57,7 @@ def test_the_interpreted_kernels_pass_the_longest_checks(checks: Path, words: st
 
 
 def machine_code(name: str, capability: int, **constants: Any) -> Any:
-    """What Triton's compiler, which needs no GPU, makes of a kernel: its texts by their suffixes."""
+    """Compile a kernel, which needs no GPU. Returns the compiler's outputs by their suffixes, such as ptx and cubin."""
     triton = pytest.importorskip("triton")
     from triton.backends.compiler import GPUTarget
     from triton.compiler import ASTSource
@@ -96,5 +96,5 @@ def test_the_kernels_compile_for_every_generation_of_gpus(
         marches = [
             machine_code("march", capability, CONTRACTED=contracted, WRITE=write, BLOCK=RAYS) for write in (False, True)
         ]
-        # the one that counts and the one that writes must round alike, or a ray's samples run into the next ray's
+        # the march that counts and the one that writes must round alike, or a ray overwrites the next ray's samples
         assert all(len(march["cubin"]) > 1000 and "fma" not in march["ptx"] for march in marches)

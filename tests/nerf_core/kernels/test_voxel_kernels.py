@@ -29,7 +29,7 @@ def some_grid(contracted: bool, size: tuple[int, int, int] = (11, 8, 13), dense:
 
 
 def some_rays(count: int = 200, seed: int = 1, spread: float = 3.0) -> BoxRays:
-    """From outside, from within, along the axes, past the box, and away from it."""
+    """Rays from outside, from within, along the axes, past the box, and away from it."""
     g = torch.Generator().manual_seed(seed)
     origins = spread * (torch.rand(count, 3, generator=g) * 2 - 1)
     target = torch.rand(count, 3, generator=g) * 2 - 1
@@ -72,7 +72,7 @@ def test_pictures_and_gradients_agree_with_the_reference(contracted: bool, shard
 @pytest.mark.parametrize("contracted", [False, True])
 def test_the_gradient_is_that_of_finite_differences(contracted: bool) -> None:
     grid, rays = some_grid(contracted, size=(4, 5, 4), dense=1.0), some_rays(40)
-    grid.rows[:, DENSITY] -= 1.5  # so that no ray is cut off where its light goes out: that is no smooth function
+    grid.rows[:, DENSITY] -= 1.5  # so that no ray is cut off at a low transmittance: the cut-off is not smooth
     truth = torch.rand(40, 3, generator=torch.Generator().manual_seed(2))
     kernels, march = CpuVoxels(2), how(40)
 
@@ -115,7 +115,7 @@ def test_a_ray_through_one_opaque_cell_has_the_colour_of_its_coefficients() -> N
 
 @pytest.mark.parametrize("dense", [0.05, 1.0])
 def test_grids_are_resampled_alike(dense: float) -> None:
-    """To a box that reaches out of the old one, from vertices of which many are not stored."""
+    """The new box reaches beyond the old one, and many of the old vertices are not stored."""
     old, g = some_grid(False, dense=dense), torch.Generator().manual_seed(3)
     occupied = torch.rand(17, 9, 14, generator=g) < 0.4
     new = [VoxelGrid.over(np.array([-1.2, -0.7, -0.9]), np.array([0.13, 0.2, 0.17]), occupied, False) for _ in range(2)]
@@ -136,8 +136,8 @@ def test_empty_grids_and_rays_that_miss_show_background_and_have_no_gradient() -
 
 
 @pytest.mark.parametrize("contracted", [False, True])
-def test_no_sample_ever_reads_a_row_that_is_not_there(contracted: bool) -> None:
-    """A point on a cell's face must not be found in one cell and looked up in its neighbour: brick −1 is all NaN."""
+def test_no_sample_reads_a_missing_row(contracted: bool) -> None:
+    """A point on a cell's face must not be found in one cell and looked up in its neighbour. Missing rows are NaN."""
     grid = some_grid(contracted, size=(53, 51, 67), dense=0.02)
     around = torch.full((len(grid.rows) + 128, 16), torch.nan)
     around[64:-64] = grid.rows
@@ -168,15 +168,15 @@ def test_adam_agrees_with_the_reference() -> None:
     results: list[tuple[Tensor, ...]] = []
     for kernels in (CpuVoxels(2), TorchVoxels()):
         grid = some_grid(False)
-        moments, average, mean = torch.zeros_like(grid.rows), grid.rows.clone(), grid.rows.clone()
+        moments, ema, expected = torch.zeros_like(grid.rows), grid.rows.clone(), grid.rows.clone()
         for _ in range(3):
             before = grid.rows.clone()
             kernels.accumulate(grid, rays, truth, how(200))
-            kernels.update(grid, moments, average, settings)
-            moved = (grid.rows != before).any(-1)  # the rows that have a gradient, for any has some first moment
-            mean[moved] += 0.3 * (grid.rows - mean)[moved]
-        torch.testing.assert_close(average, mean, rtol=1e-5, atol=1e-6)
-        results.append((grid.rows, moments, average))
+            kernels.update(grid, moments, ema, settings)
+            moved = (grid.rows != before).any(-1)  # the rows with a gradient: its first moment moves them
+            expected[moved] += 0.3 * (grid.rows - expected)[moved]
+        torch.testing.assert_close(ema, expected, rtol=1e-5, atol=1e-6)
+        results.append((grid.rows, moments, ema))
     for fast, plain in zip(*results, strict=True):
         assert float((fast - plain).norm()) <= 5e-3 * float(plain.norm())
 
@@ -197,8 +197,8 @@ def test_forgotten_gradients_leave_no_trace() -> None:
     grid, rays, kernels = some_grid(False), some_rays(), CpuVoxels(2)
     kernels.accumulate(grid, rays, torch.zeros(200, 3), how(200))
     kernels.forget()
-    before, moments, average = grid.rows.clone(), torch.zeros_like(grid.rows), torch.zeros_like(grid.rows)
-    kernels.update(grid, moments, average, Adam(0.2, 0.3, 0.9, 0.99, 10.0, 100.0, 1e-4, 1.0))
+    before, moments, ema_rows = grid.rows.clone(), torch.zeros_like(grid.rows), torch.zeros_like(grid.rows)
+    kernels.update(grid, moments, ema_rows, Adam(0.2, 0.3, 0.9, 0.99, 10.0, 100.0, 1e-4, 1.0))
     assert torch.equal(grid.rows, before)
     assert not moments.any()
-    assert not average.any()
+    assert not ema_rows.any()
