@@ -17,7 +17,7 @@ CPU = torch.device("cpu")
 
 
 def coded(scene: Scene) -> Scene:
-    """The scene with photos of two sizes whose pixels say where they are: (view, column, row) · 100."""
+    """The scene with photos of two sizes whose pixels encode their place: (view, column, row) · 100."""
     views, images = [], []
     for i, view in enumerate(scene.views):
         width, height = (16, 16) if i % 2 else (10, 24)
@@ -46,7 +46,7 @@ def test_a_ray_goes_through_the_pixel_whose_colour_it_gets(scene: Scene, one_ima
             np.testing.assert_allclose(where[0], [column + 0.5, row + 0.5], atol=1e-3)
 
 
-def test_every_pixel_is_drawn_alike(scene: Scene) -> None:
+def test_all_pixels_are_equally_likely(scene: Scene) -> None:
     sampler = PixelSampler(coded(scene), 0, CPU, seed=0)
     counts = {v: (16 * 16 if v % 2 else 10 * 24) for v in range(5)}
     found = np.bincount(decoded(sampler.draw(Draw(50_000))[1])[:, 0], minlength=5)

@@ -1,4 +1,4 @@
-"""Checkpoints are whole, intact, of this program, or refused; writing one never harms the one before."""
+"""An incomplete, damaged or foreign checkpoint is refused; writing one never harms the previous one."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_a_truncated_file_is_refused(saved: Path) -> None:
             checkpoint.load(saved)
 
 
-def test_a_missing_file_is_told(tmp_path: Path) -> None:
+def test_a_missing_file_is_reported(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"gone\.safetensors: no such checkpoint"):
         checkpoint.load(tmp_path / "gone.safetensors")
     with pytest.raises(UserError, match="no such checkpoint"):
@@ -110,7 +110,7 @@ def test_a_newer_version_asks_for_an_update(tmp_path: Path, monkeypatch: pytest.
         checkpoint.load(path)
 
 
-def test_another_programs_safetensors_are_told_apart(tmp_path: Path) -> None:
+def test_another_programs_safetensors_are_refused(tmp_path: Path) -> None:
     save_file({"weight": torch.ones(3)}, tmp_path / "llm.safetensors")
     with pytest.raises(UserError, match="a safetensors file, but not a checkpoint of nerf-viewer"):
         checkpoint.load(tmp_path / "llm.safetensors")
@@ -130,8 +130,8 @@ def test_a_field_that_is_wrong_is_named(tmp_path: Path, field: str, value: objec
 
 
 @pytest.mark.parametrize("text", ["", "nerf", "[" * 100_000, "[1]", '{"step": 1e999}'])
-def test_a_description_that_is_none_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
-    """With a checksum that is right: the file is whole, but no program of ours wrote it."""
+def test_an_invalid_description_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    """The checksum is right, so the file is whole, but this program did not write the description."""
     path = tmp_path / "x.safetensors"
     with monkeypatch.context() as context:
         context.setattr(checkpoint.json, "dumps", lambda *_, **__: text)
@@ -143,7 +143,7 @@ def test_a_description_that_is_none_is_refused(tmp_path: Path, monkeypatch: pyte
 
 
 @pytest.mark.parametrize("version", ["0", "-1", "9" * 5000, "one", "١"])
-def test_a_version_that_is_none_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, version: str) -> None:
+def test_an_invalid_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, version: str) -> None:
     path = tmp_path / "x.safetensors"
     with monkeypatch.context() as context:
         context.setattr(checkpoint, "VERSION", version)
@@ -153,7 +153,7 @@ def test_a_version_that_is_none_is_refused(tmp_path: Path, monkeypatch: pytest.M
 
 
 class Payload:
-    """Unpickling this makes a directory."""
+    """Makes a directory when unpickled."""
 
     def __init__(self, target: str) -> None:
         self.target = target
@@ -220,7 +220,7 @@ def test_a_real_write_error_leaves_the_old_file(saved: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["file/under/a/file.txt", "folder", "n" * 300])
-def test_an_impossible_path_is_told(tmp_path: Path, name: str) -> None:
+def test_an_impossible_path_is_reported(tmp_path: Path, name: str) -> None:
     (tmp_path / "file").write_text("")
     (tmp_path / "folder").mkdir()
     with pytest.raises(UserError, match=r"cannot be written: .+; choose a folder that has space and takes files"):
@@ -258,12 +258,12 @@ print(description["step"])
 """
 
 
-def test_killed_at_any_moment_of_saving_a_loadable_checkpoint_is_there(tmp_path: Path) -> None:
+def test_a_save_killed_at_any_moment_leaves_a_loadable_checkpoint(tmp_path: Path) -> None:
     path = tmp_path / "run.safetensors"
     command = [sys.executable, "-c", SAVE_AND_DIE, str(path), str(random.Random(0).random())[2:9]]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert int(done.stdout) > 0  # some of the twenty saved more than once before they died
+    assert int(done.stdout) > 0  # some of the twenty processes saved before they were killed
     assert checkpoint.load(path)[0]["step"] == int(done.stdout)
 
 
@@ -282,7 +282,7 @@ def test_the_newest_intact_checkpoint_of_a_run_is_found(tmp_path: Path) -> None:
     assert "step_00000300.safetensors: not a readable checkpoint" in rejected[0]
 
 
-def test_a_folder_that_is_no_run_is_told(tmp_path: Path) -> None:
+def test_a_folder_that_is_no_run_is_reported(tmp_path: Path) -> None:
     with pytest.raises(
         UserError, match=r"not a run that can be continued: no checkpoints/\*\.safetensors in it: train first"
     ):
@@ -293,7 +293,7 @@ def test_a_folder_that_is_no_run_is_told(tmp_path: Path) -> None:
         newest(tmp_path)
 
 
-def test_older_checkpoints_go(tmp_path: Path) -> None:
+def test_older_checkpoints_are_deleted(tmp_path: Path) -> None:
     for step in (1, 2, 30):
         write_atomically(step_path(tmp_path, step), "x")
     keep_newest(tmp_path)

@@ -34,7 +34,7 @@ def test_selection_prefers_test_then_val_then_every_eighth(scene: Scene) -> None
     assert (train.split, train.views, train.subset) == ("train", (0, 8, 16), "every 8th photo: 3 of 20")
 
 
-def test_a_limit_is_named(scene: Scene) -> None:
+def test_a_limited_selection_is_described(scene: Scene) -> None:
     many = with_splits(scene, train=(0,), test=tuple(range(10, 21)))
     assert select(many, count=11).subset is None
     few = select(many, count=3)

@@ -1,4 +1,4 @@
-"""The copy to fall back on is whole, finite and untouched by training on."""
+"""The state to fall back on is complete and finite, and further training does not change it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from nerf_core.training.trainer import Diverged, Trainer
 MakeTrainer = Callable[..., Trainer]
 
 
-def test_goes_back_to_where_it_was_remembered(make_trainer: MakeTrainer) -> None:
+def test_restoring_goes_back_to_the_remembered_step(make_trainer: MakeTrainer) -> None:
     trainer, straight = make_trainer(), make_trainer()
     trainer.step()
     good = LastGood(trainer)

@@ -1,4 +1,4 @@
-"""A training that is interrupted, resumed or broken leaves the same run as one that is not, or its last good state."""
+"""An interrupted and resumed training equals an uninterrupted one; a diverged one leaves its last good state."""
 
 from __future__ import annotations
 
@@ -40,26 +40,26 @@ def reloaded(run: RunFolder, trainer: Trainer) -> Trainer:
     return Trainer.resume(trainer.scene, description, state, "cpu")
 
 
-def test_a_given_up_step_has_not_happened(make_trainer: Make) -> None:
-    straight, given_up = make_trainer(), make_trainer()
+def test_an_abandoned_step_changes_nothing(make_trainer: Make) -> None:
+    straight, abandoned = make_trainer(), make_trainer()
     for _ in range(3):
         straight.step()
-    given_up.step()
+    abandoned.step()
     calls = 0
 
     def yield_callback() -> None:
         nonlocal calls
         calls += 1
-        if calls == 3:  # of 4: two chunks, two networks
+        if calls == 3:  # of 4 calls: two chunks, two networks
             raise InterruptedError
 
-    seconds = given_up.seconds
+    seconds = abandoned.seconds
     with pytest.raises(InterruptedError):
-        given_up.step(yield_callback)
-    assert (given_up.step_count, given_up.seconds) == (1, seconds)
-    given_up.step()
-    given_up.step()
-    assert_same(given_up, straight)
+        abandoned.step(yield_callback)
+    assert (abandoned.step_count, abandoned.seconds) == (1, seconds)
+    abandoned.step()
+    abandoned.step()
+    assert_same(abandoned, straight)
 
 
 def test_stopped_and_resumed_is_bit_identical(run: RunFolder, make_trainer: Make) -> None:
@@ -71,7 +71,7 @@ def test_stopped_and_resumed_is_bit_identical(run: RunFolder, make_trainer: Make
     def stop() -> bool:
         nonlocal asked
         asked += 1
-        return asked > 18  # 5 questions a step: in the middle of the fourth
+        return asked > 18  # asked 5 times a step: stops in the middle of the fourth
 
     assert train_run(run, first, Goal(6), stop=stop) is False
     second = reloaded(run, first)
@@ -89,7 +89,7 @@ def test_ends_at_the_first_of_two_limits(run: RunFolder, make_trainer: Make) -> 
     assert trainer.step_count == 4
 
 
-def test_saves_on_the_way_and_keeps_two(run: RunFolder, make_trainer: Make) -> None:
+def test_saves_during_training_and_keeps_two(run: RunFolder, make_trainer: Make) -> None:
     train_run(run, make_trainer(), Goal(5), save_every=1e-9)
     assert [p.stem for p in run.checkpoints()] == ["step_00000004", "step_00000005"]
 
@@ -123,7 +123,7 @@ def test_diverged_leaves_the_last_good_state(run: RunFolder, make_trainer: Make)
 
 
 def test_broken_weights_are_never_saved(run: RunFolder, make_trainer: Make) -> None:
-    """The loss of a step is that of the weights before it: it may be finite while the weights are not."""
+    """A step computes its loss before it updates the weights, so the loss may be finite while the weights are not."""
     trainer = make_trainer()
 
     def show(progress: Progress) -> None:
@@ -150,7 +150,7 @@ def test_an_interrupt_while_weights_are_broken_saves_the_last_good_state(run: Ru
     assert reloaded(run, trainer).step_count == 0
 
 
-def test_a_full_disk_on_the_way_is_a_warning(run: RunFolder, make_trainer: Make) -> None:
+def test_a_failed_save_during_training_is_a_warning(run: RunFolder, make_trainer: Make) -> None:
     folder, warnings = run.path / "checkpoints", []
     folder.rmdir()
     folder.write_text("in the way")

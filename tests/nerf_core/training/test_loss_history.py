@@ -1,4 +1,4 @@
-"""A plot of a long training stays small and true."""
+"""The loss history of a long training stays small and exact."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_points_are_means_of_equally_many_steps(steps: int) -> None:
     np.testing.assert_allclose(view.psnr, -10 * np.log10(means), rtol=1e-4)
 
 
-def test_a_view_is_made_once_for_what_it_shows() -> None:
+def test_a_view_is_cached_until_a_step_is_added() -> None:
     log = HistoryLog()
     assert len(log.view().step) == 0
     log.add(1, 0.5)
@@ -39,7 +39,7 @@ def test_a_view_is_made_once_for_what_it_shows() -> None:
 def test_a_log_goes_on_from_its_state(steps: int) -> None:
     losses = np.random.default_rng(0).uniform(0.01, 1, steps + 700).tolist()
     whole, first, second = HistoryLog(), HistoryLog(), HistoryLog()
-    second.add(1, 0.3)  # of another run: forgotten
+    second.add(1, 0.3)  # of another run: load_state drops it
     for step, loss in enumerate(losses, 1):
         whole.add(step, loss)
         (first if step <= steps else second).add(step, loss)
@@ -60,27 +60,27 @@ def numbers(*values: float) -> np.ndarray:
 BROKEN = {
     "no losses": {"losses": None},
     "another length": {"losses": numbers(1, 1)},
-    "a table": {"steps": np.ones((3, 1), np.int64), "losses": numbers(1, 1, 1)[:, None]},
+    "a column": {"steps": np.ones((3, 1), np.int64), "losses": numbers(1, 1, 1)[:, None]},
     "steps that go back": {"steps": np.array([2, 1, 3])},
     "steps before the first": {"steps": np.array([0, 1, 2])},
-    "steps that were not made": {"steps": np.array([1, 2, 4])},
+    "a step that was not made": {"steps": np.array([1, 2, 4])},
     "steps that are fractions": {"steps": numbers(1, 2, 3)},
-    "a loss that is no number": {"losses": numbers(1, np.nan, 1)},
-    "a loss under nothing": {"losses": numbers(1, -1, 1)},
-    "a loss past what can be shown": {"losses": numbers(1, 1e300, 1)},
-    "losses of another kind": {"losses": np.ones(3, np.complex64)},
-    "never a mean": {"every": np.array(0)},
-    "means over an odd number of steps": {"every": np.array(3)},
-    "means over more than anybody trains": {"every": np.array(2**62)},
-    "means over a fraction": {"every": np.array(np.inf)},
-    "means of several kinds": {"every": np.ones(2, np.int64)},
-    "a mean that is due": {"pending": numbers(1)},
-    "an infinite one that waits": {"every": np.array(4), "pending": numbers(np.inf)},
+    "a loss that is NaN": {"losses": numbers(1, np.nan, 1)},
+    "a negative loss": {"losses": numbers(1, -1, 1)},
+    "a loss that is too large": {"losses": numbers(1, 1e300, 1)},
+    "complex losses": {"losses": np.ones(3, np.complex64)},
+    "means over no steps": {"every": np.array(0)},
+    "means over three steps": {"every": np.array(3)},
+    "means over too many steps": {"every": np.array(2**62)},
+    "means over infinitely many steps": {"every": np.array(np.inf)},
+    "several lengths of means": {"every": np.ones(2, np.int64)},
+    "enough pending losses for a mean": {"pending": numbers(1)},
+    "an infinite pending loss": {"every": np.array(4), "pending": numbers(np.inf)},
 }
 
 
 @pytest.mark.parametrize("changes", BROKEN.values(), ids=BROKEN.keys())
-def test_a_state_that_none_was_in_is_refused(changes: dict[str, np.ndarray | None]) -> None:
+def test_an_invalid_state_is_refused(changes: dict[str, np.ndarray | None]) -> None:
     log = HistoryLog()
     for step in (1, 2, 3):
         log.add(step, 0.5)
@@ -90,7 +90,7 @@ def test_a_state_that_none_was_in_is_refused(changes: dict[str, np.ndarray | Non
         HistoryLog().load_state(state, 3)
 
 
-def test_losses_of_more_steps_than_several_points_can_hold_are_refused_too() -> None:
+def test_a_state_with_too_many_points_is_refused() -> None:
     steps = np.arange(1, LIMIT + 1)
     state = HistoryLog().state() | {"steps": steps, "losses": np.ones(LIMIT)}
     with pytest.raises(ValueError, match="not those of"):

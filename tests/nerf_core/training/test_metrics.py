@@ -92,7 +92,7 @@ def file(weights: dict[str, torch.Tensor], tmp_path_factory: pytest.TempPathFact
 
 
 def straightforward(weights: dict[str, torch.Tensor], image: np.ndarray, truth: np.ndarray) -> float:
-    """LPIPS as its authors lay it out: torchvision's layer list cut after relu1_2, 2_2, 3_3, 4_3, 5_3; loops after."""
+    """LPIPS as its authors define it, on torchvision's layers cut after relu1_2, 2_2, 3_3, 4_3 and 5_3."""
     layers: list[nn.Module] = []
     inputs = 3
     for width in (64, 64, 0, 128, 128, 0, 256, 256, 256, 0, 512, 512, 512, 0, 512, 512, 512):

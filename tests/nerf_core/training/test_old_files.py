@@ -1,4 +1,4 @@
-"""Runs and checkpoints of before the modules moved into packages load, and go on."""
+"""Runs and checkpoints from before the modules moved into packages still load and continue."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def demo() -> Scene:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_an_old_run_goes_on(method: str, demo: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nerf_core.training.run_folder.load_scene", lambda *_: demo)  # loaded once for all
+def test_an_old_run_continues(method: str, demo: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nerf_core.training.run_folder.load_scene", lambda *_: demo)  # loaded once for all methods
     run = RunFolder(shutil.copytree(FILES / method, tmp_path / method))
     trainer, _ = run.restore()
     assert (trainer.method_name, trainer.step_count, trainer.seed) == (method, 12, 3)

@@ -1,4 +1,4 @@
-"""Options of training become settings, or one line that names the option."""
+"""Training options become settings; a wrong one is refused in one line that names it."""
 
 from __future__ import annotations
 

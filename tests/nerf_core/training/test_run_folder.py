@@ -1,4 +1,4 @@
-"""What a run folder holds, who may write to it, and what is said of a broken one."""
+"""What a run folder holds, who may write to it, and the errors of a broken one."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from nerf_core.training.trainer import Trainer
 
 @pytest.fixture
 def run(tmp_path: Path, capture: Path, tiny: RunSettings) -> Iterator[RunFolder]:
-    """Two steps, with a checkpoint after each."""
+    """A run of two steps with a checkpoint after each."""
     folder = RunFolder(tmp_path / "run")
     with folder.claimed():
         trainer = Trainer(load_scene(capture, tiny.load), tiny)
@@ -57,7 +57,7 @@ def test_restore_gives_the_newest_step(run: RunFolder) -> None:
     assert trainer.seconds > 0
 
 
-def test_a_damaged_checkpoint_gives_way_to_the_one_before(run: RunFolder) -> None:
+def test_a_damaged_checkpoint_is_skipped_for_the_one_before(run: RunFolder) -> None:
     newest = run.checkpoints()[-1]
     data = bytearray(newest.read_bytes())
     data[-5] ^= 1
@@ -86,7 +86,7 @@ def test_one_process_at_a_time(run: RunFolder) -> None:
     assert error_of(claim) == f"{run.path}: another process trains in this folder: wait for it or choose another --out"
 
 
-def test_a_place_that_takes_no_folder(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_made_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
 
     def claim(path: Path) -> Callable[[], None]:
@@ -100,7 +100,7 @@ def test_a_place_that_takes_no_folder(tmp_path: Path) -> None:
     assert "cannot be written" in error_of(claim(Path("/proc/run")))
 
 
-def test_a_folder_that_came_to_nothing_is_removed(tmp_path: Path) -> None:
+def test_a_new_folder_is_removed_if_the_run_fails_at_once(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError), RunFolder(tmp_path / "new").claimed():
         raise RuntimeError
     (tmp_path / "old").mkdir()
@@ -166,12 +166,12 @@ def test_a_folder_without_a_run_is_named(tmp_path: Path, run: RunFolder) -> None
 
 
 def test_another_scene_is_refused(run: RunFolder) -> None:
-    text = error_of(lambda: run.restore(_mirrored(run)))
+    text = error_of(lambda: run.restore(_with_exchanged_photos(run)))
     assert "whose photos, poses or bounds differ from copy's: open that one" in text
 
 
-def _mirrored(run: RunFolder) -> Path:
-    """A copy of the capture in which two photos changed places."""
+def _with_exchanged_photos(run: RunFolder) -> Path:
+    """A copy of the capture with two photos exchanged."""
     import shutil
 
     source, _ = run.config()
@@ -184,7 +184,7 @@ def _mirrored(run: RunFolder) -> Path:
     return copy
 
 
-def test_a_moved_dataset_is_taken_from_where_it_is(run: RunFolder) -> None:
+def test_a_moved_dataset_is_read_from_its_new_place(run: RunFolder) -> None:
     import shutil
 
     source, _ = run.config()
@@ -218,7 +218,7 @@ while True:
 """
 
 
-def test_killed_while_saving_a_checkpoint_is_always_there(run: RunFolder) -> None:
+def test_a_run_killed_while_saving_always_has_a_checkpoint(run: RunFolder) -> None:
     chance = random.Random(0)
     for _ in range(5):
         before = run.checkpoints()[-1]

@@ -1,4 +1,4 @@
-"""One run, however it is cut into pieces, gives the same weights."""
+"""A run gives the same weights however often it is stopped and resumed."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def run(trainer: Trainer, steps: int, yield_callback: Callable[[], None] = lambd
     return trainer
 
 
-def test_a_checkpoint_from_before_losses_were_kept_goes_on(make_trainer: MakeTrainer) -> None:
+def test_a_checkpoint_without_a_loss_history_continues(make_trainer: MakeTrainer) -> None:
     first = run(make_trainer(), 3)
     state = {name: value for name, value in copied(first).items() if not name.startswith("history.")}
     assert len(state) < len(first.state())
@@ -58,7 +58,7 @@ def test_a_seed_fixes_the_weights(make_trainer: MakeTrainer) -> None:
     assert differing(a.state(), c.state()) != []
 
 
-def test_whoever_watches_changes_nothing(make_trainer: MakeTrainer, scene: Scene) -> None:
+def test_watching_changes_nothing(make_trainer: MakeTrainer, scene: Scene) -> None:
     watched, alone = make_trainer(density_noise=0.5), make_trainer(density_noise=0.5)
     rays = camera_rays(scene.views[5].camera, scene.near, scene.far)[:40]
 
@@ -71,7 +71,7 @@ def test_whoever_watches_changes_nothing(make_trainer: MakeTrainer, scene: Scene
 
 
 @pytest.mark.parametrize("cut", [0, 1, 5])
-def test_saved_and_resumed_is_never_interrupted(make_trainer: MakeTrainer, scene: Scene, cut: int) -> None:
+def test_a_resumed_run_equals_an_uninterrupted_one(make_trainer: MakeTrainer, scene: Scene, cut: int) -> None:
     whole = run(make_trainer(seed=3, density_noise=0.5), 9)
     first = run(make_trainer(seed=3, density_noise=0.5), cut)
     second = Trainer.resume(scene, stored(first), copied(first), "cpu")
@@ -97,7 +97,7 @@ def test_a_report_tells_what_the_step_did(make_trainer: MakeTrainer) -> None:
     assert trainer.seconds == report.seconds > 0
 
 
-def test_time_spent_by_the_pump_is_not_training(make_trainer: MakeTrainer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_time_in_the_yield_callback_is_not_training(make_trainer: MakeTrainer, monkeypatch: pytest.MonkeyPatch) -> None:
     now = 0.0
     monkeypatch.setattr("time.perf_counter", lambda: now)
 
@@ -124,7 +124,7 @@ def test_the_schedule_spans_the_steps_asked_for(make_trainer: MakeTrainer, scene
     assert rate(own) == pytest.approx(5e-4 * 0.1 ** (5 / 10))
 
 
-def test_a_loss_that_is_no_number_stops(make_trainer: MakeTrainer) -> None:
+def test_a_nan_loss_stops_training(make_trainer: MakeTrainer) -> None:
     trainer = run(make_trainer(), 1)
     with torch.no_grad():
         trainer.method.parameters()[0].fill_(math.nan)
@@ -159,7 +159,7 @@ def test_out_of_memory_goes_on_in_smaller_chunks(make_trainer: MakeTrainer, monk
     assert differing(trainer.state(), run(plain, 2).state()) == []
 
 
-def test_memory_that_never_suffices_stops(make_trainer: MakeTrainer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_that_never_suffices_raises(make_trainer: MakeTrainer, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise torch.OutOfMemoryError("full")
 
@@ -181,7 +181,7 @@ def test_restarted_is_the_same_run_again(make_trainer: MakeTrainer) -> None:
     assert differing(run(again, 3).state(), after) == []
 
 
-def test_a_larger_machine_asked_for_more_threads(make_trainer: MakeTrainer, scene: Scene) -> None:
+def test_a_resumed_run_uses_no_more_threads_than_cores(make_trainer: MakeTrainer, scene: Scene) -> None:
     trainer = make_trainer()
     resumed = Trainer.resume(scene, stored(trainer) | {"threads": 1000}, copied(trainer), "cpu")
     assert resumed.threads == usable_cores()
