@@ -43,7 +43,7 @@ def test_nested_constants_have_both_names() -> None:
         ({"word": "c"}, "word='c': choose a or b"),
     ],
 )
-def test_values_outside_of_their_range_are_told(values: dict[str, object], words: str) -> None:
+def test_values_outside_of_their_range_are_refused(values: dict[str, object], words: str) -> None:
     with pytest.raises(UserError, match=words):
         Outer(**values)  # pyright: ignore[reportArgumentType]
 

@@ -21,6 +21,6 @@ def test_cpu_is_always_there() -> None:
     ("name", "said"),
     [("gpu", "choose auto, cpu, cuda"), ("meta", "only cpu and cuda"), ("cuda:99", "this machine offers")],
 )
-def test_a_wrong_device_is_told_the_choices(name: str, said: str) -> None:
+def test_a_wrong_device_lists_the_choices(name: str, said: str) -> None:
     with pytest.raises(UserError, match=f"--device {name}: .*{said}"):
         pick_device(name)

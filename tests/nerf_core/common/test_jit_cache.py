@@ -19,7 +19,7 @@ def caches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "nerf-viewer"
 
 
-def test_only_what_was_not_used_for_long_is_deleted(caches: Path) -> None:
+def test_only_folders_unused_for_30_days_are_deleted(caches: Path) -> None:
     now = time.time()
     for name, days in (("numba-old", 31), ("numba-recent", 29), ("other", 99)):
         (caches / name).mkdir(parents=True)
@@ -29,13 +29,11 @@ def test_only_what_was_not_used_for_long_is_deleted(caches: Path) -> None:
     assert own.parent == caches
     assert {folder.name for folder in caches.iterdir()} == {own.name, "numba-recent", "other"}
     os.utime(own, (now - 99 * 86400, now - 99 * 86400))
-    assert numba_here._own_folder() == own  # being used keeps it
+    assert numba_here._own_folder() == own  # use keeps it
     assert own.is_dir()
 
 
-def test_where_nothing_can_be_kept_a_folder_that_nobody_can_guess_is_used(
-    caches: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_cache_folder_private_temporary_ones_are_used(caches: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     caches.parent.joinpath("nerf-viewer").write_text("a file in the way")
     first, second = numba_here._own_folder(), numba_here._own_folder()
     assert first != second

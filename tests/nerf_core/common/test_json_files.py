@@ -22,7 +22,7 @@ def written(tmp_path: Path, data: bytes) -> Path:
         b'// made by hand\n{"a": "http://x // y", // "c": 3,\n "b": 2}\n// end',
     ],
 )
-def test_marks_and_comments_are_accepted(tmp_path: Path, data: bytes) -> None:
+def test_byte_order_marks_and_comments_are_accepted(tmp_path: Path, data: bytes) -> None:
     assert read_json(written(tmp_path, data)).values == {"a": "http://x // y", "b": 2}
 
 
@@ -45,7 +45,7 @@ def test_marks_and_comments_are_accepted(tmp_path: Path, data: bytes) -> None:
         (b'"' + b'\\"' * 100_000 + b"//", "no JSON"),
     ],
 )
-def test_broken_files_are_told_in_one_line(tmp_path: Path, data: bytes, text: str) -> None:
+def test_broken_files_are_reported_in_one_line(tmp_path: Path, data: bytes, text: str) -> None:
     with pytest.raises(UserError, match=text) as caught:
         read_json(written(tmp_path, data))
     assert "t.json" in str(caught.value)
@@ -116,7 +116,7 @@ def test_poses_of_three_and_four_rows_lose_scale_but_not_position() -> None:
         (np.diag([1, 1, 2]), "sheared"),
     ],
 )
-def test_what_is_no_rotation_is_refused(rotation: np.ndarray, text: str) -> None:
+def test_a_matrix_that_is_no_rotation_is_refused(rotation: np.ndarray, text: str) -> None:
     with pytest.raises(UserError, match=text):
         pose(rotation)
 
@@ -125,7 +125,7 @@ def test_what_is_no_rotation_is_refused(rotation: np.ndarray, text: str) -> None
     "matrix",
     [None, 3, [], [[1, 0, 0, 0]] * 2, [[1, 0, 0]] * 3, [[1, 0, 0, "0"]] * 3, [[1, 0, 0, True]] * 3, [[1e300] * 4] * 3],
 )
-def test_what_is_no_matrix_is_refused(matrix: object) -> None:
+def test_a_value_that_is_no_matrix_is_refused(matrix: object) -> None:
     with pytest.raises(UserError, match=r"f\.json: m .*needed"):
         Fields({"m": matrix}, Path("f.json")).pose("m")
 

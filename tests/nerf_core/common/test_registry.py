@@ -1,4 +1,4 @@
-"""Definition is registration; a wrong name lists the right ones."""
+"""Defining a plug-in registers it; an unknown name is refused with the known ones."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from nerf_core.common.registry import Registry
 from nerf_core.methods import METHODS
 
 
-def test_an_unknown_name_is_told_the_choices() -> None:
+def test_an_unknown_name_lists_the_choices() -> None:
     with pytest.raises(UserError, match=r"unknown method 'nurf': choose one of .*nerf"):
         METHODS.get("nurf")
 
 
-def test_a_name_is_taken_once() -> None:
+def test_a_name_can_be_registered_once() -> None:
     registry: Registry[int] = Registry("number", "nerf_core.volume")
     registry.register("one")(1)
     with pytest.raises(ValueError, match="two numbers are called 'one'"):
@@ -28,7 +28,7 @@ def test_a_name_is_taken_once() -> None:
     assert registry.get("one") == 1
 
 
-def test_a_broken_plugin_of_another_package_is_told_once(
+def test_a_broken_plugin_of_another_package_is_reported_once(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     broken = EntryPoint("broken", "no_such_module", "nerf_viewer.numbers")

@@ -1,4 +1,4 @@
-"""What a signal does: at once, or first noted; and what was there before comes back."""
+"""A signal raises at once or is first noted, and earlier handlers are restored."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_polite_notes_the_first_and_raises_at_the_second() -> None:
         assert signals.received == signal.SIGTERM
         with pytest.raises(Interrupted, match="SIGTERM"):
             signals.check()
-        os.kill(os.getpid(), signal.SIGINT)  # an echo: nobody's hand is so fast
+        os.kill(os.getpid(), signal.SIGINT)  # at the same moment: an echo, ignored
         now = 11.0
         with pytest.raises(Interrupted, match="SIGINT"):
             os.kill(os.getpid(), signal.SIGINT)
@@ -39,7 +39,7 @@ def test_takes_a_signal_back_from_a_library_that_took_it() -> None:
         assert signals.received == signal.SIGTERM
 
 
-def test_handlers_come_back() -> None:
+def test_earlier_handlers_are_restored() -> None:
     before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
     with Signals():
         assert signal.getsignal(signal.SIGINT) != before[0]

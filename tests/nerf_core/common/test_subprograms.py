@@ -19,7 +19,7 @@ def test_output_and_reason() -> None:
     assert python("import sys; print('part'); sys.exit('first\\nlast')") == Finished(b"part\n", "last")
 
 
-def test_a_crash_is_told_by_its_signal() -> None:
+def test_a_crash_is_reported_by_its_signal() -> None:
     assert python("import os; os.abort()").reason == "crash -6"
 
 

@@ -1,4 +1,4 @@
-"""Paths with a ~ that no shell has put into full, from every place of a command line."""
+"""Paths with a ~ that no shell has expanded, anywhere on a command line."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Outer:
     name: str = ""
 
 
-def test_the_home_folder_is_put_into_every_path(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_the_home_folder_is_expanded_in_every_path(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
     found = parse(
         Outer, "x", ["~/photos", "--save=~/a.ckpt", "--write", "~/b.json", "--write", "c~.csv", "--name", "a~"]
@@ -34,6 +34,6 @@ def test_the_home_folder_is_put_into_every_path(monkeypatch: pytest.MonkeyPatch,
     assert found == Outer(Inner(tmp_path / "a.ckpt"), tmp_path / "photos", [tmp_path / "b.json", Path("c~.csv")], "a~")
 
 
-def test_somebody_unknown_is_told() -> None:
+def test_an_unknown_user_is_reported() -> None:
     with pytest.raises(UserError, match="no such user"):
         parse(Outer, "x", ["--save", "~nobody-by-this-name/a.ckpt"])

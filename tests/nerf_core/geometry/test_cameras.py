@@ -52,7 +52,7 @@ def test_a_pixel_looks_through_its_centre_along_opengl_axes() -> None:
     assert torch.equal(rays.origins, torch.zeros(8, 3))
 
 
-def test_asked_pixels_are_those_of_the_whole_picture() -> None:
+def test_chosen_pixels_have_the_rays_of_the_whole_picture() -> None:
     camera = random_camera(1, (0.1, 0, 0, 0.01, 0))
     every = camera_rays(camera, 1, 2)
     some = camera_rays(camera, 1, 2, np.array([[3, 7], [39, 29]]))
@@ -60,7 +60,7 @@ def test_asked_pixels_are_those_of_the_whole_picture() -> None:
 
 
 @given(seeds, mild)
-def test_what_a_ray_meets_is_projected_back_onto_its_pixel(seed: int, lens: tuple[float, ...]) -> None:
+def test_a_point_of_a_ray_projects_back_onto_its_pixel(seed: int, lens: tuple[float, ...]) -> None:
     camera = random_camera(seed, lens)
     rays = camera_rays(camera, 1.5, 9.0)
     for t in (rays.near, rays.far):
@@ -70,7 +70,7 @@ def test_what_a_ray_meets_is_projected_back_onto_its_pixel(seed: int, lens: tupl
 
 
 @given(seeds, mild)
-def test_compiled_rays_are_those_of_numpy(seed: int, lens: tuple[float, ...]) -> None:
+def test_compiled_rays_equal_those_of_numpy(seed: int, lens: tuple[float, ...]) -> None:
     cameras = Cameras([random_camera(seed, lens), random_camera(seed + 1)], 1.0, 4.0)
     index = torch.arange(40) % 2
     pixels = torch.rand(40, 2, dtype=torch.float64) * torch.tensor([40, 30])
@@ -156,7 +156,7 @@ def test_a_ray_that_turns_away_has_no_image_and_no_nan() -> None:
 
 
 @given(seeds)
-def test_a_length_in_ndc_ends_where_the_world_says(seed: int) -> None:
+def test_a_length_in_ndc_becomes_a_world_distance(seed: int) -> None:
     origins, directions = forward_rays(seed)
     t_ndc = torch.linspace(0, 0.8, 9, dtype=torch.float64).expand(64, 9)
     t = NDC.world_t(origins, directions, t_ndc)

@@ -53,7 +53,7 @@ def around(count: int = 16, distance: float = 4.0) -> Scene:
 
 
 def forward(count: int = 20) -> Scene:
-    """Cameras on a small patch of the plane z = 0, all looking about along −z, y up; NDC."""
+    """Cameras on a small patch of the plane z = 0 that look roughly along −z with y up, in NDC."""
     rng = np.random.default_rng(3)
     up = np.array([0.0, 1.0, 0.0])
     poses = []
@@ -123,7 +123,7 @@ def test_spiral_stays_within_the_cameras_and_looks_at_one_point() -> None:
     assert all((np.abs(c.c2w[:, 3] - mean) < spread).all() for c in path)
     reach = np.abs(np.stack([c.c2w[:, 3] for c in path]) - mean).max(0)
     assert reach[0] == pytest.approx(np.percentile(np.abs(positions[:, 0] - mean[0]), 90), rel=0.1)
-    # All the optical axes pass the focus: the least-squares meeting point of lines is at no distance from any.
+    # All optical axes pass through the focus: their least-squares meeting point lies on each of them.
     projectors = [np.eye(3) - np.outer(c.c2w[:, 2], c.c2w[:, 2]) for c in path]
     focus = np.linalg.solve(sum(projectors), sum(p @ c.c2w[:, 3] for p, c in zip(projectors, path, strict=True)))
     for p, camera in zip(projectors, path, strict=True):
@@ -153,7 +153,7 @@ def test_every_path_is_made_of_proper_cameras(name: str) -> None:
 def test_field_of_view() -> None:
     camera = Orbit.cameras(around(), 1, 200, 100, fov_y_degrees=90)[0]
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((50, 50, 100, 50))
-    assert Orbit.cameras(around(), 1, 100, 60)[0].fy == pytest.approx(100)  # 50 over 30 rows
+    assert Orbit.cameras(around(), 1, 100, 60)[0].fy == pytest.approx(100)  # the focal length is 50 for 30 rows
 
 
 def test_held_out_views_keep_lens_and_pixel_shape() -> None:

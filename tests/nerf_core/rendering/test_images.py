@@ -22,7 +22,7 @@ def test_tiles_are_the_pixels_row_by_row(make_trainer: Callable[..., Trainer], s
     assert torch.equal(torch.cat([p.directions for p in parts]), whole.directions)
 
 
-def test_a_picture_is_its_pixels_and_tells_its_progress(make_trainer: Callable[..., Trainer], scene: Scene) -> None:
+def test_a_picture_is_its_pixels_and_reports_progress(make_trainer: Callable[..., Trainer], scene: Scene) -> None:
     trainer, camera = make_trainer(tile=37), scene.views[0].camera.resized(9, 7)
     trainer.step()
     heard: list[tuple[int, int]] = []
