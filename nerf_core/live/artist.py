@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from nerf_core.geometry.cameras import camera_rays
-from nerf_core.live.messages import Preview, ViewRequest
+from nerf_core.live.messages import Inspect, Pin, Preview, ViewRequest
 from nerf_core.live.opened_ray import OpenedRay
 from nerf_core.live.pins import Pins
 from nerf_core.live.refinement import Refinement, first_stride
@@ -41,6 +41,10 @@ class Artist:
         self._picture = self._model = self._copy = self._ready = self._shown = None
         self.ray.forget()
         self.pins.forget()
+
+    def open_rays(self) -> list[Pin | Inspect]:
+        """The pinned rays, then the one under the lens if there is one."""
+        return [*self.pins, *filter(None, [self.ray.asked])]
 
     @property
     def fresh(self) -> bool:

@@ -16,16 +16,16 @@ from nerf_core.training.trainer import Trainer
 class OpenedRay:
     """Does one piece at a time: a ray, its verdict, its radiance, its walk. Owned by the worker thread.
 
-    `opened` has the newest of each. `opened_step` is the step at which its ray was opened, −1 while the rest is not
-    there or older. `answered` is the `Inspect.look` for which all is there. While training goes on, the rest may be
-    some steps younger than the ray: panels do not wait for that.
+    `asked` is the ray, None where none is open. `opened` has the newest of each. `opened_step` is the step at which
+    its ray was opened, −1 while the rest is not there or older. `answered` is the `Inspect.look` for which all is
+    there. While training goes on, the rest may be some steps younger than the ray: panels do not wait for that.
     """
 
     def __init__(self) -> None:
         self.opened: Opened | None = None
         self.opened_step = -1
         self.answered = 0
-        self._asked: Inspect | None = None
+        self.asked: Inspect | None = None
         self._pieces: Iterator[None] | None = None
         self._training_views: TrainingViews | None = None
         self._clock = RefreshClock()
@@ -35,30 +35,33 @@ class OpenedRay:
         """Open this ray; None: none."""
         if command is None or command.id != self.id:
             self.opened = None
-        self._asked, self.answered = command, 0
-        self._one_step = False
-        self.forget()
+        self.asked, self.answered = command, 0
+        self._begin_anew()
 
     def forget(self) -> None:
-        """The model was exchanged: what is open is opened anew."""
-        self._pieces, self.opened_step = None, -1
+        """The model was exchanged: what is open is opened anew, and nothing of the old one stays."""
+        self.opened = None
+        self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        self._pieces, self.opened_step, self._one_step = None, -1, False
         self._clock.reset()
 
     @property
     def id(self) -> int:
         """The ray's id; 0: none is open."""
-        return self._asked.id if self._asked is not None else 0
+        return self.asked.id if self.asked is not None else 0
 
     @property
     def urgent(self) -> bool:
         """Whether somebody waits for a ray that is not whole yet."""
-        return self._asked is not None and not self.answered
+        return self.asked is not None and not self.answered
 
     def draw(self, trainer: Trainer, training: bool) -> bool:
         """One piece; whether there was any to do. What was begun is finished, however old it becomes meanwhile."""
-        if self._pieces is None and self._asked is not None and self._clock.due(trainer, training):
+        if self._pieces is None and self.asked is not None and self._clock.due(trainer, training):
             self._clock.begin(trainer)
-            self._pieces = self._look(self._asked, trainer)
+            self._pieces = self._look(self.asked, trainer)
         if self._pieces is None:
             return False
         begin = time.monotonic()
@@ -72,6 +75,7 @@ class OpenedRay:
         step, self.opened_step = trainer.step_count, -1
         if self._training_views is None or self._training_views.scene is not trainer.scene:
             self._training_views = TrainingViews(trainer.scene)
+        opened = None
         try:
             for opened in pieces(
                 trainer.method, self._training_views, asked.camera, asked.pixel, step, asked.point_t, asked.around
@@ -79,8 +83,9 @@ class OpenedRay:
                 self.opened = opened if self.opened is None else _with_older(opened, self.opened)
                 yield
         except Exception:
-            self._asked = self._pieces = None  # a ray that cannot be opened is reported once, not twice a second
+            self.asked = self._pieces = None  # a ray that cannot be opened is reported once, not twice a second
             raise
+        self.opened = opened  # what the ray no longer has, a radiance say, goes with the end of the look
         self.opened_step, self.answered, self._one_step = step, asked.look, trainer.step_count == step
 
     # ---- files -------------------------------------------------------------------------------------------------------
@@ -90,7 +95,7 @@ class OpenedRay:
 
         A file is of one step per ray: what is not whole yet, or of several steps, is opened whole now.
         """
-        asked = self._asked
+        asked = self.asked
         rays = {} if asked is None else {asked.id: self._whole(asked, trainer)}
         for pin in pins:
             found = rays[pin.id] if pin.id in rays else self._whole(pin.inspect(), trainer)
@@ -99,7 +104,7 @@ class OpenedRay:
 
     def _whole(self, ray: Inspect, trainer: Trainer) -> Opened:
         whole = self.answered and self._one_step and self.opened_step >= 0
-        if ray is self._asked and self.opened is not None and whole:
+        if ray is self.asked and self.opened is not None and whole:
             return self.opened
         return open_pixel(
             trainer.method, trainer.scene, ray.camera, ray.pixel, trainer.step_count, ray.point_t, ray.around

@@ -7,18 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from nerf_core.common.errors import UserError
+from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.camera_files import camera_of, camera_values
-from nerf_core.live.messages import MOST_PINS, PIN_NAME_LENGTH, Pin, PinRay
+from nerf_core.live.messages import MOST_PINS, PIN_NAME_LENGTH, Inspect, Pin, PinRay
 from nerf_core.probe import RayHistory
 from nerf_core.probe.history import BINS
 
+T = TypeVar("T")
+D = TypeVar("D")
 FIELD = "watched"
 MOST_RAYS, MOST_RECORDS = 64, 5000  # a schedule makes some 280 records of a ray; twice its steps, some 30 more
 N = -1  # records
@@ -47,8 +50,10 @@ def tensors(pins: Sequence[Pin]) -> dict[str, Tensor]:
     }
 
 
-def restored_pins(description: Mapping[str, Any]) -> list[Pin]:
+def restored_pins(description: Mapping[str, Any], open_rays: Iterable[Pin | Inspect] = ()) -> list[Pin]:
     """The pins of a description, without histories; none where a checkpoint has none.
+
+    open_rays: rays that are open already. A pin of the same camera and pixel gets the id of the open ray.
 
     Raises UserError for what `described` did not write: a checkpoint comes from anywhere.
     """
@@ -59,7 +64,9 @@ def restored_pins(description: Mapping[str, Any]) -> list[Pin]:
         raise UserError("the checkpoint's pinned rays cannot be read: they are left out") from None
     if len({pin.color for pin in pins}) < len(pins):
         raise UserError("the checkpoint's pinned rays share a colour: they are left out")
-    return pins
+    places = {ray.id: _place(ray.camera, ray.pixel) for ray in open_rays}  # a pin may be the opened ray too
+    known = [(place, number) for number, place in places.items()]
+    return [replace(pin, id=_take(known, _place(pin.camera, pin.pixel), pin.id)) for pin in pins]
 
 
 def with_histories(pins: Iterable[Pin], description: Mapping[str, Any], state: Mapping[str, Tensor]) -> list[Pin]:
@@ -71,12 +78,18 @@ def with_histories(pins: Iterable[Pin], description: Mapping[str, Any], state: M
         found = list(_histories(description, state))
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         raise UserError("the checkpoint's pinned rays' histories cannot be read: they begin anew") from None
-    joined = []
-    for pin in pins:  # JSON keeps every digit: the same ray has the same numbers
-        place = camera_values(pin.camera), list(pin.pixel)
-        k = next((k for k, (ray, _) in enumerate(found) if ray == place), None)
-        joined.append(pin if k is None else replace(pin, history=found.pop(k)[1]))
-    return joined
+    return [replace(pin, history=_take(found, _place(pin.camera, pin.pixel), None)) for pin in pins]
+
+
+def _place(camera: Camera, pixel: tuple[int, int]) -> Any:
+    """What tells rays apart. JSON keeps every digit, so the same ray has the same numbers in every file."""
+    return camera_values(camera), list(pixel)
+
+
+def _take(found: list[tuple[Any, T]], place: Any, default: D) -> T | D:
+    """Take the first value that is found at `place`."""
+    k = next((k for k, (where, _) in enumerate(found) if where == place), None)
+    return default if k is None else found.pop(k)[1]
 
 
 def _watched(pins: Sequence[Pin]) -> list[Pin]:
@@ -100,7 +113,7 @@ def _histories(description: Mapping[str, Any], state: Mapping[str, Tensor]) -> I
     for k, values in enumerate(rays):
         camera, (column, row) = camera_of(values["camera"]), (int(v) for v in values["pixel"])
         arrays = {name: state[f"{FIELD}.{k}.{name}"].numpy() for name in SHAPES}
-        yield (camera_values(camera), [column, row]), _history(arrays, description["step"])
+        yield _place(camera, (column, row)), _history(arrays, description["step"])
 
 
 def _history(arrays: Mapping[str, np.ndarray], last: int) -> RayHistory:

@@ -12,6 +12,7 @@ from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
 from nerf_core.live.clock import RefreshClock
 from nerf_core.live.messages import MOST_PINS, PIN_NAME_LENGTH, EditPin, Pin, PinRay
+from nerf_core.methods import Traceable
 from nerf_core.probe import RayProbe, open_ray
 from nerf_core.probe.history import HistoryRecorder
 from nerf_core.training.trainer import Trainer
@@ -40,7 +41,7 @@ class Pins:
 
     def __init__(self) -> None:
         self._pins: list[_Kept] = []
-        self._named = 0  # the last number that was given away as a name
+        self._named = 0  # the greatest n of a "ray n"
 
     def __iter__(self) -> Iterator[Pin]:
         return iter([pin.shown() for pin in self._pins])
@@ -60,11 +61,11 @@ class Pins:
             if not spare:
                 raise UserError(f"{MOST_PINS} rays are pinned already: remove one first")
             self.remove(spare[0].id)
-        self._named += 1
         color = next(k for k in range(MOST_PINS) if k not in {pin.color for pin in self._pins})
         recorder = HistoryRecorder(trainer.step_count, trainer.total_steps)
-        name = wanted.name or f"ray {self._named}"
+        name = wanted.name or f"ray {self._named + 1}"
         self._pins.append(_Kept(wanted.id, name, color, wanted.hidden, wanted.camera, wanted.pixel, recorder))
+        self._note_number(name)
 
     def add_landmarks(self, scene: Scene, trainer: Trainer) -> None:
         """Pin what the demo scene brings, hidden, so that these histories begin with training."""
@@ -88,13 +89,20 @@ class Pins:
         """Take those of a loaded checkpoint instead; their histories go on. Without any, what is pinned stays."""
         if not pins:
             return
-        self._pins, self._named = [], len(pins)
+        self._pins = []
         for pin in pins:
             if pin.history is None:
                 recorder = HistoryRecorder(trainer.step_count, trainer.total_steps)
             else:
                 recorder = HistoryRecorder.of(pin.history, trainer.step_count, trainer.total_steps)
             self._pins.append(_Kept(pin.id, pin.name, pin.color, pin.hidden, pin.camera, pin.pixel, recorder))
+            self._note_number(pin.name)
+
+    def _note_number(self, name: str) -> None:
+        """No number is given twice, so that a name means one ray for as long as the scene is open."""
+        word, _, number = name.partition(" ")
+        if word == "ray" and number.isascii() and number.isdigit() and len(number) < 9:
+            self._named = max(self._named, int(number))
 
     def forget(self) -> None:
         """The model was exchanged: open every ray anew."""
@@ -116,7 +124,9 @@ class Pins:
     # ---- what is done ------------------------------------------------------------------------------------------------
 
     def record(self, trainer: Trainer) -> bool:
-        """Take the records that are due after a training step; whether there were any."""
+        """Take the records that are due after a training step; whether there were any. None of untraceable models."""
+        if not isinstance(trainer.method, Traceable):
+            return False
         due = [pin for pin in self._pins if pin.recorder.due(trainer.step_count)]
         for pin in due:
             self._open(pin, trainer)
@@ -124,6 +134,8 @@ class Pins:
 
     def draw(self, trainer: Trainer, training: bool) -> bool:
         """Open the ray that waited longest, if one is due; whether one was."""
+        if not isinstance(trainer.method, Traceable):
+            return False
         for pin in sorted(self._pins, key=lambda pin: pin.clock.ended):
             if pin.clock.due(trainer, training):
                 self._open(pin, trainer)

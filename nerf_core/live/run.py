@@ -124,10 +124,10 @@ class Run:
         self.artist = Artist()
         self._commit(scene, settings, trainer, good)
         self.loaded += 1
-        self.artist.pins.add_landmarks(scene, trainer)
-        self.artist.pins.record(trainer)
         for note in (*scene.notes, *filter(None, [kernels.note(trainer.device)])):
             self._tell("warning", note)
+        self.artist.pins.add_landmarks(scene, trainer)
+        self.artist.pins.record(trainer)
 
     def use_method(self, scene: Scene, settings: RunSettings, name: str) -> None:
         """Begin anew on `scene` with another method and its own constants."""
@@ -175,7 +175,7 @@ class Run:
     def _restore_pins(self, trainer: Trainer, description: dict, state: dict) -> None:
         pins: list[messages.Pin] = []
         try:
-            pins = pin_files.restored_pins(description)
+            pins = pin_files.restored_pins(description, self.artist.open_rays())
             pins = pin_files.with_histories(pins, description, state)
         except UserError as error:
             self._tell("warning", str(error))
@@ -204,13 +204,23 @@ class Run:
     def train(self, steps: int | None, seconds: float | None) -> None:
         """See `messages.Train`."""
         trainer = self.need_trainer()
+        if steps is not None and steps < 1:
+            raise UserError(f"training for {steps} steps: give at least 1")
+        if seconds is not None and not seconds > 0:
+            raise UserError(f"training for {seconds:g} seconds: give more than 0")
+        if steps is None and trainer.step_count >= trainer.total_steps:
+            self._tell("info", f"all {trainer.total_steps:,} steps of the schedule are done")
+            return
         self.failed, self.skipped = False, None
         self._until_seconds = math.inf if seconds is None else trainer.seconds + seconds
-        end = trainer.total_steps if steps is None else trainer.step_count + steps
-        if trainer.step_count >= end:
-            self._tell("info", f"all {trainer.total_steps:,} steps of the schedule are done")
-        else:
-            self.until = end
+        self.until = trainer.total_steps if steps is None else trainer.step_count + steps
+
+    def seconds_left(self, rays_per_second: float) -> float | None:
+        """How long training goes on at this rate; None where it does not, or where the rate is not known."""
+        if self.trainer is None or self.until is None or not rays_per_second:
+            return None
+        by_steps = (self.until - self.trainer.step_count) * self.rays_per_step / rays_per_second
+        return max(0.0, min(by_steps, self._until_seconds - self.trainer.seconds))
 
     def pause(self) -> None:
         self.until = None

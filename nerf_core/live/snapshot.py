@@ -22,9 +22,6 @@ def snapshot_of(run: Run, before: Snapshot, scheduler: Scheduler) -> Snapshot:
         return shown
     ray = run.artist.ray
     rate = scheduler.rays_per_second(run.number) if status == "training" else 0.0
-    left = None
-    if rate and run.until is not None:
-        left = (run.until - trainer.step_count) * run.rays_per_step / rate
     return replace(
         shown,
         method=trainer.method_name,
@@ -38,7 +35,7 @@ def snapshot_of(run: Run, before: Snapshot, scheduler: Scheduler) -> Snapshot:
         total_steps=trainer.total_steps,
         seconds=trainer.seconds,
         rays_per_second=rate,
-        seconds_left=left,
+        seconds_left=run.seconds_left(rate),
         train_share=budget.train_share(),
         memory_bytes=memory_held(trainer.device),
         history=trainer.history.view(),

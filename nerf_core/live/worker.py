@@ -17,7 +17,7 @@ from nerf_core.live.messages import FIRST_RUN, Command, Notice, Snapshot, ViewRe
 from nerf_core.live.run import Run
 from nerf_core.live.scheduler import Scheduler
 from nerf_core.live.shares import Situation
-from nerf_core.live.snapshot import snapshot_of
+from nerf_core.live.snapshot import snapshot_of, status_of
 from nerf_core.training.settings import RunSettings
 
 PUBLISH_SECONDS = 1 / 10  # between snapshots nobody waits for: a full picture takes some 5 ms to hand over
@@ -102,15 +102,18 @@ class Worker:
             thread = threading.get_native_id()
             # only root may lower a niceness that the user has set higher
             os.setpriority(os.PRIO_PROCESS, thread, max(NICENESS, os.getpriority(os.PRIO_PROCESS, thread)))
-        while not self._ended:
-            try:
-                self._turn()
-            except _Abandoned:
-                self._at_work = None  # the command is taken next
-            except Exception as error:
-                self._fail(error)
-        for run in self._runs.values():
-            run.close()
+        try:
+            while not self._ended:
+                try:
+                    self._turn()
+                except _Abandoned:
+                    pass  # the command is taken next
+                except Exception as error:
+                    self._fail(error, self._at_work.number if self._at_work else FIRST_RUN)
+                self._at_work = None
+        finally:
+            for run in self._runs.values():
+                run.close()
         self._publish(force=True)
 
     def _turn(self) -> None:
@@ -138,11 +141,10 @@ class Worker:
         self._command, command = self._mailbox.take()
         try:
             self._obey(command)
-        except UserError as error:
-            run = command.run if isinstance(command, messages.OfRun) else FIRST_RUN
-            self._tell(Notice("error", str(error), kind="failed", run=run))
+        except _Abandoned:
+            pass  # Quit waits
         except Exception as error:
-            self._fail(error)
+            self._fail(error, command.run if isinstance(command, messages.OfRun) else FIRST_RUN)
         finally:
             self._command = 0
         self._publish(force=True)
@@ -276,7 +278,7 @@ class Worker:
         return any(run.artist.ray.urgent for run in self._runs.values())
 
     def _pixels_awaited(self) -> bool:
-        return any(run.artist.urgent(self._mailbox.view(run.number)) for run in self._runs.values())
+        return any(run.artist.urgent(self._view(run)) for run in self._runs.values())
 
     def _draw(self) -> bool:
         """One piece of drawing of any run; whether there was any to do. Runs that somebody waits for come first."""
@@ -304,16 +306,16 @@ class Worker:
 
     # ---- messages ---------------------------------------------------------------------------------------------------
 
-    def _fail(self, error: Exception) -> None:
-        """An error is a message: the thread lives on and so does what was open."""
-        run, self._at_work = self._at_work or self._runs[FIRST_RUN], None
+    def _fail(self, error: Exception, number: int) -> None:
+        """Tell of an error in a run. The thread lives on, and so does what is open."""
         if isinstance(error, UserError):
-            self._tell(Notice("error", str(error), kind="failed", run=run.number))
+            self._tell(Notice("error", str(error), kind="failed", run=number))
         else:
-            run.fail(self._mailbox.view(run.number))  # what cannot be drawn is reported once, not at every turn
+            if number in self._runs:  # a run that could not be opened is not
+                self._runs[number].fail(self._mailbox.view(number))  # what cannot be drawn is not tried at every turn
             text = f"{type(error).__name__}: {error}".splitlines()[0]
             told = Notice("error", f"the worker failed: {text}", detail=traceback.format_exc(), kind="failed")
-            self._tell(replace(told, run=run.number))
+            self._tell(replace(told, run=number))
         self._publish(force=True)
 
     def _tell(self, notice: Notice) -> None:
@@ -325,14 +327,21 @@ class Worker:
         if not (force or self._untold) and now - self._published < PUBLISH_SECONDS:
             return
         self._published, begin = now, time.perf_counter()
-        try:
-            before, empty = self._mailbox.snapshots(), Snapshot()
-            self._mailbox.deliver(
-                {n: snapshot_of(run, before.get(n, empty), self._scheduler) for n, run in self._runs.items()}
-            )
-        finally:  # what broke is told even where there is nothing more to show
-            for notice in self._untold:
-                self._mailbox.tell(notice)
-            self._untold.clear()
+        before, empty = self._mailbox.snapshots(), Snapshot()
+        self._mailbox.deliver({n: self._snapshot(run, before.get(n, empty)) for n, run in self._runs.items()})
+        for notice in self._untold:
+            self._mailbox.tell(notice)
+        self._untold.clear()
         self._mailbox.wake()
         self._scheduler.budget.showed(time.perf_counter() - begin)
+
+    def _snapshot(self, run: Run, before: Snapshot) -> Snapshot:
+        """The state of a run. Where the device or the method cannot tell it, the run fails and keeps what was shown."""
+        try:
+            return snapshot_of(run, before, self._scheduler)
+        except Exception as error:
+            if not run.failed:  # told once, not at every snapshot
+                run.fail(self._mailbox.view(run.number))
+                text = f"the state of the run cannot be read: {type(error).__name__}: {error}".splitlines()[0]
+                self._tell(Notice("error", text, detail=traceback.format_exc(), kind="failed", run=run.number))
+            return replace(before, run=run.number, status=status_of(run))

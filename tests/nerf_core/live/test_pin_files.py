@@ -18,6 +18,8 @@ from nerf_core.geometry.camera import Camera
 from nerf_core.live.messages import (
     MOST_PINS,
     EditPin,
+    ExportRays,
+    Inspect,
     LoadCheckpoint,
     Pin,
     PinRay,
@@ -87,6 +89,22 @@ def test_curves_and_maps_go_on_where_the_checkpoint_left_them(
     later = desk.until(lambda s: history_of(s, a.id).steps[-1] == 8)
     assert history_of(later, a.id).steps.tolist() == [0, 1, 2, 3, 4, 5, 6, 7, 8]
     assert history_of(later, b.id).steps.tolist() == [3, 4, 5, 6, 7, 8]
+
+
+def test_a_restored_pin_of_an_open_ray_is_that_ray(open_desk: OpenDesk, tmp_path: Path) -> None:
+    desk, file, rays = open_desk(), tmp_path / "run.safetensors", tmp_path / "rays.json"
+    asked, twice = Inspect(camera_of(desk), (5, 4)), PinRay(camera_of(desk), (5, 4))
+    desk.send(asked, PinRay.of(asked), twice, PinRay(camera_of(desk), (1, 1)), SaveCheckpoint(file))
+    desk.until(lambda s: s.opened_look == asked.look)
+    before = [pin.id for pin in desk.worker.snapshot().pins]
+    desk.send(UnpinRay(before[2]), LoadCheckpoint(file))
+    desk.until_told("loaded run.safetensors")
+    after = [pin.id for pin in desk.worker.snapshot().pins]
+    assert after[:2] == before[:2] == [asked.id, twice.id]
+    assert after[2] not in before
+    desk.send(ExportRays(rays))
+    desk.until_told("wrote")
+    assert [ray["name"] for ray in json.loads(rays.read_text())["rays"]] == ["ray 1", "ray 2", "ray 3"]
 
 
 def test_a_ray_that_is_removed_and_pinned_again_begins_anew(open_desk: OpenDesk, saved: tuple[Path, Snapshot]) -> None:

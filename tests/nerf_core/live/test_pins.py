@@ -58,6 +58,17 @@ def test_what_the_demo_pins_out_of_sight_gives_way(trainer: Trainer) -> None:
         pins.add(pin(trainer, name=name, hidden=hidden), trainer)
     for _ in range(7):
         pins.add(pin(trainer), trainer)
-    assert [pin.name for pin in pins] == ["glossy ball", *(f"ray {k}" for k in range(4, 11))]
+    assert [pin.name for pin in pins] == ["glossy ball", *(f"ray {k}" for k in range(1, 8))]
     with pytest.raises(UserError, match="8 rays are pinned already"):
         pins.add(pin(trainer), trainer)
+
+
+def test_a_restored_pin_keeps_its_number_to_itself(trainer: Trainer) -> None:
+    pins = Pins()
+    for name in ("", "ray 5", "ray of hope", ""):
+        pins.add(pin(trainer, name=name), trainer)
+    assert [pin.name for pin in pins] == ["ray 1", "ray 5", "ray of hope", "ray 6"]
+    again = Pins()
+    again.replace(list(pins)[1:3], trainer)
+    again.add(pin(trainer), trainer)
+    assert [pin.name for pin in again] == ["ray 5", "ray of hope", "ray 6"]

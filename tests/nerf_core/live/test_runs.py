@@ -3,12 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 from desk import Desk, view_of
 
 from nerf_core.common.errors import UserError
-from nerf_core.live.messages import CloseRun, Inspect, OpenRun, Pause, Reset, SetShare, Train, UseMethod
+from nerf_core.live.messages import (
+    CloseRun,
+    Inspect,
+    OpenRun,
+    Pause,
+    Reset,
+    SaveCheckpoint,
+    SetShare,
+    Train,
+    UseMethod,
+)
 from nerf_core.live.scheduler import Scheduler
 
 OpenDesk = Callable[..., Desk]
@@ -73,6 +84,29 @@ def test_wrong_numbers_are_told(open_desk: OpenDesk) -> None:
     desk.send(CloseRun(run=2))
     desk.until(lambda _: set(desk.worker.snapshots()) == {1})
     assert desk.worker.snapshot().method == "nerf"
+
+
+def test_a_fault_in_a_command_stops_only_the_run_that_it_was_for(
+    open_desk: OpenDesk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk = open_desk(steps=1_000_000)
+    desk.send(OpenRun("voxels", run=2))
+    desk.until(lambda _: 2 in desk.worker.snapshots())
+
+    def broken(*_: object) -> None:
+        raise RuntimeError("a broken writer")
+
+    monkeypatch.setattr("nerf_core.live.run.Run._save", broken)
+    desk.send(Train(), SaveCheckpoint(Path("x.safetensors"), run=2))
+    told = desk.until_told("the worker failed: RuntimeError: a broken writer")
+    assert told.run == 2
+    assert desk.worker.snapshot(2).status == "failed"
+    assert desk.worker.snapshot().status == "training"
+    monkeypatch.setattr("nerf_core.live.run.Run.use_method", broken)
+    (number,) = desk.send(OpenRun("voxels", run=3))
+    desk.until(lambda _: any(notice.command == number for notice in desk.heard))
+    assert desk.heard[-1].run == 3
+    assert desk.worker.snapshot().status == "training"
 
 
 def test_an_unknown_share_rule_is_told(open_desk: OpenDesk) -> None:

@@ -120,8 +120,7 @@ def test_without_a_scene_commands_say_so(open_desk: OpenDesk, command: Command) 
     assert desk.heard[0].text.startswith(("no scene is open: open one first", "x: no such checkpoint"))
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")  # it ends the thread
-def test_what_breaks_the_state_that_is_published_is_told_all_the_same(
+def test_a_state_that_cannot_be_read_is_told_once_and_the_thread_lives(
     open_desk: OpenDesk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     desk = open_desk()
@@ -129,9 +128,15 @@ def test_what_breaks_the_state_that_is_published_is_told_all_the_same(
     def lost(device: object) -> int:
         raise OSError("the device is lost")
 
-    monkeypatch.setattr("nerf_core.live.snapshot.memory_held", lost)
-    desk.send(Pause())
-    assert desk.until_told("the device is lost").level == "error"
+    with monkeypatch.context() as context:
+        context.setattr("nerf_core.live.snapshot.memory_held", lost)
+        desk.send(Train())
+        assert desk.until_told("the state of the run cannot be read: OSError: the device is lost").level == "error"
+        desk.until(lambda s: s.status == "failed")
+        time.sleep(0.6)  # two of the worker's idle turns
+        desk.until(lambda _: True)
+        assert len(desk.heard) == 1
+    desk.trained(1)
 
 
 def test_an_exception_is_told_once_and_the_thread_lives(open_desk: OpenDesk, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -175,7 +180,7 @@ def test_closing_ends_everything_and_keeps_what_was_asked_before(open_desk: Open
     desk.send(Train(), StartExport(ExportPath(orbit(desk.worker.snapshot().scene, 5000), 30.0, tmp_path / "long.mp4")))
     desk.until(lambda s: s.step > 1 and s.export is not None)
     desk.send(SaveCheckpoint(path))
-    assert desk.worker.stop(5.0)
+    assert desk.worker.stop(PATIENCE)
     assert not desk.worker.alive
     assert list(tmp_path.iterdir()) == [path]
     assert checkpoint.load(path)[0]["step"] == desk.worker.snapshot().step
@@ -189,5 +194,36 @@ def test_whoever_listens_is_woken(tiny: RunSettings, capture: Path) -> None:
     end = time.monotonic() + PATIENCE
     while worker.snapshot().status != "ready" and time.monotonic() < end:
         time.sleep(0.01)
-    assert worker.stop()
+    assert worker.stop(PATIENCE)
     assert calls
+
+
+def test_closing_while_a_scene_loads_is_no_failure(open_desk: OpenDesk, monkeypatch: pytest.MonkeyPatch) -> None:
+    desk = open_desk(opened=False)
+
+    def slow(path: object, options: object, progress: Callable[[int, int], None]) -> None:
+        for done in range(100_000):
+            time.sleep(0.01)
+            progress(done, 100_000)
+
+    monkeypatch.setattr("nerf_core.live.run.load_scene", slow)
+    desk.send(OpenScene(None, desk.settings))
+    desk.until(lambda s: s.status == "loading")
+    assert desk.worker.stop(PATIENCE)
+    assert desk.worker.notices() == []
+
+
+def test_training_for_nothing_is_refused(open_desk: OpenDesk) -> None:
+    desk = open_desk()
+    desk.send(Train(), Train(steps=0), Train(seconds=0.0))
+    assert desk.until_told("training for 0 steps: give at least 1").kind == "failed"
+    assert desk.until_told("training for 0 seconds: give more than 0").kind == "failed"
+    assert desk.worker.snapshot().status in ("training", "finished")  # as it was before
+
+
+def test_the_time_left_is_not_longer_than_what_was_asked_for(open_desk: OpenDesk) -> None:
+    desk = open_desk(steps=1_000_000)
+    desk.send(Train(seconds=200.0))
+    left = desk.until(lambda s: s.seconds_left is not None).seconds_left
+    assert left is not None
+    assert 0 < left <= 200

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +24,11 @@ from nerf_core.live.messages import (
     StartExport,
     StopInspecting,
     Train,
+    UseMethod,
     ViewRequest,
 )
 from nerf_core.live.worker import Worker
+from nerf_core.methods.voxels.model import VoxelModel
 from nerf_core.rendering.export.requests import ExportPath
 from nerf_core.rendering.images import render_camera, to_bytes
 from nerf_core.training import checkpoint
@@ -256,3 +259,17 @@ def test_other_weights_draw_another_picture(make_trainer: Callable[..., Trainer]
     kept = artist.preview(None)
     assert kept is not None
     assert kept.complete  # until the first level is there
+
+
+def test_a_view_that_cannot_be_drawn_holds_up_no_export(
+    open_desk: OpenDesk, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    desk = open_desk(steps=1_000_000)
+    monkeypatch.delattr(VoxelModel, "radiance")
+    desk.send(UseMethod("voxels"))
+    scene = desk.until(lambda s: s.method == "voxels").scene
+    desk.worker.request_view(replace(view_of(scene, 1), mode="view-dependence"))
+    desk.until_told("choose another picture")
+    desk.send(Train(), StartExport(ExportPath(orbit(scene, 3), 30.0, tmp_path / "short.mp4")))
+    desk.until_told("exported")
+    assert desk.worker.snapshot().status == "training"
