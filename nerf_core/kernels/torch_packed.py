@@ -64,8 +64,9 @@ class TorchPacked:
         g = gradient[touched]
         mean, square = (m[touched] for m in moments)
         mean, square = BETA1 * mean + (1 - BETA1) * g, BETA2 * square + (1 - BETA2) * g * g
-        moments[0][touched], moments[1][touched] = mean, square
-        table[touched] -= rate * (mean * correction1) / ((square * correction2).sqrt() + EPSILON)
+        row = table[touched] - rate * (mean * correction1) / ((square * correction2).sqrt() + EPSILON)
+        # all is computed before anything is written, because the device may run out of memory
+        moments[0][touched], moments[1][touched], table[touched] = mean, square, row
         gradient.zero_()
 
 

@@ -169,6 +169,9 @@ class Trainable(Protocol):
             yield_callback: called between pieces of about 10 ms on a CPU, so that previews can be drawn. If it
                 raises, the step is abandoned: the trainer restores `generators` and calls the function of `undo`.
 
+        If device memory runs out, the trainer abandons the step too, calls `halve`, and makes the step again. So
+        torch.OutOfMemoryError must not be raised once the weights have changed.
+
         Returns:
             The mean squared error of the final colour.
         """

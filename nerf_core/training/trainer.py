@@ -109,15 +109,15 @@ class Trainer:
         Out of device memory, the step is tried again in chunks of half the size, as often as they can be halved.
         Raises Diverged when the loss is not finite, torch.OutOfMemoryError when chunks cannot be smaller.
         """
-        waited = 0.0
+        waited, yielded = 0.0, False  # yielded: the callback is running, or has raised
 
         def timed_yield() -> None:
-            nonlocal waited
-            begin = time.perf_counter()
+            nonlocal waited, yielded
+            begin, yielded = time.perf_counter(), True
             yield_callback()
-            waited += time.perf_counter() - begin
+            waited, yielded = waited + time.perf_counter() - begin, False
 
-        start, note = time.perf_counter(), ""
+        start, config = time.perf_counter(), self.config
         while True:
             try:
                 with self.transaction():
@@ -125,9 +125,8 @@ class Trainer:
                     loss = self.method.train(rays, truth, self.step_count, self.steps or None, timed_yield)
                 break
             except torch.OutOfMemoryError:
-                if not self.method.halve():
+                if yielded or not self.method.halve():  # smaller chunks do not help the callback
                     raise
-                note = f"out of device memory at step {self.step_count + 1:,}: going on in chunks of half the size"
             torch.cuda.empty_cache()  # outside the handler: its traceback holds the tensors that did not fit
         seconds = time.perf_counter() - start - waited
         self.seconds += seconds
@@ -137,6 +136,9 @@ class Trainer:
                 f"step {self.step_count}: the loss is {loss}; lower the learning rate (--set learning_rate=…)"
             )
         self.history.add(self.step_count, loss)
+        note = ""
+        if self.config != config:
+            note = f"out of device memory at step {self.step_count:,}: going on in chunks of half the size"
         return Report(self.step_count, loss, psnr_of(loss), len(rays), seconds, note)
 
     @contextmanager

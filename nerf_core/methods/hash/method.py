@@ -129,8 +129,7 @@ class Hash(Defaults, HashStages):
             self._update_ema(self.updates // AVERAGE_EVERY)
         self.samples_per_ray = max(1.0, 0.9 * self.samples_per_ray + 0.1 * found / len(rays))
         if self.updates % self.config.update_every == 0:
-            whole = self.updates <= self.config.update_every * self.config.warm_updates
-            self.occupancy.update(self._tau, whole, self.generator)
+            self._update_occupancy()
         return error / truth.numel()
 
     def _pieces(
@@ -163,8 +162,23 @@ class Hash(Defaults, HashStages):
             mean.lerp_(now, share)
 
     def _update(self) -> None:
-        self.optimizer.step()
+        # the table first: if its kernel runs out of memory, nothing has changed yet and the step can be repeated
         self.kernels.adam(self.field.table.detach(), self.table_gradient, self.moments, self.numbers)
+        self.optimizer.step()
+
+    def _update_occupancy(self) -> None:
+        """Decide anew which cells are occupied.
+
+        The weights have changed by now, so that the step must not be repeated. If memory runs out, the cells stay as
+        they are until the next update, and later steps use half the memory. Raises torch.OutOfMemoryError if that is
+        not possible.
+        """
+        whole = self.updates <= self.config.update_every * self.config.warm_updates
+        try:
+            self.occupancy.update(self._tau, whole, self.generator)
+        except torch.OutOfMemoryError:
+            if not self.halve():
+                raise
 
     def _accumulate(self, rays: Rays, offsets: Tensor, truth: Tensor, scale: float) -> tuple[float, int]:
         """Add the gradient of `scale`/2 times the squared error. Returns that error and the number of samples."""

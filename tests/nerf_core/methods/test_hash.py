@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 import torch
 
@@ -51,6 +53,57 @@ def test_constants_that_no_machine_can_use_are_refused(scene: Scene, changes: di
     with pytest.raises(UserError) as caught:
         HashConfig.configure(scene, "auto", changes, CPU)
     assert text in str(caught.value)
+
+
+@pytest.fixture
+def make(scene: Scene) -> Callable[..., Trainer]:
+    def build(**changes: str) -> Trainer:
+        return Trainer(scene, RunSettings(method="hash", changes=SMALL | {"samples": "8192"} | changes, threads=1))
+
+    return build
+
+
+def full_once(monkeypatch: pytest.MonkeyPatch, owner: object, name: str) -> None:
+    """Let a method run out of memory the first time it is called."""
+    calls, real = [], getattr(owner, name)
+
+    def call(*args: object) -> None:
+        calls.append(1)
+        if len(calls) == 1:
+            raise torch.OutOfMemoryError("full")
+        real(*args)
+
+    monkeypatch.setattr(owner, name, call)
+
+
+def test_a_step_without_memory_after_its_update_is_not_repeated(
+    make: Callable[..., Trainer], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trainer, plain = make(update_every="1"), make(update_every="1")
+    method = trainer.method
+    assert isinstance(method, Hash)
+    cells = method.occupancy.cells
+    full_once(monkeypatch, method.occupancy, "update")
+    assert trainer.step().note == "out of device memory at step 1: going on in chunks of half the size"
+    plain.step()
+    assert (method.updates, method.config.samples) == (1, 4096)
+    assert method.occupancy.cells is cells
+    for own, other in zip(method.parameters(), plain.method.parameters(), strict=True):
+        assert torch.equal(own, other)
+    assert trainer.step().note == ""
+    assert method.occupancy.cells is not cells
+
+
+def test_a_step_without_memory_for_its_update_is_done_once(
+    make: Callable[..., Trainer], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trainer, plain = make(), make(samples="4096")
+    assert isinstance(trainer.method, Hash)
+    full_once(monkeypatch, trainer.method.kernels, "adam")
+    assert trainer.step().note != ""
+    plain.step()
+    own, other = trainer.state(), plain.state()
+    assert [name for name in own if not torch.equal(own[name], other[name])] == []
 
 
 def test_fewer_samples_a_ray_make_more_rays_a_step(scene: Scene) -> None:

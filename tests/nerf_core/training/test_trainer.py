@@ -172,6 +172,18 @@ def test_memory_that_never_suffices_raises(make_trainer: MakeTrainer, monkeypatc
     assert differing(trainer.state(), before) == []
 
 
+def test_a_callback_without_memory_does_not_halve_the_chunks(make_trainer: MakeTrainer) -> None:
+    def full() -> None:
+        raise torch.OutOfMemoryError("a picture")
+
+    trainer = make_trainer()
+    before = copied(trainer), trainer.config
+    with pytest.raises(torch.OutOfMemoryError, match="a picture"):
+        trainer.step(full)
+    assert trainer.config == before[1]
+    assert differing(trainer.state(), before[0]) == []
+
+
 def test_restarted_is_the_same_run_again(make_trainer: MakeTrainer) -> None:
     trainer = make_trainer(seed=4, density_noise=0.5)
     begun, after = copied(trainer), copied(run(trainer, 3))
