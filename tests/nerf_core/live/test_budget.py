@@ -1,4 +1,4 @@
-"""The account of time, with a clock of its own."""
+"""The time budget, on a simulated clock."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_training_gets_its_share_of_the_time(share: float, tile: float) -> None:
             budget.drew(tile)
             drawn += tile
     assert trained / (trained + drawn) == pytest.approx(share, abs=0.02)
-    # what it says of the last seconds may be off by the one tile that was under way
+    # the measured share may be off by the tile in progress
     assert budget.train_share() == pytest.approx(share, abs=0.03)
 
 
@@ -68,7 +68,7 @@ def test_an_idle_hour_earns_no_burst() -> None:
     assert spent < 10
 
 
-def test_nothing_measured_is_nothing_claimed() -> None:
+def test_without_measurements_the_share_is_0_and_drawing_is_allowed() -> None:
     budget = Budget(0.5, Clock())
     assert budget.train_share() == 0
     assert budget.may_draw()
@@ -91,7 +91,7 @@ def test_a_moving_camera_has_half_of_what_training_leaves(share: float) -> None:
     while clock.now < 60:
         clock.now += 0.004
         budget.trained(0.004 * share)
-        budget.showed(0.004 * (1 - share))  # a window that leaves nothing of the budget
+        budget.showed(0.004 * (1 - share))  # the window's frames use all that training leaves
         if budget.may_follow():
             clock.now += 0.01
             budget.drew(0.01)
@@ -100,7 +100,7 @@ def test_a_moving_camera_has_half_of_what_training_leaves(share: float) -> None:
     assert followed / clock.now == pytest.approx((1 - share) / 2, rel=0.2)
 
 
-def test_a_hand_waits_a_quarter_of_a_second_at_most() -> None:
+def test_a_moving_camera_waits_a_quarter_of_a_second_at_most() -> None:
     clock = Clock()
     budget = Budget(0.95, clock)
     budget.drew(10.0)

@@ -1,4 +1,4 @@
-"""Rays that the worker keeps open: pinned ones, their histories, and files of them."""
+"""Rays that the worker keeps open: inspected and pinned ones, their histories and files."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_a_pinned_ray_has_a_history_from_the_step_it_was_pinned_at(open_desk: Op
     desk.until(lambda s: s.step == 5 and s.status == "paused")
     desk.send(PinRay(camera, (2, 2), id=2), Train(4))
     shown = desk.until(lambda s: s.step == 9 and s.status == "paused" and records(s)[-1:] == [9])
-    assert records(shown) == list(range(10))  # of a schedule of 100 steps every one is worth a record
+    assert records(shown) == list(range(10))  # a schedule of 100 steps records every step
     assert records(shown, 2) == [5, 6, 7, 8, 9]
     first = shown.pins[0]
     assert first.ray is not None
@@ -63,7 +63,7 @@ def test_a_pinned_ray_has_a_history_from_the_step_it_was_pinned_at(open_desk: Op
     assert [pin.id for pin in desk.until(lambda s: len(s.pins) == 1).pins] == [2]
 
 
-def test_another_course_of_training_begins_another_history(open_desk: OpenDesk) -> None:
+def test_a_reset_or_another_method_begins_a_new_history(open_desk: OpenDesk) -> None:
     desk = open_desk()
     desk.send(PinRay(scene_of(desk).views[0].camera, (8, 8), id=1), Train(3))
     desk.until(lambda s: records(s) == [0, 1, 2, 3])
@@ -73,7 +73,7 @@ def test_another_course_of_training_begins_another_history(open_desk: OpenDesk) 
     assert records(desk.until(lambda s: s.method == "voxels")) == [0]
 
 
-def test_a_pin_that_cannot_be_opened_is_told_once_and_the_others_stay(open_desk: OpenDesk) -> None:
+def test_a_pin_that_cannot_be_opened_is_reported_once_and_the_others_stay(open_desk: OpenDesk) -> None:
     desk = open_desk()
     camera = scene_of(desk).views[0].camera
     desk.send(PinRay(camera, (99, 0), id=1), PinRay(camera, (3, 3), id=2))
@@ -84,7 +84,7 @@ def test_a_pin_that_cannot_be_opened_is_told_once_and_the_others_stay(open_desk:
     assert sum("pixel 99" in notice.text for notice in desk.heard) == 1
 
 
-def test_all_of_an_opened_ray_is_of_one_step_in_the_end(open_desk: OpenDesk) -> None:
+def test_all_parts_of_an_opened_ray_reach_the_same_step(open_desk: OpenDesk) -> None:
     desk = open_desk()
     scene, camera = scene_of(desk), scene_of(desk).views[2].camera
     desk.trained(3)
@@ -96,7 +96,7 @@ def test_all_of_an_opened_ray_is_of_one_step_in_the_end(open_desk: OpenDesk) -> 
     assert opened.evidence is not None
     assert opened.ray.step == opened.radiance.step == 3
     assert opened.walk[0].title == "Camera and pixel"
-    assert opened.walk[-1].title == "Loss"  # a photo was taken from here
+    assert opened.walk[-1].title == "Loss"  # there is a photo from here
     assert scene.images[2][9, 7].tolist() == pytest.approx((65535 * _photo(opened.walk[-2].charts[0].rgb)).tolist())  # pyright: ignore
 
 
@@ -105,7 +105,7 @@ def _photo(colors: np.ndarray) -> np.ndarray:
 
 
 def test_what_the_window_shows_is_what_a_notebook_opens(open_desk: OpenDesk, tmp_path: Path) -> None:
-    """The same arrays from the worker's file and from the library, on the same weights."""
+    """The worker's file and the library have the same arrays for the same weights."""
     desk = open_desk()
     camera = scene_of(desk).views[1].camera
     desk.trained(4)
@@ -126,8 +126,8 @@ def test_what_the_window_shows_is_what_a_notebook_opens(open_desk: OpenDesk, tmp
     desk.until_told("an opened ray is written as")
 
 
-def test_a_point_that_is_dragged_is_there_at_once(open_desk: OpenDesk) -> None:
-    """The first piece of work has it; what else is known of the ray stays as it was until it is known anew."""
+def test_a_dragged_point_moves_at_once(open_desk: OpenDesk) -> None:
+    """The first piece of work moves it. The ray's other results stay as they were until they are computed again."""
     desk = open_desk()
     scene, camera = scene_of(desk), scene_of(desk).views[2].camera
     desk.trained(2)
@@ -159,8 +159,8 @@ def test_a_point_that_is_dragged_is_there_at_once(open_desk: OpenDesk) -> None:
     assert rays.opened.verdict.reasons == again.verdict.reasons
 
 
-def test_what_is_written_is_whole_and_once(open_desk: OpenDesk) -> None:
-    """A ray that is still being looked at is written whole; one that is pinned as well, once."""
+def test_every_ray_is_written_complete_and_once(open_desk: OpenDesk) -> None:
+    """A ray whose results are still being computed is written complete. One that is also pinned is written once."""
     desk = open_desk()
     camera = scene_of(desk).views[2].camera
     desk.trained(2)
@@ -185,7 +185,7 @@ def test_what_is_written_is_whole_and_once(open_desk: OpenDesk) -> None:
     assert rays.whole(trainer, [])[0] is rays.opened
 
 
-def test_every_look_is_answered_by_its_number(open_desk: OpenDesk) -> None:
+def test_every_request_to_inspect_is_answered_by_its_number(open_desk: OpenDesk) -> None:
     desk = open_desk()
     first = Inspect(scene_of(desk).views[0].camera, (7, 9))
     again = first.again(point_t=2.5)

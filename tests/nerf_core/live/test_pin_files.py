@@ -1,4 +1,4 @@
-"""What was watched comes back with a checkpoint and goes on; what nobody wrote is left out."""
+"""Pinned rays and their histories come back with a checkpoint and continue; invalid ones are refused."""
 
 from __future__ import annotations
 
@@ -70,9 +70,7 @@ def same(a: RayHistory, b: RayHistory) -> bool:
     return all(np.array_equal(getattr(a, name), getattr(b, name), equal_nan=True) for name in vars(a))
 
 
-def test_curves_and_maps_go_on_where_the_checkpoint_left_them(
-    open_desk: OpenDesk, saved: tuple[Path, Snapshot]
-) -> None:
+def test_histories_continue_where_the_checkpoint_left_them(open_desk: OpenDesk, saved: tuple[Path, Snapshot]) -> None:
     (file, before), desk = saved, open_desk()
     desk.send(LoadCheckpoint(file))
     desk.until_told("loaded run.safetensors")
@@ -119,7 +117,7 @@ def test_a_ray_that_is_removed_and_pinned_again_begins_anew(open_desk: OpenDesk,
     assert again.pins[1].color == 1  # the colour that became free
 
 
-def test_a_history_goes_on_past_the_checkpoints_schedule(open_desk: OpenDesk, saved: tuple[Path, Snapshot]) -> None:
+def test_a_history_continues_past_the_checkpoints_schedule(open_desk: OpenDesk, saved: tuple[Path, Snapshot]) -> None:
     desk = open_desk(steps=20_000)  # the checkpoint's own schedule, of 100 steps, counts
     desk.send(LoadCheckpoint(saved[0]), Train(120))
     shown = desk.until(lambda s: s.step == 125 and s.status != "training" and s.pins[1].history is not None)
@@ -129,7 +127,7 @@ def test_a_history_goes_on_past_the_checkpoints_schedule(open_desk: OpenDesk, sa
     assert steps == sorted(set(steps))
 
 
-def test_another_training_knows_nothing_of_it(open_desk: OpenDesk, saved: tuple[Path, Snapshot]) -> None:
+def test_a_reset_clears_the_loaded_histories(open_desk: OpenDesk, saved: tuple[Path, Snapshot]) -> None:
     desk = open_desk()
     desk.send(LoadCheckpoint(saved[0]), Reset())
     begun = desk.until(lambda s: s.step == 0 and len(s.pins) == 2 and s.pins[1].history is not None)
@@ -137,7 +135,7 @@ def test_another_training_knows_nothing_of_it(open_desk: OpenDesk, saved: tuple[
     assert len(begun.history.step) == 0
 
 
-def test_what_is_pinned_stays_where_a_checkpoint_has_no_pins(open_desk: OpenDesk, tmp_path: Path) -> None:
+def test_pins_stay_if_the_checkpoint_has_none(open_desk: OpenDesk, tmp_path: Path) -> None:
     desk, file = open_desk(), tmp_path / "bare.safetensors"
     desk.trained(2)
     desk.send(SaveCheckpoint(file), PinRay(camera_of(desk), (4, 4), id=9), LoadCheckpoint(file))
@@ -147,7 +145,7 @@ def test_what_is_pinned_stays_where_a_checkpoint_has_no_pins(open_desk: OpenDesk
     assert history_of(desk.worker.snapshot(), 9).steps.tolist() == [2]
 
 
-def test_whoever_hears_that_a_checkpoint_was_loaded_finds_it_there(
+def test_the_snapshot_has_the_checkpoint_once_its_loading_is_reported(
     open_desk: OpenDesk, saved: tuple[Path, Snapshot]
 ) -> None:
     desk = open_desk()
@@ -176,39 +174,39 @@ def bad(name: str, change: Callable[[torch.Tensor], Any]) -> Callable[[dict[str,
     return break_it
 
 
-def told(rays: object) -> Callable[[dict[str, Any], dict[str, Any]], None]:
+def watched(rays: object) -> Callable[[dict[str, Any], dict[str, Any]], None]:
     return lambda description, state: description.update(watched=rays)
 
 
 BROKEN = {
     "a missing tensor": lambda description, state: state.pop("watched.1.weights"),
-    "rays that are numbers": told([1]),
-    "a ray without a camera": told([{"pixel": [1, 1]}]),
-    "a number": told(3),
-    "more rays than anybody pins": lambda description, state: description.update(watched=description["watched"] * 40),
+    "rays that are numbers": watched([1]),
+    "a ray without a camera": watched([{"pixel": [1, 1]}]),
+    "a number instead of rays": watched(3),
+    "more rays than can be pinned": lambda description, state: description.update(watched=description["watched"] * 40),
     "a step that was never made": bad("0.steps", lambda v: v + 1),
-    "steps that go back": bad("0.steps", lambda v: v.flip(0)),
+    "steps in descending order": bad("0.steps", lambda v: v.flip(0)),
     "steps that are fractions": bad("0.steps", lambda v: v.double()),
     "a step before the first": bad("0.steps", lambda v: v - 1),
     "another length": bad("0.depth", lambda v: v[1:]),
     "no records": bad("1.steps", lambda v: v[:0]),
-    "a weight that is no number": bad("0.weights", lambda v: v * torch.nan),
-    "weights of another kind": bad("0.weights", lambda v: v.long()),
+    "weights that are NaN": bad("0.weights", lambda v: v * torch.nan),
+    "weights that are integers": bad("0.weights", lambda v: v.long()),
     "more bins": bad("0.weights", lambda v: torch.cat([v, v], 1)),
     "edges that do not rise": bad("1.edges", lambda v: v.flip(0)),
     "an infinite depth": bad("0.depth", lambda v: v + torch.inf),
 }
 
 
-def test_histories_that_nobody_wrote_are_refused(saved: tuple[Path, Snapshot]) -> None:
+def test_invalid_histories_are_refused(saved: tuple[Path, Snapshot]) -> None:
     for what, break_it in BROKEN.items():
         description, state = checkpoint.load(saved[0])
         break_it(description, state)
         with pytest.raises(UserError, match="histories cannot be read"):
-            pytest.fail(f"{what} is taken: {with_histories([], description, state)}")
+            pytest.fail(f"{what}: accepted as {with_histories([], description, state)}")
 
 
-def test_a_model_opens_without_the_histories_that_are_refused(
+def test_a_model_loads_without_its_invalid_histories(
     open_desk: OpenDesk, saved: tuple[Path, Snapshot], tmp_path: Path
 ) -> None:
     file = tmp_path / "run.safetensors"
@@ -217,7 +215,7 @@ def test_a_model_opens_without_the_histories_that_are_refused(
     desk = open_desk()
     desk.send(LoadCheckpoint(file))
     assert desk.until_told("the checkpoint's pinned rays' histories cannot be read: they begin anew").level == "warning"
-    assert desk.worker.snapshot().step == 5  # what is told is published before
+    assert desk.worker.snapshot().step == 5  # the snapshot is published before the notice
     assert desk.trained(1).history.step.tolist() == [1, 2, 3, 4, 5, 6]
 
 
@@ -234,7 +232,8 @@ def test_pins_come_back_from_a_checkpoint() -> None:
     pins = some(3)
     pins[1] = replace(pins[1], name="the rim\u202e of it\n", hidden=True)
     again = restored_pins(json.loads(json.dumps(described(pins))))
-    assert [pin.name for pin in again] == ["ray 1", "the rim of it", "ray 3"]  # no signs that turn or break a line
+    # characters that reverse or break a line are removed
+    assert [pin.name for pin in again] == ["ray 1", "the rim of it", "ray 3"]
     assert [(p.color, p.hidden, p.pixel) for p in again] == [(p.color, p.hidden, p.pixel) for p in pins]
     for a, b in zip(again, pins, strict=True):
         np.testing.assert_array_equal(a.camera.c2w, b.camera.c2w)
@@ -257,11 +256,11 @@ def changed(**values: Any) -> dict[str, Any]:
         changed(pixel=["a", "b"]), changed(color=1e400),
     ],
 )  # fmt: skip
-def test_what_no_window_wrote_is_left_out(session: Any) -> None:
+def test_invalid_pins_are_refused(session: Any) -> None:
     with pytest.raises(UserError, match="the checkpoint's pinned rays"):
         restored_pins({"session": session})
 
 
-def test_more_pins_than_there_are_colours_are_cut() -> None:
+def test_pins_beyond_the_number_of_colours_are_dropped() -> None:
     session = described(some(MOST_PINS))["session"]
     assert len(restored_pins({"session": {"pins": session["pins"] * 2}})) == MOST_PINS

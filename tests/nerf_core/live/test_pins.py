@@ -1,4 +1,4 @@
-"""Pinned rays as the worker owns them: colours, names, places, and who gives way."""
+"""The worker's pinned rays: their colours, names and number, and which of them give way."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def pin(trainer: Trainer, k: int = 0, name: str = "", hidden: bool = False) -> P
     return PinRay(trainer.scene.views[0].camera, (k, k), name, hidden)
 
 
-def test_every_pin_has_a_colour_of_its_own_and_there_are_so_many(trainer: Trainer) -> None:
+def test_every_pin_has_its_own_colour_and_their_number_is_limited(trainer: Trainer) -> None:
     pins = Pins()
     for k in range(MOST_PINS):
         pins.add(pin(trainer, k), trainer)
@@ -52,7 +52,7 @@ def test_names_are_changed_and_cut(trainer: Trainer) -> None:
     assert (found.name, found.hidden) == ("x" * 60, True)
 
 
-def test_what_the_demo_pins_out_of_sight_gives_way(trainer: Trainer) -> None:
+def test_the_demos_hidden_pins_give_way(trainer: Trainer) -> None:
     pins = Pins()
     for name, hidden in (("vase", True), ("glossy ball", False), ("past the ball", True)):
         pins.add(pin(trainer, name=name, hidden=hidden), trainer)

@@ -1,4 +1,4 @@
-"""Refinement computes every pixel once, where it says it does, and keeps up with training."""
+"""Refinement computes every pixel once, puts it in its place, and keeps up with training."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ def camera(width: int, height: int) -> Camera:
 
 
 def code(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A colour and a depth that say which pixel (column, row) they belong to."""
+    """A colour and a depth that encode their pixel (column, row)."""
     color = np.stack([pixels[:, 0], pixels[:, 1], np.zeros(len(pixels))], -1) / 255
     return color.astype(np.float32), (pixels[:, 0] * 1000 + pixels[:, 1]).astype(np.float32)
 
 
 def work(picture: Refinement, step: int, count: int) -> np.ndarray:
-    """One piece of drawing; the pixels it computed."""
+    """Draw one piece. Returns the pixels that were computed."""
     cells = picture.take(count)
     pixels = picture.pixels(cells)
     picture.write(cells, *code(pixels), step)
@@ -76,7 +76,7 @@ def test_missing_texels_are_interpolated_from_the_coarser_level() -> None:
     assert red.tolist() == [0, 1, 2, 3, 4]
 
 
-def test_the_first_level_is_told_when_it_is_whole() -> None:
+def test_first_level_done_is_set_when_all_its_pixels_are_drawn() -> None:
     picture = Refinement(camera(8, 8), 1, 4, "fine")
     picture.advance(0)
     work(picture, 0, 3)
@@ -93,7 +93,7 @@ def test_pixels_come_from_the_centre_outwards() -> None:
 
 
 def finished(picture: Refinement, step: int) -> list[tuple[int, int]]:
-    """Draw until nothing is left to do at this step; the pixels that were drawn."""
+    """Draw until nothing is left to do at this step. Returns the pixels that were drawn."""
     drawn = []
     while picture.advance(step):
         drawn += [tuple(p) for p in work(picture, step, 10)]
@@ -110,8 +110,8 @@ def test_a_whole_picture_is_refreshed_in_place_as_training_goes_on() -> None:
     assert picture.image().step == 101
 
 
-def test_a_level_is_refined_only_if_the_finer_one_is_done_before_the_weights_are_others() -> None:
-    """It took 10 steps to draw; four times as many pixels take 40. From 120 on those end at under 4/3 of the first."""
+def test_a_level_is_refined_only_if_the_finer_one_can_be_drawn_in_time() -> None:
+    """The level takes 10 steps, the finer one 40. From step 120 on these are in time: 120 ≥ YOUNG · (120 + 40)."""
     for begin, stride in ((109, 4), (110, 2)):
         picture = Refinement(camera(8, 8), 1, 4, "fine")
         picture.advance(begin)
@@ -122,7 +122,7 @@ def test_a_level_is_refined_only_if_the_finer_one_is_done_before_the_weights_are
 
 
 def test_while_training_the_first_level_is_drawn_again_to_see_how_fast_the_weights_change() -> None:
-    """Once: where a step takes minutes, drawing the same again shows nothing new."""
+    """It is drawn again only once: where a step takes minutes, the same picture again shows nothing new."""
     picture = Refinement(camera(8, 8), 1, 4, "fine")
     for _ in range(2):
         assert picture.advance(5, training=True)
@@ -142,7 +142,7 @@ def test_a_picture_is_shown_while_its_pixels_are_of_one_step() -> None:
     assert not picture.coherent()
     work(picture, 20, 2)
     assert picture.coherent()
-    picture.advance(20)  # the weights did not change: a finer level shows as it comes
+    picture.advance(20)  # the weights did not change: a finer level is shown while it is drawn
     work(picture, 20, 2)
     assert picture.stride == 2
     assert picture.coherent()
@@ -163,7 +163,7 @@ def test_a_finer_level_is_all_of_one_age() -> None:
 
 
 def whole(born: int = 0) -> Refinement:
-    """A full picture, drawn at step born + 300 while nothing trained; its first level had a stride of 8."""
+    """A full picture, drawn at step born + 300 while training was paused; its first level had a stride of 8."""
     picture = Refinement(camera(64, 64), 1, 8, "fine", born=born)
     finished(picture, born + 300)
     assert picture.complete()
@@ -171,8 +171,8 @@ def whole(born: int = 0) -> Refinement:
 
 
 @pytest.mark.parametrize("born", [0, 5000])
-def test_a_level_that_training_overtakes_is_given_up_for_one_that_is_done_in_time(born: int) -> None:
-    """Weights of step 300 tell what the model looks like until step 400, and 500 is waited for."""
+def test_a_level_that_would_be_outdated_is_dropped_for_one_that_is_done_in_time(born: int) -> None:
+    """A level of step 301 is up to date until step 401. It is abandoned after twice as many steps, at 502."""
     picture = whole(born)
     begun = born + 301
     assert picture.advance(begun, training=True)
@@ -181,7 +181,7 @@ def test_a_level_that_training_overtakes_is_given_up_for_one_that_is_done_in_tim
         assert picture.stride == 1
         work(picture, begun, 1024)
     now = begun + 201
-    assert picture.advance(now, training=True)  # half is done: all takes 402 steps, a quarter 100
+    assert picture.advance(now, training=True)  # half is done: the whole takes 402 steps, a quarter of it 100
     assert picture.stride == 2
     for step in (now, now + 50):
         assert picture.advance(step, training=True)
@@ -191,23 +191,24 @@ def test_a_level_that_training_overtakes_is_given_up_for_one_that_is_done_in_tim
 
 
 def test_no_level_takes_long_while_training_goes_on() -> None:
-    """Whatever the steps: they may be few and slow."""
+    """The limit in seconds holds even if steps are few and slow."""
     picture = whole()
     assert picture.advance(301, training=True, now=100.0)
     work(picture, 301, 1024)
     assert picture.advance(301, training=True, now=100 + 2 * FRESH_SECONDS)
     assert picture.stride == 1
-    assert picture.advance(301, training=True, now=101 + 2 * FRESH_SECONDS)  # a quarter: all would take 8 of these
+    # a quarter is done: the whole would take 8 limits
+    assert picture.advance(301, training=True, now=101 + 2 * FRESH_SECONDS)
     assert picture.stride == 4
-    for k in range(3):  # fast enough, but the next level would not be
+    for k in range(3):  # drawn in time, but the next level would not be
         work(picture, 302 + k, 256)
         assert picture.advance(303 + k, training=True, now=101 + (2.8 + 0.8 * k) * FRESH_SECONDS)
         assert picture.stride == 4
-    finished(picture, 305)  # a pause
+    finished(picture, 305)  # training is paused
     assert picture.complete()
 
 
-def test_a_picture_never_falls_behind_its_first_level() -> None:
+def test_a_picture_never_gets_coarser_than_its_first_level() -> None:
     picture = whole()
     picture.advance(301, training=True)
     work(picture, 301, 1)
@@ -215,7 +216,7 @@ def test_a_picture_never_falls_behind_its_first_level() -> None:
     assert picture.stride == 8
     work(picture, 20_000, 10)
     assert picture.advance(90_000, training=True, now=2e6)
-    assert len(picture.take(100)) == 54  # it goes on
+    assert len(picture.take(100)) == 54  # the first level is not abandoned
 
 
 @pytest.mark.parametrize("affordable", [0.5, 1, 100, 5000, 1e9])

@@ -32,7 +32,7 @@ def test_two_runs_of_two_methods_train_on_one_scene_fairly(open_desk: OpenDesk) 
     first, second = desk.worker.snapshot(), desk.worker.snapshot(2)
     assert (first.method, second.method) == ("nerf", "voxels")
     assert first.scene is second.scene
-    desk.trained(3)  # loops are compiled
+    desk.trained(3)  # so that the loops are compiled
     desk.send(Train(2, run=2))
     desk.until(lambda _: desk.worker.snapshot(2).step == 2)
     before = desk.worker.snapshot().seconds, desk.worker.snapshot(2).seconds
@@ -41,12 +41,12 @@ def test_two_runs_of_two_methods_train_on_one_scene_fairly(open_desk: OpenDesk) 
     desk.send(Pause(), Pause(run=2))
     desk.until(lambda s: s.status == "paused" and desk.worker.snapshot(2).status == "paused")
     took = desk.worker.snapshot().seconds - before[0], desk.worker.snapshot(2).seconds - before[1]
-    assert 0.7 < took[0] / took[1] < 1 / 0.7  # a step of one takes many times as long as one of the other
+    assert 0.7 < took[0] / took[1] < 1 / 0.7  # equal time, although one's steps take longer
     assert desk.worker.snapshot().rays_per_second == 0
 
 
 def test_runs_do_not_disturb_each_other(open_desk: OpenDesk) -> None:
-    """The weights are those of a run alone; views, opened rays and pauses are each run's own."""
+    """A run's weights are those of a run alone. Each run has its own views, opened rays and resets."""
     alone, both = open_desk(), open_desk()
     alone.trained(5)
     both.send(OpenRun("voxels", run=2))
@@ -68,7 +68,7 @@ def test_runs_do_not_disturb_each_other(open_desk: OpenDesk) -> None:
     assert both.worker.snapshot().step == 5
 
 
-def test_wrong_numbers_are_told(open_desk: OpenDesk) -> None:
+def test_wrong_run_numbers_are_reported(open_desk: OpenDesk) -> None:
     desk = open_desk()
     (number,) = desk.send(Train(run=3))
     told = desk.until_told("there is no run 3: there are 1")
@@ -109,7 +109,7 @@ def test_a_fault_in_a_command_stops_only_the_run_that_it_was_for(
     assert desk.worker.snapshot().status == "training"
 
 
-def test_an_unknown_share_rule_is_told(open_desk: OpenDesk) -> None:
+def test_an_unknown_share_rule_is_reported(open_desk: OpenDesk) -> None:
     desk = open_desk()
     desk.send(SetShare(0.3, "greedy"), SetShare(0.4))
     desk.until_told("unknown share rule 'greedy': choose one of steady")

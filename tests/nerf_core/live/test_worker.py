@@ -1,4 +1,4 @@
-"""The real thread on a tiny scene: its life, checkpoints, every way to fail, and its end."""
+"""The worker's real thread on a tiny scene: its states, checkpoints, failures and end."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from nerf_core.training.settings import RunSettings
 OpenDesk = Callable[..., Desk]
 
 
-def test_a_life(open_desk: OpenDesk, capture: Path) -> None:
+def test_the_states_from_empty_to_finished(open_desk: OpenDesk, capture: Path) -> None:
     desk = open_desk(opened=False, steps=20)
     assert desk.worker.snapshot().status == "empty"
     desk.send(OpenScene(capture, desk.settings))
@@ -69,7 +69,7 @@ def test_save_load_and_go_on(open_desk: OpenDesk, tmp_path: Path) -> None:
     assert [name for name in state_a if not torch.equal(state_a[name], state_b[name])] == []
 
 
-def test_what_cannot_be_loaded_leaves_the_model(open_desk: OpenDesk, tmp_path: Path) -> None:
+def test_a_failed_load_leaves_the_model(open_desk: OpenDesk, tmp_path: Path) -> None:
     desk, path = open_desk(), tmp_path / "x.safetensors"
     desk.trained(2)
     desk.send(LoadCheckpoint(tmp_path / "none.safetensors"))
@@ -120,7 +120,7 @@ def test_without_a_scene_commands_say_so(open_desk: OpenDesk, command: Command) 
     assert desk.heard[0].text.startswith(("no scene is open: open one first", "x: no such checkpoint"))
 
 
-def test_a_state_that_cannot_be_read_is_told_once_and_the_thread_lives(
+def test_a_state_that_cannot_be_read_is_reported_once_and_the_thread_lives(
     open_desk: OpenDesk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     desk = open_desk()
@@ -139,7 +139,9 @@ def test_a_state_that_cannot_be_read_is_told_once_and_the_thread_lives(
     desk.trained(1)
 
 
-def test_an_exception_is_told_once_and_the_thread_lives(open_desk: OpenDesk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_exception_is_reported_once_and_the_thread_lives(
+    open_desk: OpenDesk, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def boom(*_: object) -> None:
         raise RuntimeError("boom\nand more")
 
@@ -162,9 +164,9 @@ def test_an_exception_is_told_once_and_the_thread_lives(open_desk: OpenDesk, mon
     assert desk.trained(1).status == "paused"
 
 
-def test_a_loss_that_is_no_number_goes_back_to_good_weights(open_desk: OpenDesk, tmp_path: Path) -> None:
+def test_a_nan_loss_goes_back_to_good_weights(open_desk: OpenDesk, tmp_path: Path) -> None:
     desk = open_desk(learning_rate="1e38")
-    for _ in range(2):  # the state to go back to is not touched by training on
+    for _ in range(2):  # twice: further training must not change the state to go back to
         desk.heard.clear()
         desk.send(Train())
         assert desk.until_told("the loss is nan; lower the learning rate").text.endswith("back at step 0, paused")
@@ -186,7 +188,7 @@ def test_closing_ends_everything_and_keeps_what_was_asked_before(open_desk: Open
     assert checkpoint.load(path)[0]["step"] == desk.worker.snapshot().step
 
 
-def test_whoever_listens_is_woken(tiny: RunSettings, capture: Path) -> None:
+def test_the_worker_calls_wake(tiny: RunSettings, capture: Path) -> None:
     calls: list[Any] = []
     worker = Worker(tiny, wake=lambda: calls.append(1))
     worker.start()

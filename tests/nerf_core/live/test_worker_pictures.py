@@ -1,4 +1,4 @@
-"""What the worker draws beside training: previews, an opened ray, films; and weights that do not care who watches."""
+"""What the worker draws while it trains: previews, an opened ray, films. Watching does not change the weights."""
 
 from __future__ import annotations
 
@@ -51,7 +51,9 @@ def plain(scene: Scene, settings: RunSettings, steps: int) -> Trainer:
     return trainer
 
 
-def test_a_picture_sharpens_until_it_is_the_renderers(open_desk: OpenDesk, on_disk: Scene, tiny: RunSettings) -> None:
+def test_a_preview_is_refined_until_it_equals_the_rendering(
+    open_desk: OpenDesk, on_disk: Scene, tiny: RunSettings
+) -> None:
     desk = open_desk()
     desk.trained(2)
     wanted = view_of(on_disk, stamp=7)
@@ -101,7 +103,7 @@ def test_a_moving_camera_waits_while_the_budget_says_so_and_a_resting_one_never(
     desk.until(lambda s: s.preview is not None and s.preview.stamp == 3)
 
 
-def test_the_windows_frames_are_no_training(tiny: RunSettings) -> None:
+def test_the_windows_frames_do_not_count_as_training(tiny: RunSettings) -> None:
     worker = Worker(tiny, share=0.6)
     worker.painted(0.25)
     worker._accounted = time.perf_counter() - 1.0
@@ -156,7 +158,7 @@ def test_a_film_is_an_mp4(open_desk: OpenDesk, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_long_step_keeps_nobody_waiting(open_desk: OpenDesk, tmp_path: Path) -> None:
+def test_a_long_step_delays_no_command(open_desk: OpenDesk, tmp_path: Path) -> None:
     """A step of the official batch takes seconds on a CPU; this one would take minutes."""
     desk, path = open_desk(rays="60000", chunk_rays="1"), tmp_path / "model.safetensors"
     scene = desk.worker.snapshot().scene
@@ -169,7 +171,7 @@ def test_a_long_step_keeps_nobody_waiting(open_desk: OpenDesk, tmp_path: Path) -
     desk.send(StartExport(ExportPath(orbit(scene, 2), 30.0, tmp_path / "film.mp4")))
     desk.until_told("exported")
     desk.send(Pause())
-    assert desk.until(lambda s: s.status == "ready").step == 0  # the step was given up
+    assert desk.until(lambda s: s.status == "ready").step == 0  # the step was abandoned
     desk.send(Train())
     desk.until(lambda s: s.status == "training")
     desk.send(SaveCheckpoint(path))
@@ -206,12 +208,14 @@ def test_a_cancelled_film_leaves_nothing(open_desk: OpenDesk, tmp_path: Path) ->
     desk.until(lambda s: s.export is not None and s.export.state == "done")
 
 
-def test_a_picture_that_training_overtakes_is_shown_whole(
+def test_a_picture_that_is_drawn_during_training_has_one_step(
     make_trainer: Callable[..., Trainer], scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A step passes with every tile: the picture is in the colours of the step at which it began, and it is there
-    although the next one has begun before anybody looked."""
-    monkeypatch.setattr("nerf_core.live.artist.WHOLE_SECONDS", 0.0)  # as if a level took longer than this small one
+    """One training step passes per tile. The picture has the colours of the step at which it began.
+
+    It can still be read although the next picture has begun.
+    """
+    monkeypatch.setattr("nerf_core.live.artist.WHOLE_SECONDS", 0.0)  # so that this small level counts as a slow one
     trainer, artist = make_trainer(tile=16), Artist()
     view, tiles = ViewRequest(1, scene.views[5].camera, moving=False), 16 * 16 // 16
     for _ in range(tiles):
@@ -228,7 +232,7 @@ def test_a_picture_that_training_overtakes_is_shown_whole(
     assert np.abs(picture.rgba[..., :3].astype(int) - to_bytes(color)).max() <= 1
 
 
-def test_a_pause_drops_what_shows_an_older_model(make_trainer: Callable[..., Trainer], scene: Scene) -> None:
+def test_a_pause_drops_a_picture_of_an_older_step(make_trainer: Callable[..., Trainer], scene: Scene) -> None:
     trainer, artist = make_trainer(tile=16), Artist()
     view, tiles = ViewRequest(1, scene.views[5].camera, moving=False), 16 * 16 // 16
     for _ in range(tiles):
@@ -246,22 +250,22 @@ def test_a_pause_drops_what_shows_an_older_model(make_trainer: Callable[..., Tra
 
 
 def test_other_weights_draw_another_picture(make_trainer: Callable[..., Trainer], scene: Scene) -> None:
-    """Where a network takes over from what guided it, nothing that was seen or timed before counts."""
+    """When a network takes over from its proposal grid, earlier pictures and timings do not count."""
     trainer, artist = make_trainer(tile=16), Artist()
     view = ViewRequest(1, scene.views[5].camera, moving=False)
     while artist.draw_view(trainer, view, training=False):
         assert artist.preview(None) is None or not artist.urgent(view)
     assert artist.rays_per_second("fine") > 0
-    trainer.method.born = 7  # type: ignore[misc]  as if
+    trainer.method.born = 7  # type: ignore[misc]  as if a network took over
     assert artist.draw_view(trainer, view, training=False)
     assert artist.urgent(view)
-    assert artist.rays_per_second("fine") > 0  # of the one piece that the new weights drew
+    assert artist.rays_per_second("fine") > 0  # from the one piece that the new weights drew
     kept = artist.preview(None)
     assert kept is not None
-    assert kept.complete  # until the first level is there
+    assert kept.complete  # the old picture stays until the new one's first level is drawn
 
 
-def test_a_view_that_cannot_be_drawn_holds_up_no_export(
+def test_a_view_that_cannot_be_drawn_delays_no_export(
     open_desk: OpenDesk, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     desk = open_desk(steps=1_000_000)
