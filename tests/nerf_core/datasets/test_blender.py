@@ -59,7 +59,7 @@ def test_training_file_is_needed(blender_folder: Folder) -> None:
         BLENDER.read(folder, LoadOptions())
 
 
-def test_one_of_its_files_stands_for_the_folder(blender_folder: Folder) -> None:
+def test_any_of_its_files_opens_the_folder(blender_folder: Folder) -> None:
     folder, _ = blender_folder
     assert BLENDER.matches(folder / "transforms_val.json")
     assert not BLENDER.matches(folder / "train/r_0.png")

@@ -67,7 +67,7 @@ def write_photos(folder: Path, names: Sequence[str], scale: int = 1) -> None:
 
 
 def complaint(work: Callable[[], object]) -> str:
-    """What a UserError says, empty if there is none; other exceptions pass."""
+    """The message of a UserError, empty if none is raised; other exceptions are not caught."""
     try:
         work()
     except UserError as error:
@@ -134,7 +134,7 @@ def test_binary_models_with_and_without_rigs(folder: Path, binary: Path) -> None
 
 
 @pytest.mark.parametrize("place", ["sparse", "colmap/sparse/0", ".", "model of mine/0"])
-def test_models_lie_in_several_places(folder: Path, place: str) -> None:
+def test_a_model_is_found_in_several_places(folder: Path, place: str) -> None:
     wanted = folder / place
     if place == ".":
         shutil.copytree(folder / "sparse/0", wanted, dirs_exist_ok=True)
@@ -209,13 +209,13 @@ def test_binaries_cut_at_any_byte_never_reach_pycolmap(tmp_path: Path, binary: P
     file.write_bytes(whole + b"\0")
     with pytest.raises(UserError, match=rf"{name}\.bin has 1 bytes too many"):
         check_model(model)
-    for place in range(0, len(whole) - 7, 4):  # counts of 2⁶⁴ − 1 wherever one may be
+    for place in range(0, len(whole) - 7, 4):  # a count of 2⁶⁴ − 1 wherever there may be a count
         file.write_bytes(whole[:place] + b"\xff" * 8 + whole[place + 8 :])
         assert not (said := complaint(lambda: check_model(model))) or f"{name}.bin" in said
 
 
-def test_damaged_values_end_in_one_line(folder: Path, binary: Path) -> None:
-    """What the walk through the counts cannot see: pycolmap refuses, or the numbers are checked afterwards."""
+def test_damaged_values_give_an_error_of_one_line_at_most(folder: Path, binary: Path) -> None:
+    """check_model does not see this damage: pycolmap refuses it, or the numbers are checked afterwards."""
     model = folder / "sparse/0"
     shutil.copytree(binary, model, dirs_exist_ok=True)
     damages = {
@@ -235,7 +235,7 @@ def test_damaged_values_end_in_one_line(folder: Path, binary: Path) -> None:
     assert_whole(read(folder))
 
 
-def test_text_that_breaks_off_is_told(folder: Path) -> None:
+def test_text_that_breaks_off_is_reported(folder: Path) -> None:
     file = folder / "sparse/0/images.txt"
     lines = file.read_text().splitlines(keepends=True)
     file.write_text("".join(lines[:7]))
@@ -264,7 +264,7 @@ def full_size(scene: Scene, index: int) -> Camera:
 
 
 def misses(a: Camera, b: Camera, pixels: np.ndarray) -> np.ndarray:
-    """How many pixels beside `pixels` (R, 2) the rays of `a` through them are seen by `b`."""
+    """By how many pixels `b` sees the rays of `a` through `pixels` (R, 2) beside these pixels."""
     rays = camera_rays(a, 1.0, 2.0, pixels)
     seen, depth = b.project(b.c2w[:, 3] + rays.directions.numpy())
     assert (depth > 0).all()

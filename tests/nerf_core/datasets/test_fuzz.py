@@ -1,4 +1,4 @@
-"""Readers of changed JSON: a capture or a UserError of one line, nothing else."""
+"""Changed JSON gives a scene or a UserError of one line, nothing else."""
 
 import copy
 import json

@@ -48,7 +48,7 @@ def centers(done: Normalised) -> np.ndarray:
 
 
 def assert_sound(done: Normalised, given_: Capture) -> None:
-    """A similarity back to the input for places and axes, and lengths that a trainer can use."""
+    """`to_input` is a similarity that restores positions and axes, and the lengths are usable for training."""
     linear, offset = done.to_input[:3, :3], done.to_input[:3, 3]
     size = np.cbrt(np.linalg.det(linear))
     np.testing.assert_allclose(linear @ linear.T, size**2 * np.eye(3), rtol=0, atol=1e-9 * size**2)
@@ -97,7 +97,7 @@ def test_up_is_level_although_cameras_look_down_on_one_side() -> None:
     quarter = np.stack(ring(24, height=3.0)[:7])
     assert np.degrees(np.arccos(up_direction(quarter)[2])) < 1e-3
     top = quarter[:, :, 1].mean(0)
-    assert np.degrees(np.arccos(top[2] / np.linalg.norm(top))) > 10  # what the mean top alone would give
+    assert np.degrees(np.arccos(top[2] / np.linalg.norm(top))) > 10  # the mean of the cameras' up axes alone is 10° off
     np.testing.assert_allclose(up_direction(np.stack(wall())), (0, 0, 1), atol=1e-12)
     rolled = np.stack(ring(8))
     rolled[::2] = rolled[::2][:, :, [1, 0, 2, 3]] * (1, -1, 1, 1)  # photos of a turned camera: rows are vertical
@@ -150,7 +150,8 @@ def test_the_mean_camera_is_the_official_one() -> None:
 
 
 def test_ndc_is_refused_where_a_ray_turns_away() -> None:
-    turned = looking((0, 0, 0), (np.sin(1.3), np.cos(1.3), 0))  # its axis points forward, one side does not
+    # its axis points forward, but one side of its frame does not
+    turned = looking((0, 0, 0), (np.sin(1.3), np.cos(1.3), 0))
     bounds = np.tile([2.0, 9.0], (10, 1))
     given_ = capture([*wall(), turned], bounds_per_photo=bounds, ndc_capable=True)
     text = "1 of 10 cameras have rays that do not point along the mean view"
@@ -169,7 +170,7 @@ def test_ndc_is_refused_where_a_ray_turns_away() -> None:
         normalise(capture(ring(height=0), near=1.0, far=9.0), ON)
 
 
-def test_a_lens_that_sees_farther_counts() -> None:
+def test_ndc_is_not_taken_if_the_lens_widens_the_view_too_far() -> None:
     turned = looking((0, 0, 0), (np.sin(1.1), np.cos(1.1), 0))
     given_ = capture([*wall(), turned], near=2.0, far=9.0, ndc_capable=True)
     assert normalise(given_, AUTO).ndc is not None
@@ -198,8 +199,8 @@ def test_bounds_come_from_what_is_known() -> None:
     assert 10 < known.far < 11.2
 
 
-def test_of_a_hundred_points_one_counts_and_of_a_thousand_none() -> None:
-    """The bounds are the half percentiles: where 1 % of the points lie is content, 0.1 % are outliers."""
+def test_one_percent_of_the_points_counts_and_a_tenth_of_a_percent_does_not() -> None:
+    """The bounds are the percentiles 0.5 and 99.5: 1 % of the points is content, 0.1 % is outliers."""
     depth = np.concatenate([np.full(1000, 6.0), np.full(10, 3.0), np.full(10, 20.0), [1.0], [200.0]])
     points = np.stack([np.zeros_like(depth), depth, np.zeros_like(depth)], 1)
     known = known_depths(capture(wall(1), points=points))
@@ -221,7 +222,7 @@ def test_a_far_background_is_bounded() -> None:
     assert not near_by.notes
 
 
-def test_without_any_depths_the_focus_tells() -> None:
+def test_without_depths_the_bounds_come_from_the_focus() -> None:
     done = normalise(capture(ring()), AUTO)
     assert (done.near, done.far) == (pytest.approx(0.25), pytest.approx(1 + np.pi))
     assert not done.notes
@@ -229,7 +230,7 @@ def test_without_any_depths_the_focus_tells() -> None:
     assert any("no depths are known" in note for note in done.notes)
 
 
-def test_photos_from_one_place_are_told() -> None:
+def test_photos_from_one_place_are_noted() -> None:
     done = normalise(capture([np.column_stack([p[:, :3], (5, 5, 5)]) for p in ring()]), AUTO)
     assert "all photos were taken from one place: they tell directions, but no depth" in done.notes
     assert not centers(done).any()
@@ -253,7 +254,7 @@ def test_lengths_beyond_floats_are_refused() -> None:
 
 @st.composite
 def rigs(draw: st.DrawFn) -> Capture:
-    """Cameras anywhere, side by side, turning on one spot, a single one; with or without depths of any kind."""
+    """One to nine cameras: anywhere, parallel, in a line, on a ring or on one spot; with or without known depths."""
     random = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     count = draw(st.integers(1, 9))
     poses = np.stack(

@@ -26,7 +26,7 @@ def png_chunk(kind: bytes, data: bytes) -> bytes:
 
 
 def write_deep_png(path: Path, pixels: np.ndarray) -> None:
-    """16-bit PNG of (H, W, 1…4), written by hand: Pillow writes none with colour. Rows use PNG's Sub filter."""
+    """Write (H, W, 1…4) as a 16-bit PNG, which Pillow cannot write in colour. The rows use PNG's Sub filter."""
     height, width, channels = pixels.shape
     raw = pixels.astype(">u2").view(np.uint8).reshape(height, -1)
     step = 2 * channels
@@ -108,7 +108,7 @@ def test_colour_profile_is_converted_to_srgb(tmp_path: Path) -> None:
     )
     linear = (p3 / 255) ** 2.2 @ to_xyz.T @ np.linalg.inv(srgb_to_xyz).T
     expected = srgb_encoded(linear) * 255
-    assert np.abs(expected - p3)[0].max() > 8  # the conversion is no formality
+    assert np.abs(expected - p3)[0].max() > 8  # the conversion changes some colours by more than 8 levels
     assert np.abs(read(tmp_path / "p3.png")[0] / 257 - expected).max() < 2
 
 
@@ -158,7 +158,7 @@ def test_upright_follows_exif(tmp_path: Path, orientation: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.webp", "a.tif", "a.exr"])
-def test_damage_is_told_apart(tmp_path: Path, name: str) -> None:
+def test_a_file_that_is_no_picture_is_damaged(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
     path.write_bytes(b"")
     with pytest.raises(UnreadableError, match=name):

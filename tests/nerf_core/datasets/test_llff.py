@@ -16,7 +16,7 @@ POSES = np.stack([orbit_pose(0.3 * i)[:3] for i in range(COUNT)])
 
 
 def table(poses: np.ndarray = POSES) -> np.ndarray:
-    """Axes as LLFF stores them, [down, right, back], of photos of 48×32 with focal length 60."""
+    """A table as LLFF stores it: axes [down, right, back], photos of 48×32, focal length 60, bounds 2 and 8."""
     stored = np.stack([-poses[:, :, 1], poses[:, :, 0], poses[:, :, 2], poses[:, :, 3]], 2)
     hwf = np.broadcast_to([[32.0], [48.0], [60.0]], (len(poses), 3, 1))
     return np.concatenate(
@@ -58,7 +58,7 @@ def test_axes_and_intrinsics_are_turned_to_ours(folder: Path) -> None:
 
 
 def sizes(folder: Path, downscale: int) -> tuple[str, tuple[int, ...], float]:
-    """Of the first view: the folder of its photo, the loaded size, and the focal length in widths."""
+    """The folder of the first view's photo, its loaded height and width, and its camera's width."""
     view = (scene := load_scene(folder, LoadOptions(format="llff", downscale=downscale))).views[0]
     assert view.camera.fx / view.camera.width == pytest.approx(60 / 48)
     return view.name.split("/")[0], scene.images[0].shape[:2], view.camera.width

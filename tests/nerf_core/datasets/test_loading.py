@@ -173,7 +173,7 @@ def test_several_formats_in_one_folder(transforms_folder: Folder, blender_folder
     assert load_scene(transforms_folder[0] / "transforms.json", AUTO).format == "transforms"
 
 
-def test_what_is_no_dataset_is_told(tmp_path: Path, transforms_folder: Folder) -> None:
+def test_a_path_that_is_no_dataset_is_refused(tmp_path: Path, transforms_folder: Folder) -> None:
     folder, _ = transforms_folder
 
     def refused(path: Path, text: str) -> None:

@@ -61,7 +61,7 @@ def test_missing_and_double_photos_are_noted(transforms_folder: Folder, read_tra
     (folder / "images/0004.png").write_bytes(b"")
     document["frames"].append(copy.deepcopy(document["frames"][0]))
     capture = read_transforms(document)
-    assert len(capture.photos) == 9  # the damaged one is found out when its size is needed
+    assert len(capture.photos) == 9  # the damaged photo is noticed only when its size is needed
     assert "1 of 11 listed photos are missing, first 'images/0003.png'" in capture.notes[0]
     assert "1 photos are listed more than once (first images/0000.png)" in capture.notes[1]
     del document["w"]

@@ -16,20 +16,20 @@ from nerf_core.volume.compositing import EMPTY, absorb, composite, expected_dept
 
 def eq3(sigma: np.ndarray, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """NeRF Eq. 3 as it is printed, one ray after another."""
-    alpha, light, weights = (np.zeros(sigma.shape) for _ in range(3))
+    alpha, transmittance, weights = (np.zeros(sigma.shape) for _ in range(3))
     for ray in range(sigma.shape[0]):
         optical_depth = 0.0
         for i in range(sigma.shape[1]):
             tau = float(sigma[ray, i]) * float(delta[ray, i])
-            light[ray, i] = math.exp(-optical_depth)
+            transmittance[ray, i] = math.exp(-optical_depth)
             alpha[ray, i] = 1 - math.exp(-tau) if tau > 1e-5 else tau
-            weights[ray, i] = light[ray, i] * alpha[ray, i]
+            weights[ray, i] = transmittance[ray, i] * alpha[ray, i]
             optical_depth += tau
-    return alpha, light, weights
+    return alpha, transmittance, weights
 
 
 def random_medium(seed: int, rays: int = 8, samples: int = 24) -> tuple[Tensor, Tensor]:
-    """Densities over twelve decades, a third of them zero, and the last step of the official code."""
+    """Densities over twelve decades, a third of them zero, and the last δ = 10¹⁰ of the official code."""
     rng = np.random.default_rng(seed)
     sigma = 10 ** rng.uniform(-6, 6, (rays, samples)) * (rng.random((rays, samples)) > 1 / 3)
     delta = 10 ** rng.uniform(-4, 0, (rays, samples))
@@ -42,7 +42,7 @@ def test_weights_are_those_of_equation_3(seed: int) -> None:
     sigma, delta = random_medium(seed)
     got = absorb(sigma, delta)
     for ours, truth in zip(got, eq3(sigma.numpy(), delta.numpy()), strict=True):
-        # relative to the sample in front of it: exp(−x) of a float32 sum x loses x·1e-7 of itself
+        # the relative error of exp(−x) is x·1e-7 for a float32 sum x
         np.testing.assert_allclose(ours.numpy(), truth, rtol=2e-5, atol=1e-6)
 
 
@@ -54,9 +54,9 @@ def test_weights_never_sum_to_more_than_one(seed: int) -> None:
 
 
 def test_worked_example() -> None:
-    alpha, light, weights = absorb(torch.full((1, 3), 0.1), torch.ones(1, 3))
+    alpha, transmittance, weights = absorb(torch.full((1, 3), 0.1), torch.ones(1, 3))
     torch.testing.assert_close(alpha[0], torch.full((3,), 1 - math.exp(-0.1)))
-    torch.testing.assert_close(light[0], torch.tensor([1.0, math.exp(-0.1), math.exp(-0.2)]))
+    torch.testing.assert_close(transmittance[0], torch.tensor([1.0, math.exp(-0.1), math.exp(-0.2)]))
     torch.testing.assert_close(weights[0], torch.tensor([0.09516, 0.08611, 0.07791]), atol=1e-5, rtol=0)
 
 
@@ -84,7 +84,7 @@ def test_color_is_the_weighted_sum_over_the_background() -> None:
 
 @given(st.integers(0, 10_000))
 def test_gradients_are_finite(seed: int) -> None:
-    """Behind opaque samples, in empty space and at the last, endless step."""
+    """Behind opaque samples, in empty space and at the unbounded last step."""
     sigma, delta = random_medium(seed)
     sigma[0, :] = 0
     sigma[1, 3] = 1e12
@@ -110,7 +110,7 @@ def test_gradients_agree_with_finite_differences() -> None:
     assert torch.autograd.gradcheck(picture, (sigma, rgb))
 
 
-def test_expected_depth_is_a_mean_over_the_weights_and_nothing_where_nothing_was_hit() -> None:
+def test_expected_depth_is_the_weighted_mean_and_nan_where_nothing_was_hit() -> None:
     t = torch.tensor([[1.0, 2.0, 4.0]]).expand(4, 3)
     weights = torch.tensor([[0.1, 0.2, 0.3], [0.0, 0.0, 0.0], [EMPTY * 0.9, 0.0, 0.0], [0.0, EMPTY * 1.1, 0.0]])
     depth = expected_depth(weights, t)
@@ -120,7 +120,7 @@ def test_expected_depth_is_a_mean_over_the_weights_and_nothing_where_nothing_was
 
 
 def test_a_faint_haze_still_has_a_depth() -> None:
-    """Half of a level of 8 bits is what one could see of it: less than that counts as nothing, more does not."""
+    """An opacity under half a level of 8 bits is invisible and counts as nothing hit; more than that has a depth."""
     t = torch.tensor([[1.0, 2.0]]).expand(2, 2)
     depth = expected_depth(torch.tensor([[0.5 / 256 * 1.01, 0.0], [0.5 / 256 * 0.99, 0.0]]), t)
     assert float(depth[0]) == pytest.approx(1.0)

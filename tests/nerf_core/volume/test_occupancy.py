@@ -1,4 +1,4 @@
-"""Which cells are taken for empty."""
+"""Which cells count as empty."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_cells_that_absorb_stay_and_the_others_go() -> None:
     assert o.cells.leap[1, 0, 0] == 1
 
 
-def test_what_was_once_seen_fades() -> None:
+def test_cells_that_no_longer_absorb_fade() -> None:
     o, g = occupancy(), torch.Generator().manual_seed(0)
     o.update(left_half, everywhere=True, generator=g)
     for _ in range(12):
@@ -36,16 +36,16 @@ def test_what_was_once_seen_fades() -> None:
     assert o.cells.occupied[7].all()
 
 
-def test_of_a_fog_without_features_the_denser_half_stays_and_of_nothing_all() -> None:
+def test_the_denser_half_of_an_even_fog_stays_and_all_of_empty_space() -> None:
     o, g = occupancy(), torch.Generator().manual_seed(0)
     o.update(lambda x: 1e-4 + 1e-6 * x[:, 0], everywhere=True, generator=g)
-    assert 0.3 < float(o.cells.occupied.float().mean()) < 0.7  # above their mean: half of a fog that grows evenly
+    assert 0.3 < float(o.cells.occupied.float().mean()) < 0.7  # the cells above the mean: half of a linear fog
     o = occupancy()
     o.update(lambda x: torch.zeros(len(x)), everywhere=True, generator=g)
     assert o.cells.occupied.all()
 
 
-def test_a_large_grid_is_looked_at_in_parts_and_comes_round() -> None:
+def test_a_large_grid_is_updated_in_parts() -> None:
     o, g = occupancy(64), torch.Generator().manual_seed(0)
     looked: list[int] = []
 
