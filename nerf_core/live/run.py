@@ -292,7 +292,8 @@ class Run:
         if job is None:
             return False
         try:
-            job.advance()
+            with _enough_memory():
+                job.advance()
         except UserError as error:
             self._tell("error", f"export failed: {error}", kind="failed")
         self.export = job.progress
@@ -305,13 +306,15 @@ class Run:
     def draw(self, view: ViewRequest | None) -> bool:
         """One piece of a ray or of the picture, of at most some 15 ms; whether there was any to do."""
         trainer = self.need_trainer()
-        if self.artist.draw_rays(trainer, view, self.training):
-            return True
+        with _enough_memory():
+            if self.artist.draw_rays(trainer, view, self.training):
+                return True
         if view is None:
             return False
         try:
-            return self.artist.draw_view(trainer, view, self.training)
-        except UserError:  # a mode that the method cannot draw: reported once, not at every turn
+            with _enough_memory():
+                return self.artist.draw_view(trainer, view, self.training)
+        except UserError:  # a mode that the method cannot draw, say: reported once, not at every turn
             self.skipped = view
             raise
 
@@ -343,3 +346,17 @@ class Run:
         """Leave no half-written file behind."""
         if self.job is not None:
             self.job.abort()
+
+
+@contextmanager
+def _enough_memory() -> Iterator[None]:
+    """Raise UserError if a picture does not fit on the device.
+
+    Pictures are drawn in the middle of training steps. torch's own error would look like one of the step.
+    """
+    try:
+        yield
+    except torch.OutOfMemoryError as error:
+        raise UserError(
+            f"out of device memory for a picture ({error}): close other programs that use the device"
+        ) from None

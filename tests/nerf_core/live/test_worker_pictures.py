@@ -193,6 +193,32 @@ def test_a_film_is_made_while_training_goes_on(open_desk: OpenDesk, tmp_path: Pa
     assert sorted(p.name for p in (tmp_path / "orbit_frames").iterdir()) == [f"{k:05d}.png" for k in range(20)]
 
 
+def test_a_picture_without_memory_does_not_stop_training(
+    open_desk: OpenDesk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise torch.OutOfMemoryError("2 GiB are free")
+
+    desk = open_desk()
+    desk.send(Train())
+    training = desk.until(lambda s: s.step > 1)
+    scene = training.scene
+    with monkeypatch.context() as context:
+        context.setattr("nerf_core.live.artist.camera_rays", full)
+        desk.worker.request_view(view_of(scene, 1))
+        desk.until_told("out of device memory for a picture (2 GiB are free): ")
+    with monkeypatch.context() as context:
+        context.setattr("nerf_core.rendering.export.jobs.tiles", full)
+        desk.worker.request_view(None)
+        desk.send(StartExport(ExportPath(orbit(scene, 1), 30.0, tmp_path / "film.mp4")))
+        desk.until_told("export failed: out of device memory for a picture (2 GiB are free): ")
+    desk.worker.request_view(view_of(scene, 2))
+    shown = desk.until(lambda s: s.preview is not None and s.preview.stamp == 2)
+    assert shown.status == "training"
+    assert shown.config == training.config  # its chunks are as large as before
+    assert len(desk.heard) == 2
+
+
 def test_a_cancelled_film_leaves_nothing(open_desk: OpenDesk, tmp_path: Path) -> None:
     desk = open_desk()
     scene = desk.worker.snapshot().scene
