@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from nerf_core.common.console import Display, duration
@@ -19,7 +19,6 @@ from nerf_core.live.messages import (
     ExportRays,
     Kind,
     LoadCheckpoint,
-    Notice,
     OpenScene,
     Pause,
     PinRay,
@@ -61,7 +60,7 @@ class Script:
     wishes: Wishes
     interrupted: Callable[[], bool]
     say: Callable[[str], None]
-    _seen: list[Notice] = field(default_factory=list)
+    _read: int = 0  # how many of the app's notices `_wait` has read
 
     def open(self, path: Path | None, settings: RunSettings) -> None:
         """Load the capture, and the checkpoint if one was given."""
@@ -252,7 +251,8 @@ class Script:
     def _ask(self, command: Command, kind: Kind) -> None:
         """Send a command and wait for the notice of this kind that answers it."""
         number = self.app.perform(command)
-        self._wait(lambda _: any(n.command == number and n.kind == kind for n in self._seen))
+        notices = self.app.state.notices
+        self._wait(lambda _: any(n.notice.command == number and n.notice.kind == kind for n in notices))
 
     def _do(self, command: Command, done: Callable[[Snapshot], bool], bar: Display | None = None) -> None:
         self.app.perform(command)
@@ -265,18 +265,18 @@ class Script:
         self._wait(and_show)
 
     def _wait(self, done: Callable[[Snapshot], bool]) -> None:
-        """Run the app's loop until `done`. Raises UserError for the worker's error, and Closed if the user ends it."""
-        self._seen.clear()
-        known = len(self.app.state.notices)
+        """Run the app's loop until `done`. Raises UserError for an error, and Closed if the user ends it.
+
+        An error counts even if it came before this call, while frames were drawn or an action was performed.
+        """
         while True:
             self.app.window.poll(0.02)
             due = self.app.state.time + FRAME_SECONDS <= time.monotonic()
             self.app.frame(force=due and self.app.state.has_display)
-            for shown in self.app.state.notices[known:]:
+            for shown in self.app.state.notices[self._read :]:
+                self._read += 1
                 if shown.notice.level == "error":
                     raise UserError(shown.notice.text)
-                self._seen.append(shown.notice)
-            known = len(self.app.state.notices)
             if done(self._snapshot()):
                 return
             if self.interrupted() or self.app.window.should_close():

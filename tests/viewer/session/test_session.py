@@ -1,16 +1,23 @@
-"""A session without its command line."""
+"""A session and its script without their command line."""
 
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import count
+from pathlib import Path
 
 import pytest
+import scripted
 
+from nerf_core.common.errors import UserError
 from nerf_core.common.signals import Signals
 from nerf_core.datasets.capture import DATASETS
+from nerf_core.live.messages import Command, Inspect, Notice
 from nerf_core.methods import METHODS
 from nerf_core.training.settings import RunSettings
+from viewer.app.app import App
+from viewer.session.script import Script
 from viewer.session.session import Session
 from viewer.session.wishes import Wishes
 from viewer.window import Window
@@ -33,3 +40,36 @@ def test_the_window_shows_which_plugins_cannot_be_loaded(
         ("warning", "the method nope cannot be loaded"),
         ("warning", "the dataset never cannot be loaded"),
     ]
+
+
+class Refusing(scripted.ScriptedWorker):
+    """A worker that answers each request for a ray with an error, at once."""
+
+    alive = True
+
+    def send(self, command: Command) -> int:
+        if not isinstance(command, Inspect):
+            return super().send(command)
+        self.waiting_notices.append(Notice("error", "no ray is opened"))
+        return 0
+
+
+@pytest.fixture
+def script(offscreen: Callable[..., Window]) -> Iterator[Script]:
+    """A script that gives up soon, with `Closed`, if it waits in vain."""
+    worker, turns = Refusing(scripted.make_scene()), count()
+    app = App(offscreen((900, 600)), worker)
+    app.settle()
+    yield Script(app, worker, Wishes(), lambda: next(turns) > 20, print)  # pyright: ignore[reportArgumentType]: scripted
+    app.close()
+
+
+def test_an_error_in_the_frames_of_a_click_ends_the_script(script: Script) -> None:
+    with pytest.raises(UserError, match="no ray is opened"):
+        script._click("0.5", "0.5")
+
+
+def test_an_error_before_a_film_is_begun_ends_the_script(script: Script) -> None:
+    script.app.state.film.fps = 0.0
+    with pytest.raises(UserError, match="a film of 0 frames per second"):
+        script._film(Path("film.mp4"), None)
