@@ -1,9 +1,8 @@
-"""Train a field of your own: a dense grid of density and colour, written with plain torch.
+"""A field of your own as a method: a dense grid of density and colour, written with plain torch.
 
-    python examples/own_field_as_a_method.py
-
-Everything that trains, renders and opens pixels then works with it. As nerf_core/methods/grid/method.py, or as an entry
-point of your own package (group "nerf_viewer.methods"), it is in the window's menu and on the command lines too.
+When this file is imported, the method "grid" is registered. Everything that trains, renders and opens pixels then works
+with it: examples/train_own_field.py does that. Saved as nerf_core/methods/grid.py, or named as an entry point of your
+own package (group "nerf_viewer.methods"), it is in the window's menu and on the command lines too.
 """
 
 from __future__ import annotations
@@ -11,23 +10,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import torch
 from torch import Tensor
 
 from nerf_core.common.configs import changed, check_ranges, constant, restored
-from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.geometry.rays import Rays, Rendering, Samples, Trace
 from nerf_core.geometry.scene import Scene
 from nerf_core.geometry.spaces import Space
 from nerf_core.methods import METHODS, Defaults, Draw
 from nerf_core.methods.adam_state import adam_state, load_adam
 from nerf_core.methods.stages import Stage, absorption_stage, field_stage
-from nerf_core.probe import open_pixel, write_inspection
-from nerf_core.training.settings import RunSettings
-from nerf_core.training.trainer import Trainer
 from nerf_core.volume.compositing import absorb, composite, expected_depth
 
 CHANNELS = 4  # density, red, green, blue
@@ -162,23 +156,3 @@ class GridMethod(Defaults):
 
     def parameters(self) -> list[Tensor]:
         return [self.grid]
-
-
-def main(out: Path = Path("runs/example"), steps: int = 300, downscale: int = 2, cells: int = 64) -> Trainer:
-    """Train, open a pixel, and write its figure `own-field.svg` into the folder `out`; returns the trainer."""
-    scene = load_scene(None, LoadOptions(downscale=downscale))
-    trainer = Trainer(scene, RunSettings(method="grid", changes={"cells": str(cells)}))
-    for _ in range(steps):
-        report = trainer.step()
-        if report.step % 50 == 0:
-            print(f"step {report.step}: {report.psnr:.2f} dB on the training rays")
-    camera = scene.views[scene.split("test")[0]].camera
-    opened = open_pixel(trainer.method, scene, camera, (camera.width // 2, camera.height // 2), trainer.step_count)
-    assert opened.verdict is not None
-    print(f"{opened.verdict.kind}: {'; '.join(opened.verdict.reasons)}")
-    write_inspection([opened], out / "own-field.svg")
-    return trainer
-
-
-if __name__ == "__main__":
-    main()

@@ -12,17 +12,14 @@ import pages
 import pytest
 
 ROOT = Path(__file__).parent.parent
-METHOD = "nerf_core/methods/grid/method.py"
+METHOD = "nerf_core/methods/grid.py"
 # Prints for each kind whether the addition shows up. The program runs once, with the new files in its packages.
 LOOK = """
 import contextlib, importlib, io, json, sys
 from pathlib import Path
 extra = Path(sys.argv[1])
 for folder in sorted({file.parent for file in extra.rglob("*.py")}):
-    name = ".".join(folder.relative_to(extra).parts)
-    if name != "nerf_core.methods.grid":
-        importlib.import_module(name).__path__.append(str(folder))
-importlib.import_module("nerf_core.methods").__path__.append(str(extra / "nerf_core" / "methods"))
+    importlib.import_module(".".join(folder.relative_to(extra).parts)).__path__.append(str(folder))
 from nerf_core.cli import main
 def printed(*words):
     out = io.StringIO()
@@ -57,7 +54,6 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bool]:
         (extra / path).parent.mkdir(parents=True, exist_ok=True)
         (extra / path).write_text(text, encoding="utf-8")
     (extra / METHOD).parent.mkdir(parents=True)
-    (extra / METHOD).with_name("__init__.py").write_text("", encoding="utf-8")
     shutil.copy(ROOT / "examples" / "own_field_as_a_method.py", extra / METHOD)
     done = subprocess.run(
         [sys.executable, "-c", LOOK, str(extra)], capture_output=True, text=True, check=False, cwd=ROOT
