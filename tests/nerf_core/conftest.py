@@ -31,7 +31,7 @@ TINY = {"rays": "32", "coarse_samples": "12", "fine_samples": "12", "depth": "3"
 
 @pytest.fixture(scope="session", autouse=True)
 def one_thread() -> None:
-    """Tensors this small gain nothing from threads, and the machine may be busy."""
+    """Run torch on one thread: tensors this small gain nothing from more, and the machine may be busy."""
     torch.set_num_threads(1)
 
 

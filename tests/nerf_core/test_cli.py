@@ -1,4 +1,4 @@
-"""The `nerf-core` command: what it writes, what it says, and with which status it ends."""
+"""The `nerf-core` command: what it writes, what it prints, and its exit status."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def command(arguments: Sequence[str]) -> list[str]:
     return [sys.executable, "-m", "nerf_core.cli", *arguments]
 
 
-def said(capsys: pytest.CaptureFixture[str]) -> str:
-    """The one line of an error."""
+def error_line(capsys: pytest.CaptureFixture[str]) -> str:
+    """What was printed to stderr: an error of one line."""
     text = capsys.readouterr().err
     assert text.startswith("nerf-core: ")
     assert text.count("\n") == 1
@@ -49,7 +49,7 @@ def test_train_eval_render(capture: Path, tmp_path: Path, capsys: pytest.Capture
     assert sorted(p.name for p in out.iterdir()) == [".lock", "checkpoints", "config.json", "log.jsonl"]
 
     assert main(train(capture, out, "--steps", "3")) == 2
-    assert f"{out}: holds a run already" in said(capsys)
+    assert f"{out}: holds a run already" in error_line(capsys)
 
     assert main(train(capture, out, "--steps", "5", "--resume")) == 0
     told = capsys.readouterr().out
@@ -74,7 +74,7 @@ def test_train_eval_render(capture: Path, tmp_path: Path, capsys: pytest.Capture
 def test_resumed_by_the_command_is_bit_identical(capture: Path, tmp_path: Path) -> None:
     straight, parts = tmp_path / "straight", tmp_path / "parts"
     assert main(train(capture, straight, "--steps", "6")) == 0
-    # The clock ends the first part: how many steps it has done does not matter, the schedule spans 6.
+    # The time limit ends the first part after any number of steps. Its schedule spans 6 all the same.
     assert main(train(capture, parts, "--steps", "6", "--seconds", "0.0001")) == 0
     assert RunFolder(parts).checkpoints()[-1].stem < "step_00000006"
     assert main(["train", "--out", str(parts), "--resume"]) == 0
@@ -110,11 +110,11 @@ def test_the_demo_scene_needs_no_name(
         (["--resume"], "not a run: it has no config.json"),
     ],
 )
-def test_wrong_options_are_one_line(
+def test_wrong_options_give_an_error_of_one_line(
     options: list[str], text: str, capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["train", str(capture), "--out", str(tmp_path / "run"), *options]) == 2
-    assert text in said(capsys)
+    assert text in error_line(capsys)
     assert not (tmp_path / "run").exists()
 
 
@@ -127,7 +127,7 @@ def test_wrong_options_are_one_line(
         (["train", "none", "--out", "out"], "none does not exist: name the folder of a dataset"),
     ],
 )
-def test_wrong_arguments_are_one_line(
+def test_wrong_arguments_give_an_error_of_one_line(
     arguments: list[str],
     text: str,
     tmp_path: Path,
@@ -136,7 +136,7 @@ def test_wrong_arguments_are_one_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(arguments) == 2
-    assert text in said(capsys)
+    assert text in error_line(capsys)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -167,15 +167,17 @@ def test_wrong_arguments_are_one_line(
         ([], "{train, eval, render, probe, methods}"),
     ],
 )
-def test_what_cannot_be_parsed_is_one_line(arguments: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_command_that_cannot_be_parsed_gives_an_error_of_one_line(
+    arguments: list[str], text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(arguments) == 2
-    line = said(capsys)
+    line = error_line(capsys)
     assert text in line
     about = f"nerf-core {arguments[0]}" if "--" in text else "nerf-core"
     assert line.endswith(f"; {about} --help lists the options\n")
 
 
-def test_help_is_no_mistake(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_exits_with_status_0(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         main(["train", "--help"])
     assert caught.value.code == 0
@@ -184,7 +186,7 @@ def test_help_is_no_mistake(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_diverged_exits_1(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(train(capture, tmp_path / "run", "--steps", "50", "--set", "learning_rate=1e30")) == 1
-    assert "went back to step 0 and saved it" in said(capsys)
+    assert "went back to step 0 and saved it" in error_line(capsys)
     assert checkpoint.newest(tmp_path / "run")[1]["step"] == 0
 
 
@@ -197,8 +199,8 @@ def test_two_instances(capture: Path, tmp_path: Path) -> None:
     )
 
 
-def started(arguments: Sequence[str]) -> subprocess.Popen[str]:
-    """The command, running for real, as soon as it has said its first line."""
+def running(arguments: Sequence[str]) -> subprocess.Popen[str]:
+    """The command in a process of its own, once it has printed its first line."""
     process = subprocess.Popen(command(arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
     assert process.stdout.readline().startswith("training nerf"), process.communicate()
@@ -207,10 +209,10 @@ def started(arguments: Sequence[str]) -> subprocess.Popen[str]:
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_signals_save_and_exit(number: signal.Signals, status: int, capture: Path, tmp_path: Path) -> None:
-    # a step of milliseconds, and one of minutes, so that it is certainly given up in the middle
+    # with 32 rays a step takes milliseconds; with 200,000 it takes minutes, so that the signal interrupts it
     for rays in (32, 200_000):
         out = RunFolder(tmp_path / str(rays))
-        process = started(train(capture, out.path, rays=rays))
+        process = running(train(capture, out.path, rays=rays))
         process.send_signal(number)
         output, errors = process.communicate(timeout=PATIENCE)
         assert (process.returncode, errors) == (status, "")
@@ -246,7 +248,7 @@ def test_probe_opens_a_pixel_of_a_run(capture: Path, tmp_path: Path, capsys: pyt
     assert stored["camera"]["width"] == 16
     assert figure.is_file()
     assert main([*words[:2], "--camera", str(file), "--pixel", "8", "8", "--write", str(tmp_path / "again.json")]) == 0
-    assert json.loads((tmp_path / "again.json").read_text()) == stored  # an opened ray names its own camera
+    assert json.loads((tmp_path / "again.json").read_text()) == stored  # an opened ray's file has its camera
     capsys.readouterr()
     (tmp_path / "list.json").write_text("[]")
     (tmp_path / "poor.json").write_text(json.dumps({k: v for k, v in stored["camera"].items() if k != "c2w"}))
@@ -275,7 +277,7 @@ def test_probe_opens_a_pixel_of_a_run(capture: Path, tmp_path: Path, capsys: pyt
         ),
     ):
         assert main(["probe", str(run), *wrong]) == 2
-        assert text in said(capsys)
+        assert text in error_line(capsys)
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""Which package may import which: one ordered list, and what only an edge may load."""
+"""Which package may import which: one ordered list. Some libraries are only for the edges of the program."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PLUGINS = (
     "nerf_core/kernels/implementations", "nerf_core/probe/verdicts",
     "viewer/panels", "viewer/commands/actions",
 )  # fmt: skip
-# What only a window, a format, a video or a command line needs.
+# The edges of the program are windows, dataset formats, videos and the command line. Only they need these libraries.
 EDGES = {
     "moderngl", "glfw", "imgui_bundle", "viewer", "pycolmap", "tyro", "rich", "imageio_ffmpeg", "numba", "platformdirs",
     "matplotlib", "triton",
@@ -48,7 +48,7 @@ def modules() -> list[tuple[str, Path]]:
 
 
 def imported(file: Path) -> set[str]:
-    """Absolute names of all modules that a file imports, wherever in it."""
+    """Absolute names of all modules that a file imports, at its top or inside a function."""
     package = file.relative_to(CORE.parent).parent.parts
     names: set[str] = set()
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
@@ -62,7 +62,7 @@ def imported(file: Path) -> set[str]:
 
 
 def place(name: str) -> int | None:
-    """The position of a module's package in ORDER; None for what is none of ours, or a whole top-level package."""
+    """The position of a module's package in ORDER; None for other libraries and for a whole top-level package."""
     parts = name.split(".")
     package = ".".join(parts[:2])
     return ORDER.index(package) if parts[0] in ("nerf_core", "viewer") and len(parts) > 1 else None
@@ -84,7 +84,7 @@ def test_every_package_is_in_the_list() -> None:
     assert found == set(ORDER)
 
 
-def test_every_package_says_what_it_is() -> None:
+def test_every_package_has_a_docstring() -> None:
     for name, file in modules():
         if file.name == "__init__.py":
             text = (ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or "").partition("\n")[0]
@@ -93,7 +93,7 @@ def test_every_package_says_what_it_is() -> None:
 
 
 def test_the_viewer_imports_itself_relatively() -> None:
-    """Its folder is installed under another name (see pyproject.toml)."""
+    """The viewer's folder is installed under another name (see pyproject.toml)."""
     for file in VIEWER.rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ImportFrom) and node.level == 0:
@@ -102,7 +102,7 @@ def test_the_viewer_imports_itself_relatively() -> None:
                 assert all(alias.name.split(".")[0] != "viewer" for alias in node.names), file
 
 
-def test_the_core_loads_nothing_that_only_an_edge_needs() -> None:
+def test_the_core_loads_no_library_that_only_an_edge_needs() -> None:
     names = (
         "training.trainer",
         "live.worker",
@@ -122,8 +122,8 @@ def test_the_core_loads_nothing_that_only_an_edge_needs() -> None:
     assert set(done.stdout.split()) & EDGES == set()
 
 
-def test_messages_and_what_they_carry_are_numpy_only() -> None:
-    """A process without torch could hold the window."""
+def test_messages_and_their_contents_load_neither_torch_nor_numba() -> None:
+    """A process without torch can hold the window."""
     names = "live.messages", "geometry.scene", "probe.records", "methods", "datasets", "training.settings"
     for name in names:
         code = f"import sys, nerf_core.{name}; print(*{{'torch', 'numba', 'llvmlite'}} & set(sys.modules))"
@@ -138,14 +138,14 @@ def test_every_name_of_the_probe_is_found() -> None:
         nerf_core.probe.nobody  # noqa: B018
 
 
-def test_the_core_knows_no_window() -> None:
+def test_the_core_imports_no_window() -> None:
     for file in CORE.rglob("*.py"):
         tops = {name.split(".")[0] for name in imported(file)}
         assert not tops & {"viewer", "moderngl", "glfw", "imgui_bundle"}, file
 
 
 def registers(file: Path) -> bool:
-    """Whether the file calls a registry's `register`, or `command`, which does."""
+    """Whether the file calls a registry's `register`, or `command`, which calls it."""
     calls = [node.func for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)]
     names = {call.attr if isinstance(call, ast.Attribute) else getattr(call, "id", "") for call in calls}
     return bool(names & {"register", "command"})
@@ -157,7 +157,7 @@ def plugins(folder: Path) -> list[Path]:
 
 
 @pytest.mark.parametrize("folder", PLUGINS)
-def test_plugins_of_a_folder_do_not_know_each_other(folder: str) -> None:
+def test_plugins_of_a_folder_do_not_import_each_other(folder: str) -> None:
     files = plugins(CORE.parent / folder)
     assert files
     names = {f: ".".join(f.relative_to(CORE.parent).with_suffix("").parts) for f in files}
@@ -166,7 +166,7 @@ def test_plugins_of_a_folder_do_not_know_each_other(folder: str) -> None:
 
 
 def test_shapes_are_checked_while_testing() -> None:
-    """The import hook of tests/conftest.py is at work: a call with tensors of unequal shapes does not pass."""
+    """The import hook of tests/conftest.py works: a call with tensors of unequal shapes raises TypeError."""
     sigma, delta = torch.zeros(2, 3), torch.zeros(2, 4)
     with pytest.raises(TypeError, match="absorb"):
         absorb(sigma, delta)
