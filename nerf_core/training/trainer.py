@@ -70,7 +70,9 @@ class Trainer:
         trainer._build(scene, description["method"], config, description["steps"], description["seed"], threads)
         try:
             trainer.go_to(description, state)
-        except (KeyError, RuntimeError, ValueError, TypeError, IndexError) as error:
+        except torch.OutOfMemoryError:  # a RuntimeError that says nothing about the checkpoint
+            raise
+        except (KeyError, RuntimeError, ValueError, TypeError, IndexError, OverflowError) as error:
             reason = shorten(" ".join(str(error).split()), 120)
             raise UserError(
                 f"the checkpoint does not fit method {description['method']} ({reason}): made by another version"

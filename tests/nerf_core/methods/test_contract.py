@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from nerf_core.common.errors import UserError
 from nerf_core.geometry.cameras import camera_rays
 from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene
@@ -267,3 +268,14 @@ def test_an_abandoned_step_leaves_the_state_as_it_was(name: str, scene: Scene, m
                 after = trainer.state()
                 assert [k for k in before if k not in TOLD_AGAIN and not torch.equal(before[k], after[k])] == []
         assert through > 0
+
+
+@pytest.mark.parametrize(
+    ("name", "counter"), [("hash", "updates"), ("nerf-guided", "guided"), ("voxels", "level"), ("voxels", "updates")]
+)
+def test_a_counter_without_end_is_refused(name: str, counter: str, scene: Scene) -> None:
+    trainer = Trainer(scene, RunSettings(method=name, changes=SMALL[name], device="cpu", threads=1))
+    state = trainer.state()
+    assert f"method.{counter}" in state
+    with pytest.raises(UserError, match=f"the checkpoint does not fit method {name} .*: made by another version"):
+        Trainer.resume(scene, trainer.describe(), state | {f"method.{counter}": torch.tensor(torch.inf)}, "cpu")

@@ -184,6 +184,18 @@ def test_a_callback_without_memory_does_not_halve_the_chunks(make_trainer: MakeT
     assert differing(trainer.state(), before[0]) == []
 
 
+def test_a_checkpoint_without_memory_is_not_called_foreign(
+    make_trainer: MakeTrainer, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise torch.OutOfMemoryError("full")
+
+    trainer = make_trainer()
+    monkeypatch.setattr(Trainer, "go_to", full)
+    with pytest.raises(torch.OutOfMemoryError):
+        Trainer.resume(scene, stored(trainer), copied(trainer), "cpu")
+
+
 def test_restarted_is_the_same_run_again(make_trainer: MakeTrainer) -> None:
     trainer = make_trainer(seed=4, density_noise=0.5)
     begun, after = copied(trainer), copied(run(trainer, 3))
