@@ -68,6 +68,7 @@ class Capture:
     reduced: how many times smaller than full size the photos in the folder (images_N) are; `--downscale` counts from
         full size.
     notes: the reader's warnings, one line each.
+    landmarks: see `Scene`.
     """
 
     format: str
@@ -82,6 +83,7 @@ class Capture:
     ndc_capable: bool = False
     reduced: int = 1
     notes: tuple[str, ...] = ()
+    landmarks: tuple[tuple[str, float, float], ...] = ()
 
     def keeping(self, kept: Sequence[int]) -> Capture:
         """Return the capture with only the photos of these indices (ascending). Splits and bounds are adapted."""

@@ -76,6 +76,7 @@ def load_scene(path: Path | None, options: LoadOptions, progress: Progress | Non
         synthetic=capture.synthetic,
         ndc=normalised.ndc,
         notes=notes,
+        landmarks=capture.landmarks,
     )
 
 

@@ -38,6 +38,8 @@ class Scene:
     center, radius, up: the centre, radius and axis of an orbit, in scene units.
     to_input: (4, 4) similarity from scene points to the frame of the input files.
     notes: the reader's warnings, one line each.
+    landmarks: rays worth watching from the first step: a name, and a position (x, y) in the first training photo, as
+        shares of its width and height.
     """
 
     name: str
@@ -56,6 +58,7 @@ class Scene:
     synthetic: bool = False
     ndc: Ndc | None = None
     notes: tuple[str, ...] = ()
+    landmarks: tuple[tuple[str, float, float], ...] = ()
 
     @property
     def images(self) -> tuple[np.ndarray, ...]:

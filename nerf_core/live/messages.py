@@ -222,7 +222,7 @@ Command = (
 
 
 Level = Literal["info", "warning", "error"]
-Kind = Literal["note", "opened", "loaded", "saved", "wrote", "exported", "failed"]
+Kind = Literal["note", "loaded", "saved", "wrote", "exported", "failed"]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 from nerf_core.common.errors import UserError
-from nerf_core.datasets.formats.demo import LANDMARKS
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
 from nerf_core.live.clock import RefreshClock
@@ -51,13 +50,13 @@ class Pins:
     def add(self, wanted: PinRay, trainer: Trainer) -> None:
         """Keep a ray open. One that is pinned already stays as it is.
 
-        Where all places are taken, one of the demo scene's own pins gives way, if it is still hidden.
+        Where all places are taken, one of the scene's own pins gives way, if it is still hidden.
         Raises UserError when there is none.
         """
         if any(pin.id == wanted.id for pin in self._pins):
             return
         if len(self._pins) >= MOST_PINS:
-            spare = spare_pins(list(self))
+            spare = spare_pins(list(self), trainer.scene)
             if not spare:
                 raise UserError(f"{MOST_PINS} rays are pinned already: remove one first")
             self.remove(spare[0].id)
@@ -68,12 +67,12 @@ class Pins:
         self._note_number(name)
 
     def add_landmarks(self, scene: Scene, trainer: Trainer) -> None:
-        """Pin what the demo scene brings, hidden, so that these histories begin with training."""
+        """Pin the scene's landmarks, hidden, so that their histories begin with training."""
         train = scene.split("train")
-        if scene.format != "demo" or not train:
+        if not train:
             return
         camera = scene.views[train[0]].camera
-        for name, x, y in LANDMARKS:
+        for name, x, y in scene.landmarks:
             self.add(PinRay(camera, (int(x * camera.width), int(y * camera.height)), name, hidden=True), trainer)
 
     def edit(self, change: EditPin) -> None:
@@ -155,7 +154,7 @@ class Pins:
             pin.recorder.add(pin.ray)
 
 
-def spare_pins(pins: Sequence[Pin]) -> list[Pin]:
-    """The demo scene's own pins that are still hidden, the last first: they give way to those that a user wants."""
-    names = {name for name, _, _ in LANDMARKS}
+def spare_pins(pins: Sequence[Pin], scene: Scene) -> list[Pin]:
+    """The scene's own pins that are still hidden, the last first: they give way to those that a user wants."""
+    names = {name for name, _, _ in scene.landmarks}
     return [pin for pin in reversed(pins) if pin.hidden and pin.name in names]

@@ -47,6 +47,8 @@ class Run:
         self.job: Job | None = None  # the export under way
         self.skipped: ViewRequest | None = None  # a view that could not be drawn: tried again when asked anew
         self.export: messages.Export | None = None  # the newest export
+        self._export_command = 0  # the number of the command that began it, and
+        self._ray_command = 0  # of the one that opened the ray
         self.failed = False
         self.loading = ""
         self.loaded = 0
@@ -58,8 +60,11 @@ class Run:
 
     # ---- commands ---------------------------------------------------------------------------------------------------
 
-    def obey(self, command: messages.OfRun) -> None:  # noqa: PLR0912  one branch per message
-        """Raises UserError for what cannot be done; the run is then as it was."""
+    def obey(self, command: messages.OfRun, number: int) -> None:  # noqa: PLR0912  one branch per message
+        """Raises UserError for what cannot be done; the run is then as it was.
+
+        number: the command's own, for answers that come after this returns.
+        """
         match command:
             case messages.OpenScene(path, options, train):
                 self.open(path, options)
@@ -81,6 +86,7 @@ class Run:
                 self._load(path)
             case messages.Inspect():
                 self.artist.ray.inspect(command)
+                self._ray_command = number
             case messages.StopInspecting():
                 self.artist.ray.inspect(None)
             case messages.PinRay():
@@ -94,6 +100,7 @@ class Run:
                 self._export_rays(path)
             case messages.StartExport(request):
                 self._start_export(request)
+                self._export_command = number
             case messages.CancelExport():
                 self._cancel_export()
 
@@ -295,20 +302,27 @@ class Run:
             with _enough_memory():
                 job.advance()
         except UserError as error:
-            self._tell("error", f"export failed: {error}", kind="failed")
+            self._tell("error", f"export failed: {error}", kind="failed", command=self._export_command)
         self.export = job.progress
         if job.progress.state != "running":
             self.job = None  # with its copy of the model
         if job.progress.state == "done":
-            self._tell("info", f"exported {job.progress.file}", job.progress.file, kind="exported")
+            file = job.progress.file
+            self._tell("info", f"exported {file}", file, kind="exported", command=self._export_command)
         return True
 
     def draw(self, view: ViewRequest | None) -> bool:
         """One piece of a ray or of the picture, of at most some 15 ms; whether there was any to do."""
-        trainer = self.need_trainer()
-        with _enough_memory():
-            if self.artist.draw_rays(trainer, view, self.training):
-                return True
+        trainer, asked = self.need_trainer(), self.artist.ray.asked
+        try:
+            with _enough_memory():
+                if self.artist.draw_rays(trainer, view, self.training):
+                    return True
+        except UserError as error:
+            if self.artist.ray.asked is asked:  # a pin
+                raise
+            self._tell("error", str(error), kind="failed", command=self._ray_command)
+            return True
         if view is None:
             return False
         try:
@@ -326,8 +340,9 @@ class Run:
         text: str,
         path: Path | None = None,
         kind: messages.Kind = "note",
+        command: int = 0,
     ) -> None:
-        self._tell_worker(Notice(level, text, path, kind=kind, run=self.number))
+        self._tell_worker(Notice(level, text, path, kind=kind, command=command, run=self.number))
 
     @contextmanager
     def _busy(self, words: str) -> Iterator[None]:

@@ -162,7 +162,7 @@ class Worker:
             case messages.CloseRun():
                 self._close_run(self._run(command.run))
             case _:
-                self._run(command.run).obey(command)
+                self._run(command.run).obey(command, self._command)
 
     # ---- runs -------------------------------------------------------------------------------------------------------
 
@@ -320,7 +320,7 @@ class Worker:
 
     def _tell(self, notice: Notice) -> None:
         """With the next snapshot: whoever hears of something finds it there."""
-        self._untold.append(replace(notice, command=self._command))
+        self._untold.append(replace(notice, command=notice.command or self._command))
 
     def _publish(self, force: bool = False) -> None:
         now = time.monotonic()

@@ -10,7 +10,7 @@ from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Dense, Radiant
 from nerf_core.probe.directions import SPHERE_COLUMNS, SPHERE_ROWS, Around, RadianceProbe, disc_grid
 from nerf_core.probe.records import PassProbe, RayProbe
-from nerf_core.rendering.modes.view_dependence import view_dependence
+from nerf_core.rendering.view_dependence import view_dependence
 
 FROZEN_WEIGHT = 0.998  # of a frozen ray looks around: what the lightest samples make of the rest is half an 8-bit step
 FROZEN_PAIRS = 1 << 16  # of a sample and a direction, looked up at once: with a network some 100 MB

@@ -163,8 +163,9 @@ class Script:
 
     def _check_room(self) -> None:
         """Raise UserError if there are too many pins. The demo's own pins give way to --pin; the user's do not."""
-        pins, asked = self._snapshot().pins, len(self.wishes.pins)
-        room = MOST_PINS - len(pins) + len(spare_pins(pins))
+        snapshot, asked = self._snapshot(), len(self.wishes.pins)
+        spare = spare_pins(snapshot.pins, snapshot.scene) if snapshot.scene else []
+        room = MOST_PINS - len(snapshot.pins) + len(spare)
         if asked > room:
             beside = f"beside the rays that are pinned in {self.wishes.load} there is room for {room}"
             raise UserError(f"--pin: given {asked} times; {beside}: leave the others out")

@@ -8,7 +8,6 @@ from typing import ClassVar
 
 from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions
 
-# Rays that the demo pins from the start: {name: position in the first training photo, as shares of its size}.
 LANDMARKS = (("glossy ball", 0.43, 0.59), ("vase", 0.61, 0.60), ("past the ball", 0.30, 0.20))
 
 
@@ -25,4 +24,4 @@ class Demo:
 
     @staticmethod
     def read(path: Path, options: LoadOptions) -> Capture:
-        return replace(DATASETS.get("blender").read(path, options), format="demo")
+        return replace(DATASETS.get("blender").read(path, options), format="demo", landmarks=LANDMARKS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
@@ -52,7 +53,9 @@ def test_names_are_changed_and_cut(trainer: Trainer) -> None:
     assert (found.name, found.hidden) == ("x" * 60, True)
 
 
-def test_the_demos_hidden_pins_give_way(trainer: Trainer) -> None:
+def test_the_scenes_hidden_pins_give_way(trainer: Trainer) -> None:
+    landmarks = (("glossy ball", 0.5, 0.5), ("vase", 0.5, 0.5), ("past the ball", 0.5, 0.5))
+    trainer.scene = replace(trainer.scene, landmarks=landmarks)
     pins = Pins()
     for name, hidden in (("vase", True), ("glossy ball", False), ("past the ball", True)):
         pins.add(pin(trainer, name=name, hidden=hidden), trainer)

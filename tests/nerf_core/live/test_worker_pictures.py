@@ -303,3 +303,16 @@ def test_a_view_that_cannot_be_drawn_delays_no_export(
     desk.send(Train(), StartExport(ExportPath(orbit(scene, 3), 30.0, tmp_path / "short.mp4")))
     desk.until_told("exported")
     assert desk.worker.snapshot().status == "training"
+
+
+def test_an_answer_that_comes_later_has_its_commands_number(open_desk: OpenDesk, tmp_path: Path) -> None:
+    desk = open_desk()
+    scene = desk.worker.snapshot().scene
+    assert scene is not None
+    film, ray, _ = desk.send(
+        StartExport(ExportPath(orbit(scene, 2), 30.0, tmp_path / "short.mp4")),
+        Inspect(scene.views[0].camera, (99, 0)),
+        Pause(),
+    )
+    assert desk.until_told("exported").command == film
+    assert desk.until_told("pixel 99 0: outside the picture").command == ray
