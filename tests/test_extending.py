@@ -113,7 +113,7 @@ def test_a_camera_path(load: Load) -> None:
     np.testing.assert_allclose(cameras[0].c2w, first)
     np.testing.assert_allclose(distances, np.linspace(1, 0.5, 5) * distances[0])
     assert all((camera.width, camera.height) == (40, 30) for camera in cameras)
-    with pytest.raises(UserError, match="--left 2"):
+    with pytest.raises(UserError, match="left of 2: take a number from 0 to 1"):
         PATHS.get("approach").cameras(scene, left=2.0)
 
 

@@ -12,7 +12,7 @@ from nerf_core.commands import COMMANDS
 from nerf_core.commands.shared import MOVED_HELP, finished, restored
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.signals import Signals
-from nerf_core.geometry.paths import PATHS
+from nerf_core.geometry.paths import DEFAULT_PATH, PATHS
 from nerf_core.rendering.export.film import FilmJob
 from nerf_core.rendering.export.requests import ExportPath
 from nerf_core.training.run_folder import RunFolder
@@ -25,13 +25,13 @@ def described(values: dict[str, str]) -> str:
 
 KINDS = {name: PATHS.get(name) for name in PATHS.names()}
 FRAMES = described({name: str(kind.default_frames or "all") for name, kind in KINDS.items()})
-OPTIONS = {option: text for kind in KINDS.values() for option, text in kind.options.items()}
+OPTIONS = {name: option for kind in KINDS.values() for name, option in kind.options.items()}
 # A field for each option that a kind of path has: a new kind brings its own.
 PathOptions = make_dataclass(
     "PathOptions",
     [
-        (name, Annotated[float | None, tyro.conf.arg(help=text)], field(default=None, kw_only=True))
-        for name, text in OPTIONS.items()
+        (name, Annotated[float | None, tyro.conf.arg(help=option.help)], field(default=None, kw_only=True))
+        for name, option in OPTIONS.items()
     ],
     frozen=True,
 )
@@ -52,7 +52,7 @@ class Render(PathOptions):
         tyro.conf.arg(
             metavar="{" + ",".join(KINDS) + "}", help=described({name: kind.summary for name, kind in KINDS.items()})
         ),
-    ] = "orbit"
+    ] = DEFAULT_PATH
     frames: Annotated[int | None, tyro.conf.arg(help=f"Number of frames; by default {FRAMES}.")] = None
     fps: float = 30.0
     """Frames a second."""

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from nerf_core.common.errors import UserError
 from nerf_core.geometry.camera import Camera
-from nerf_core.geometry.paths import PATHS
+from nerf_core.geometry.paths import PATHS, Option
 from nerf_core.geometry.paths.steps import checked, video_size
 from nerf_core.geometry.scene import Scene
 
@@ -20,7 +20,7 @@ class HeldOut:
     label: ClassVar[str] = "Held-out views"
     summary: ClassVar[str] = "through the held-out views"
     default_frames: ClassVar[None] = None
-    options: ClassVar[Mapping[str, str]] = {}
+    options: ClassVar[Mapping[str, Option]] = {}
 
     @staticmethod
     def cameras(
@@ -33,7 +33,8 @@ class HeldOut:
         """
         name, indices = scene.held_out()
         if not indices:
-            raise UserError(f"scene {scene.name} has no {name} views to render: take the path orbit or spiral")
+            others = " or ".join(path for path in PATHS.names() if PATHS.get(path) is not HeldOut)
+            raise UserError(f"scene {scene.name} has no {name} views to render: take the path {others}")
         chosen = indices if frames is None else indices[: checked(frames, "frames")]
         size = video_size(scene, width, height)
         return tuple(_fitted(scene.views[i].camera, *size) for i in chosen)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 
 import numpy as np
@@ -48,15 +47,13 @@ def video_size(scene: Scene, width: int | None, height: int | None) -> tuple[int
     )
 
 
-def pinhole(scene: Scene, width: int | None, height: int | None, fov_y_degrees: float | None) -> Camera:
-    """Return a pinhole camera at the origin; a path's cameras are this one at other poses."""
+def pinhole(scene: Scene, width: int | None, height: int | None) -> Camera:
+    """Return a pinhole camera at the origin, with the training photos' field of view.
+
+    A path's cameras are this one at other poses.
+    """
     width, height = video_size(scene, width, height)
     own = training_size(scene)
     like = next(v.camera for v in training_views(scene) if (v.camera.width, v.camera.height) == own)
-    if fov_y_degrees is None:
-        focal = like.fy * height / like.height
-    elif 0 < fov_y_degrees < 180:
-        focal = height / 2 / math.tan(math.radians(fov_y_degrees) / 2)
-    else:
-        raise UserError(f"a field of view of {fov_y_degrees:g}° shows nothing: take one between 0 and 180")
+    focal = like.fy * height / like.height
     return Camera(width, height, focal, focal, width / 2, height / 2, np.eye(4)[:3])

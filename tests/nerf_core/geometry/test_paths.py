@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import math
 import subprocess
 import sys
 from dataclasses import replace
@@ -14,7 +16,7 @@ from nerf_core.common.errors import UserError
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.lens import Lens
 from nerf_core.geometry.ndc import Ndc
-from nerf_core.geometry.paths import PATHS
+from nerf_core.geometry.paths import DEFAULT_PATH, PATHS
 from nerf_core.geometry.paths.held_out import HeldOut
 from nerf_core.geometry.paths.orbit import Orbit
 from nerf_core.geometry.paths.spiral import Spiral
@@ -65,6 +67,10 @@ def forward(count: int = 20) -> Scene:
     return make_scene(poses, up=up, center=np.array([0.0, 0.0, -4.0]), ndc=Ndc(40, 30, 50.0, 1.0, 8.0))
 
 
+def poses(path: tuple[Camera, ...]) -> np.ndarray:
+    return np.stack([camera.c2w for camera in path])
+
+
 def test_orbit_circles_the_centre() -> None:
     scene = around()
     path = Orbit.cameras(scene, 12, elevation=20, radius=2.5)
@@ -107,8 +113,14 @@ def test_distance_of_a_panorama_is_the_scenes_radius() -> None:
     assert capture_distance(scene) == scene.radius
 
 
+def test_the_cameras_own_distance_needs_no_limits() -> None:
+    scene = around(distance=3e6)
+    assert np.linalg.norm(Orbit.cameras(scene, 1)[0].c2w[:, 3] - scene.center) == pytest.approx(3e6)
+
+
 def test_orbit_of_an_ndc_scene_stays_before_it() -> None:
     scene = forward()
+    np.testing.assert_array_equal(poses(Orbit.cameras(scene)), poses(Spiral.cameras(scene)))
     for camera in Orbit.cameras(scene, 30, elevation=80):
         assert camera.c2w[2, 3] > -0.5
         assert -camera.c2w[2, 2] < -0.9
@@ -150,10 +162,41 @@ def test_every_path_is_made_of_proper_cameras(name: str) -> None:
             assert np.linalg.det(rotation) == pytest.approx(1)
 
 
-def test_field_of_view() -> None:
-    camera = Orbit.cameras(around(), 1, 200, 100, fov_y_degrees=90)[0]
-    assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((50, 50, 100, 50))
-    assert Orbit.cameras(around(), 1, 100, 60)[0].fy == pytest.approx(100)  # the focal length is 50 for 30 rows
+@pytest.mark.parametrize("name", PATHS.names())
+def test_a_path_lists_all_its_options_with_their_defaults_and_limits(name: str) -> None:
+    kind, scene = PATHS.get(name), around()
+
+    def path(**options: float) -> np.ndarray:
+        return poses(kind.cameras(scene, 3, None, None, **options))
+
+    taken = list(inspect.signature(kind.cameras).parameters)
+    assert taken == ["scene", "frames", "width", "height", *kind.options]
+    for own, option in kind.options.items():
+        default = option.default_in(scene)
+        assert option.help.endswith(".")
+        assert option.least <= default <= option.most
+        np.testing.assert_array_equal(path(**{own: default}), path())
+        for value in (option.least, option.most):
+            assert np.isfinite(path(**{own: value})).all()
+        for value in (math.nextafter(option.least, -math.inf), 2 * abs(option.most) + 1, math.nan):
+            with pytest.raises(UserError, match=f"{own} of .*: take a number from"):
+                path(**{own: value})
+
+
+@pytest.mark.parametrize("name", PATHS.names())
+def test_a_path_does_without_the_others(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    kind = PATHS.get(name)
+    monkeypatch.setattr(PATHS, "_items", {name: kind})
+    for scene in (around(), forward()):
+        assert len(kind.cameras(scene, 3)) == 3
+
+
+def test_the_default_path_is_a_path() -> None:
+    assert DEFAULT_PATH in PATHS.names()
+
+
+def test_the_focal_length_follows_the_height() -> None:
+    assert Orbit.cameras(around(), 1, 100, 60)[0].fy == pytest.approx(100)  # it is 50 for 30 rows
 
 
 def test_held_out_views_keep_lens_and_pixel_shape() -> None:
@@ -186,21 +229,20 @@ def test_errors_say_what_to_do() -> None:
         Orbit.cameras(scene, elevation=float("nan"))
     with pytest.raises(UserError, match="radius of -1"):
         Orbit.cameras(scene, radius=-1)
-    with pytest.raises(UserError, match="field of view of 180°"):
-        Orbit.cameras(scene, fov_y_degrees=180)
     with pytest.raises(UserError, match="scene made has no test views to render: take the path orbit or spiral"):
         HeldOut.cameras(replace(scene, splits={"train": scene.split("train")}))
 
 
 ZIGZAG = """
-from nerf_core.geometry.paths import PATHS
+from nerf_core.geometry.paths import PATHS, Option
 
 @PATHS.register("zigzag")
 class Zigzag:
-    label, summary, default_frames, options = "Zigzag", "to and fro", 7, {"swing": "Of a zigzag, in scene units."}
+    label, summary, default_frames = "Zigzag", "to and fro", 7
+    options = {"swing": Option("Of a zigzag, in scene units.", 1.0, 0.0, 9.0)}
 
     @staticmethod
-    def cameras(scene, frames=None, width=None, height=None, *, swing=1.0):
+    def cameras(scene, frames=None, width=None, height=None, *, swing=None):
         return ()
 """
 
