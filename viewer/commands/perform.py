@@ -71,7 +71,7 @@ class Actions:
                 self.screenshots.append(path)
             case StartFilmExport():
                 if scene is None:
-                    raise UserError("there is no scene to make an orbit of: open one first")
+                    raise UserError("there is no scene to film: open one first")
                 return self._link.send(StartExport(film_export(scene, state.film)))
             case _:
                 return self._send(action)
@@ -118,7 +118,6 @@ def film_export(scene: Scene, form: FilmForm) -> ExportPath:
     file = own_path(Path(form.file.strip()))
     if not file.name:
         raise UserError("the film has no file name: give one that ends in .mp4")
-    kind = PATHS.get(form.path)
-    options = {name: form.options[name] for name in kind.options if name in form.options}
-    cameras: tuple[Camera, ...] = kind.cameras(scene, form.frames, form.width or None, form.height or None, **options)
+    numbers = (form.frames or None, form.width or None, form.height or None)
+    cameras: tuple[Camera, ...] = PATHS.get(form.path).cameras(scene, *numbers, **form.options)
     return ExportPath(cameras, form.fps, file if file.suffix else file.with_suffix(".mp4"), form.png_frames)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nerf_core.geometry.paths import DEFAULT_PATH
 from nerf_core.live.messages import Command, Inspect, Notice, Snapshot
 from nerf_core.probe.directions import Around
 from nerf_core.rendering.modes import COLOR
@@ -76,20 +77,20 @@ Action = (
 class FilmForm:
     """The fields of the export panel.
 
+    path: a kind of `nerf_core.geometry.paths.PATHS`.
+    frames: 0: as many as the path has.
+    options: the path's own that the user chose, by name; the path has a default for each of the others.
     width, height: the size in pixels; 0: the training photos' size.
-
-    path: a kind of `nerf_core.geometry.paths.PATHS`. options: the kind's own, by name; the kind has a default for
-    one that is absent.
     """
 
-    path: str = "orbit"
-    frames: int = 60
+    path: str = DEFAULT_PATH
+    frames: int = 0
     fps: float = 30.0
-    options: dict[str, float] = field(default_factory=lambda: {"elevation": 25.0})
+    options: dict[str, float] = field(default_factory=dict)
     width: int = 0
     height: int = 0
     png_frames: bool = False
-    file: str = "orbit.mp4"
+    file: str = "film.mp4"
 
 
 @dataclass

@@ -14,6 +14,7 @@ from imgui_bundle import imgui, implot
 from PIL import Image
 
 from nerf_core.common.errors import UserError
+from nerf_core.geometry.paths import PATHS
 from nerf_core.live.messages import (
     CancelExport,
     Inspect,
@@ -514,6 +515,14 @@ def test_an_impossible_orbit_is_a_notice(start: Start) -> None:
 def test_export_forms_are_checked(field: str, value: object, words: str) -> None:
     with pytest.raises(UserError, match=words):
         film_export(scripted.make_scene(), replace(FilmForm(), **{field: value}))
+
+
+def test_a_form_left_alone_takes_the_number_of_frames_of_the_path() -> None:
+    scene = scripted.make_scene()
+    held_out = len(scene.split("test"))
+    for name in PATHS.names():
+        film = film_export(scene, FilmForm(path=name))
+        assert len(film.cameras) == (PATHS.get(name).default_frames or held_out)
 
 
 def test_a_screenshot_that_cannot_be_written_is_a_notice(start: Start, tmp_path: Path) -> None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import pytest
@@ -24,8 +24,11 @@ from panel_states import (
 
 from nerf_core.common.configs import constants
 from nerf_core.datasets import LoadOptions
+from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.lens import Lens
+from nerf_core.geometry.paths import PATHS, Option
 from nerf_core.geometry.photos import Photos
+from nerf_core.geometry.scene import Scene
 from nerf_core.live.messages import (
     CancelExport,
     EditPin,
@@ -115,23 +118,36 @@ class Screen:
         imgui.render()
         return actions
 
-    def click(self, panel: Panel, state: AppState, name: str) -> list[Action]:
+    def click(self, panel: Panel, state: AppState, name: str, button: int = 0) -> list[Action]:
         self.frame(panel, state)
         self.frame(panel, state)
         left, top, right, bottom = self.widgets[name]
-        return self.drag(panel, state, ((left + right) / 2, (top + bottom) / 2))
+        return self.drag(panel, state, ((left + right) / 2, (top + bottom) / 2), button=button)
 
-    def drag(self, panel: Panel, state: AppState, *places: tuple[float, float]) -> list[Action]:
+    def type(self, panel: Panel, state: AppState, name: str, text: str) -> None:
+        """Type a number into a field that can be dragged. A click with Ctrl edits it."""
+        io = imgui.get_io()
+        io.add_key_event(imgui.Key.mod_ctrl, True)
+        self.click(panel, state, name)
+        io.add_key_event(imgui.Key.mod_ctrl, False)
+        self.frame(panel, state)
+        io.add_input_characters_utf8(text)
+        self.frame(panel, state)
+        for down in (True, False):
+            io.add_key_event(imgui.Key.enter, down)
+            self.frame(panel, state)
+
+    def drag(self, panel: Panel, state: AppState, *places: tuple[float, float], button: int = 0) -> list[Action]:
         """Press at the first place, move through the others, release at the last."""
         io, actions = imgui.get_io(), []
         io.add_mouse_pos_event(*places[0])
         actions += self.frame(panel, state)
-        io.add_mouse_button_event(0, True)
+        io.add_mouse_button_event(button, True)
         actions += self.frame(panel, state)
         for place in places[1:]:
             io.add_mouse_pos_event(*place)
             actions += self.frame(panel, state)
-        io.add_mouse_button_event(0, False)
+        io.add_mouse_button_event(button, False)
         return actions + self.frame(panel, state) + self.frame(panel, state)
 
 
@@ -330,16 +346,97 @@ def test_the_constants_of_the_open_model_can_be_read(screen: Screen, monkeypatch
     assert len(constants(NerfConfig)) <= len(texts)
 
 
-def test_another_path_brings_its_own_fields(screen: Screen) -> None:
+class Tilted:
+    """A camera path whose option has its default elsewhere than at 0, and whose scene gives the other's default."""
+
+    label, summary, default_frames = "Tilted", "on a slope", 7
+    options: ClassVar[Mapping[str, Option]] = {
+        "tilt": Option("Of a slope, in degrees; by default 5.", 5.0, -10.0, 10.0, "°"),
+        "reach": Option("Of a slope, in scene units.", lambda scene: 2 * scene.radius, 0.5, 100.0),
+    }
+
+    @staticmethod
+    def cameras(
+        scene: Scene, frames: int | None = None, width: int | None = None, height: int | None = None, **options: float
+    ) -> tuple[Camera, ...]:
+        return (scene.views[0].camera,) * (frames or 7)
+
+
+@pytest.fixture
+def tilted(monkeypatch: pytest.MonkeyPatch) -> str:
+    """The name of a path that the viewer does not know."""
+    PATHS.names()
+    monkeypatch.setitem(PATHS._items, "tilted", Tilted)
+    return "tilted"
+
+
+@pytest.mark.parametrize("path", PATHS.names())
+def test_a_path_brings_its_own_fields(screen: Screen, path: str) -> None:
     panel, state = PANELS.get("export")(), make_state(make_snapshot())
+    state.film.path = path
     screen.frame(panel, state)
     screen.frame(panel, state)
-    assert {"export.path", "export.elevation", "export.radius"} <= set(screen.widgets)
+    known = {name for other in PATHS.names() for name in PATHS.get(other).options}
+    assert {f"export.{name}" for name in known} & set(screen.widgets) == {
+        f"export.{name}" for name in PATHS.get(path).options
+    }
+    assert "export.path" in screen.widgets
     assert "export.model" not in screen.widgets  # no model export is installed
-    state.film.path = "spiral"
+
+
+def test_an_options_field_has_the_paths_default_and_limits(screen: Screen, tilted: str) -> None:
+    panel, state = PANELS.get("export")(), make_state(make_snapshot())
+    state.film.path = tilted
+    screen.click(panel, state, "export.tilt")
+    assert state.film.options == {}  # a field left alone follows the path's default
+    for low, value in ((-4000.0, -10.0), (4000.0, 10.0)):
+        left, top, right, bottom = screen.widgets["export.tilt"]
+        x, y = (left + right) / 2, (top + bottom) / 2
+        screen.drag(panel, state, (x, y), (x + low / 2, y), (x + low, y))
+        assert state.film.options == {"tilt": value}
+    screen.click(panel, state, "export.tilt", button=1)
+    assert state.film.options == {}
+
+
+def test_an_option_can_be_0(screen: Screen, tilted: str) -> None:
+    panel, state = PANELS.get("export")(), make_state(make_snapshot())
+    state.film.path = tilted
+    screen.type(panel, state, "export.tilt", "0")
+    assert state.film.options == {"tilt": 0.0}
+    state.film.options.clear()
+    screen.type(panel, state, "export.reach", "0")
+    assert state.film.options == {"reach": 0.5}  # the least
+
+
+def test_another_path_takes_nothing_from_the_form_of_the_last(screen: Screen) -> None:
+    panel, state = PANELS.get("export")(), make_state(make_snapshot())
+    state.film.frames, state.film.options = 300, {"radius": 2.0}
+    names = list(PATHS.names())
+    screen.click(panel, state, "export.path")
+    left, _, right, bottom = screen.widgets["export.path"]
+    row = imgui.get_text_line_height_with_spacing()
+    screen.drag(panel, state, ((left + right) / 2, bottom + (names.index("test") + 0.7) * row))
+    assert (state.film.path, state.film.frames, state.film.options) == ("test", 0, {})
+
+
+def test_the_form_takes_no_more_frames_than_there_are_held_out_views(screen: Screen) -> None:
+    panel, state = PANELS.get("export")(), make_state(make_snapshot())
+    state.film.path, state.film.frames = "test", 60
     screen.frame(panel, state)
-    screen.frame(panel, state)
-    assert "export.elevation" not in screen.widgets
+    assert state.film.frames == 4
+
+
+def test_a_path_that_the_scene_does_not_have_cannot_be_exported(
+    screen: Screen, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    texts: list[str] = []
+    monkeypatch.setattr(imgui, "text_wrapped", texts.append)
+    panel, state = PANELS.get("export")(), make_state(make_snapshot())
+    assert state.snapshot.scene is not None
+    scene = replace(state.snapshot.scene, splits={"train": state.snapshot.scene.split("train")})
+    state.snapshot, state.film.path = replace(state.snapshot, scene=scene), "test"
+    assert screen.click(panel, state, "export.start") == []
+    assert texts[-1].startswith("scene spheres has no test views to render")
 
 
 def test_export_starts_and_cancels(screen: Screen) -> None:
@@ -352,13 +449,14 @@ def test_export_starts_and_cancels(screen: Screen) -> None:
 
 
 def test_the_export_shows_its_duration_before_it_starts() -> None:
-    from viewer.panels.export import OwnPath, estimate
+    from viewer.panels.export import Automatic, estimate
 
-    form, own = FilmForm(), OwnPath(200, 150, 4.0)
+    form, own = FilmForm(), Automatic(60, 200, 150, {})
     assert estimate(form, own, speed=9000.0, share=0.2) == (
         "60 frames of 200 × 150, 2.0 s of video; takes about 3 min 20 s, while training up to 16 min 40 s"
     )
     assert estimate(form, own, speed=0.0, share=0.2).endswith("not measured yet")
+    assert estimate(replace(form, frames=5), own, speed=0.0, share=0.2).startswith("5 frames")
 
 
 # ---- the ray and its point --------------------------------------------------------------------------------------

@@ -34,7 +34,7 @@ def save(state: AppState) -> list[Action]:
     return [SaveCheckpoint(Path(state.checkpoint_file.strip()))]
 
 
-@command("file.export", "Export orbit", "File", 3, keys=("Ctrl+E",), menu="File", enabled=scene_is_open)
+@command("file.export", "Export film", "File", 3, keys=("Ctrl+E",), menu="File", enabled=scene_is_open)
 def export(state: AppState) -> list[Action]:
     """Export what the form describes, and show its panel, which says how long it takes and can cancel it."""
     state.show_panels, state.raise_panel = True, "Export"
