@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
+import uuid
 from collections.abc import Iterator
 from contextlib import suppress
-from pathlib import Path
 
 from nerf_core.common.errors import UserError
+from nerf_core.common.files import unwritable
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method
 from nerf_core.rendering.export.jobs import Job, tile_count
@@ -16,7 +18,10 @@ from nerf_core.rendering.video import VideoWriter, write_png
 
 
 class FilmJob(Job):
-    """A camera path as an MP4, and PNG frames beside it if asked for. What is aborted leaves neither."""
+    """A camera path as an MP4, and PNG frames beside it if asked for.
+
+    Files of the same names are replaced once the film is whole. If the job is aborted, they stay as they were.
+    """
 
     def __init__(self, method: Method, scene: Scene, command: ExportPath) -> None:
         if not command.cameras:
@@ -25,24 +30,20 @@ class FilmJob(Job):
             raise UserError(f"{command.file}: a film is written as MP4: name a .mp4 file")
         super().__init__(method, scene, command.file, tile_count(method, *command.cameras))
         self._command = command
-        self._frames: list[Path] = []
+        self._frames = command.file.with_name(f"{command.file.stem}_frames")
+        self._part = self._frames / f".{uuid.uuid4().hex}.part"  # holds the frames until the film is whole
         first = command.cameras[0]
         self._writer = VideoWriter(command.file, command.fps, first.width, first.height)
 
     def abort(self) -> None:
         super().abort()
         self._writer.abort()
-        if self.progress.state == "done":
-            return
-        for frame in self._frames:
-            frame.unlink(missing_ok=True)
-        if self._frames:
-            with suppress(OSError):  # other files lie there: they are not ours
-                self._frames[0].parent.rmdir()
-        self._frames.clear()
+        if self._part.exists():
+            shutil.rmtree(self._part, ignore_errors=True)
+            with suppress(OSError):  # other files lie there
+                self._frames.rmdir()
 
     def _pieces(self) -> Iterator[bool]:
-        file = self._command.file
         for number, camera in enumerate(self._command.cameras):
             for color in self._picture(camera):
                 if color is None:
@@ -51,6 +52,15 @@ class FilmJob(Job):
                 frame = to_bytes(color)
                 self._writer.add(frame)
                 if self._command.frames:
-                    self._frames.append(file.with_name(f"{file.stem}_frames") / f"{number:05d}.png")
-                    write_png(self._frames[-1], frame)
+                    write_png(self._part / f"{number:05d}.png", frame)
         self._writer.close()
+        if self._command.frames:
+            self._move_frames()
+
+    def _move_frames(self) -> None:
+        try:
+            for part in self._part.iterdir():
+                part.replace(self._frames / part.name)
+            self._part.rmdir()
+        except OSError as error:
+            raise unwritable(self._frames, error) from error
