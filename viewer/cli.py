@@ -52,7 +52,7 @@ class ViewerOptions:
     screenshot: Path | None = None
     """Write the whole interface as a PNG."""
     render: Path | None = None
-    """Write the viewport's picture alone at full resolution: .png, or .npy (float32 before rounding)."""
+    """Write the viewport's picture alone at full resolution, in its --mode: .png, or .npy (float32 before rounding)."""
     inspect: list[Path] = field(default_factory=list)
     """Write all arrays of the clicked ray, its point's radiance, its verdict and the photos' evidence: .json, .npz;
     its samples: .csv; a figure: .png, .svg. Repeatable."""

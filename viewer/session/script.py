@@ -91,7 +91,8 @@ class Script:
             self.app.screenshot(wishes.screenshot)
         if wishes.render is not None:
             camera = self.app.state.camera.camera(*self.app.state.viewport)
-            self._export(StartExport(ExportStill(camera, wishes.render)), f"rendering {camera.width}×{camera.height}")
+            still = ExportStill(camera, wishes.render, self.app.state.mode)
+            self._export(StartExport(still), f"rendering {camera.width}×{camera.height}")
         if wishes.orbit is not None:
             self._film(wishes.orbit, wishes.orbit_seconds)
         for file in wishes.files():

@@ -12,9 +12,10 @@ import numpy as np
 
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
-from nerf_core.methods import Method
+from nerf_core.methods import Method, traced
 from nerf_core.rendering.export.requests import Export
 from nerf_core.rendering.images import tiles
+from nerf_core.rendering.modes import COLOR, shaded
 
 
 class Job(ABC):
@@ -57,11 +58,14 @@ class Job(ABC):
         self.progress = replace(self.progress, state="cancelled")
         self.abort()
 
-    def _picture(self, camera: Camera) -> Iterator[np.ndarray | None]:
-        """The camera's picture, (H, W, 3) float32, as the last item; None before it, once for each tile."""
+    def _picture(self, camera: Camera, mode: str = COLOR) -> Iterator[np.ndarray | None]:
+        """The camera's picture in a mode, (H, W, 3) float32, as the last item; None before it, once for each tile."""
         parts = []
         for rays in tiles(self._method, camera, self._scene):
-            parts.append(self._method.render(rays).color.clamp(0, 1).cpu().numpy())
+            if mode == COLOR:
+                parts.append(self._method.render(rays).color.clamp(0, 1).cpu().numpy())
+            else:
+                parts.append(shaded(self._method, rays, traced(self._method, rays), mode))
             yield None
         yield np.concatenate(parts).reshape(camera.height, camera.width, 3)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from nerf_core.geometry.camera import Camera
+from nerf_core.rendering.modes import COLOR
 
 
 @dataclass(frozen=True)
@@ -21,10 +22,14 @@ class ExportPath:
 
 @dataclass(frozen=True)
 class ExportStill:
-    """Render one camera at full resolution to a .png, or a .npy of float32 (H, W, 3) before rounding."""
+    """Render one camera at full resolution to a .png, or a .npy of float32 (H, W, 3) before rounding.
+
+    mode: what the picture shows of each pixel: colour, or a render mode (`nerf_core.rendering.modes`).
+    """
 
     camera: Camera
     file: Path
+    mode: str = COLOR
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from nerf_core.methods import Method
 from nerf_core.rendering.export.jobs import Job, tile_count
 from nerf_core.rendering.export.requests import ExportStill
 from nerf_core.rendering.images import to_bytes
+from nerf_core.rendering.modes import COLOR, MODES
 from nerf_core.rendering.video import write_png
 
 
@@ -23,11 +24,13 @@ class StillJob(Job):
     def __init__(self, method: Method, scene: Scene, command: ExportStill) -> None:
         if command.file.suffix.lower() not in (".png", ".npy"):
             raise UserError(f"{command.file}: a picture is written as .png or .npy")
+        if command.mode != COLOR:
+            MODES.get(command.mode)  # raises UserError for an unknown mode, before anything is rendered
         super().__init__(method, scene, command.file, tile_count(method, command.camera))
-        self._camera = command.camera
+        self._camera, self._mode = command.camera, command.mode
 
     def _pieces(self) -> Iterator[bool]:
-        for color in self._picture(self._camera):
+        for color in self._picture(self._camera, self._mode):
             if color is None:
                 yield True
             elif self.progress.file.suffix.lower() == ".npy":

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from nerf_core.common.errors import UserError
 from nerf_core.geometry.cameras import camera_rays
 from nerf_core.geometry.scene import Scene
+from nerf_core.methods import traced
+from nerf_core.rendering.export.requests import ExportStill
+from nerf_core.rendering.export.still import StillJob
 from nerf_core.rendering.images import render_camera, tiles, to_bytes
+from nerf_core.rendering.modes import shaded
 from nerf_core.training.trainer import Trainer
 
 
@@ -40,6 +46,26 @@ def test_progress_may_cancel(make_trainer: Callable[..., Trainer], scene: Scene)
 
     with pytest.raises(InterruptedError):
         render_camera(make_trainer().method, scene.views[0].camera, scene, cancel)
+
+
+def test_a_picture_is_written_in_the_wanted_mode(
+    make_trainer: Callable[..., Trainer], scene: Scene, tmp_path: Path
+) -> None:
+    trainer, camera, file = make_trainer(tile=37), scene.views[0].camera.resized(9, 7), tmp_path / "picture.npy"
+    trainer.step()
+    job = StillJob(trainer.method, scene, ExportStill(camera, file, "view-dependence"))
+    while job.advance():
+        pass
+    method = trainer.method
+    expected = [shaded(method, rays, traced(method, rays), "view-dependence") for rays in tiles(method, camera, scene)]
+    np.testing.assert_allclose(np.load(file), np.concatenate(expected).reshape(7, 9, 3), atol=1e-5)
+
+
+def test_a_picture_in_an_unknown_mode_is_refused_at_once(
+    make_trainer: Callable[..., Trainer], scene: Scene, tmp_path: Path
+) -> None:
+    with pytest.raises(UserError, match="unknown render mode 'heat'"):
+        StillJob(make_trainer().method, scene, ExportStill(scene.views[0].camera, tmp_path / "x.png", "heat"))
 
 
 def test_bytes_are_rounded_and_clipped() -> None:

@@ -28,6 +28,7 @@ from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.cameras import camera_rays
 from nerf_core.live.messages import MOST_PINS
+from nerf_core.rendering.images import to_bytes
 from viewer.cli import main
 from viewer.session.session import autosave_path
 from viewer.session.wishes import Wishes
@@ -135,6 +136,19 @@ def test_a_checkpoint_gives_the_same_picture_again(written: Path, tmp_path: Path
     )
     assert done.returncode == 0, done.stderr
     assert np.array_equal(np.load(tmp_path / "again.npy"), np.load(written / "picture.npy"))
+
+
+def test_the_picture_is_written_in_the_mode_that_is_shown(written: Path, tmp_path: Path) -> None:
+    picture, shot = tmp_path / "mode.npy", tmp_path / "shot.png"
+    done = viewer(
+        *TINY, "--headless", "--load", str(written / "model.safetensors"), "--mode", "view-dependence",
+        "--render", str(picture), "--screenshot", str(shot),
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    drawn = to_bytes(np.load(picture))
+    assert np.abs(drawn.astype(int) - to_bytes(np.load(written / "picture.npy"))).max() > 50
+    middle = drawn[drawn.shape[0] // 2, drawn.shape[1] // 2]
+    assert (iio.imread(shot) == middle).all(-1).any()
 
 
 @pytest.mark.parametrize(
