@@ -1,4 +1,4 @@
-"""A method that only draws and trains: what it lacks is said, and nothing breaks."""
+"""A method that only trains and renders: what it lacks is reported, and nothing breaks."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class Plain(Defaults):
 
 
 class Sampled(Plain):
-    """The same with one opaque sample a ray, but no radiance, density or explanation of it."""
+    """The same with one opaque sample per ray, but without radiance, density or explanation."""
 
     def trace(self, rays: Rays) -> Trace:
         one = torch.ones(len(rays), 1)
@@ -98,7 +98,7 @@ def trained(scene: Scene, method: str) -> Trainer:
     return trainer
 
 
-def test_a_method_that_only_draws_trains_saves_and_renders(scene: Scene) -> None:
+def test_a_method_without_capabilities_trains_saves_and_renders(scene: Scene) -> None:
     trainer = trained(scene, "plain")
     again = Trainer.resume(scene, trainer.describe(), trainer.state(), "cpu")
     color, _ = render_camera(again.method, scene.views[0].camera, scene)
@@ -110,7 +110,7 @@ def test_without_samples_a_pixel_cannot_be_opened(scene: Scene) -> None:
         open_ray(trained(scene, "plain").method, scene, scene.views[0].camera, (3, 3), 1)
 
 
-def test_what_an_opened_pixel_lacks_is_said(scene: Scene) -> None:
+def test_what_an_opened_pixel_lacks_is_reported(scene: Scene) -> None:
     method, camera = trained(scene, "sampled").method, scene.views[0].camera
     opened = open_pixel(method, scene, camera, (8, 8), 10)
     assert opened.radiance is None

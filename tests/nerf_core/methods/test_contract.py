@@ -1,4 +1,4 @@
-"""What every method keeps, whatever it is made of."""
+"""The contract of the methods, checked for every registered one."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ SMALL: dict[str, dict[str, str]] = {
     "hash": {"samples": "2000", "levels": "4", "log2_rows": "10", "cells": "16", "update_every": "2", "hidden": "16"},
     "voxels": {"start": "6", "growth": "1.5", "level_steps": "1", "pixels": "0.5"},
 }
-# Batches of some 77 rays, so that an abandoned step has few calls.
+# Batches of about 77 rays, so that a step calls the yield callback only a few times.
 FEW_RAYS = {
     "nerf": {"rays": "77"},
     "nerf-guided": {"rays": "77", "guide.first_rays": "77", "guide.rays": "77"},
     "hash": {"most_rays": "77"},
     "voxels": {"first_rays": "77", "rays": "77"},
 }
-# What samples weighed in an abandoned step is noted, and noted again when the same step is done.
-TOLD_AGAIN = {"method.seen", "method.guide.seen"}
+# State that an abandoned step may change: it notes which samples have weight, and notes the same when it is repeated.
+NOTED_AGAIN = {"method.seen", "method.guide.seen"}
 
 
 class Whole(Method, Traceable, Radiant, Dense, Explainable, Protocol):
-    """What each of the built-in methods is."""
+    """A method with all capabilities, as each built-in one has them."""
 
 
 MakeMethod = Callable[..., Whole]
@@ -84,7 +84,7 @@ def test_a_rendering_has_its_shapes_and_ranges(make: MakeMethod, scene: Scene) -
     assert not drawn.color.requires_grad
 
 
-def test_training_gives_finite_losses_and_gradients_and_pumps(make: MakeMethod, scene: Scene) -> None:
+def test_training_gives_finite_losses_and_gradients_and_yields(make: MakeMethod, scene: Scene) -> None:
     method, calls = make(), []
     for step in range(3):
         loss = method.train(*some_rays(scene), step, None, lambda: calls.append(1))
@@ -159,7 +159,7 @@ def test_rendering_leaves_the_model_as_it_is(make: MakeMethod, scene: Scene) -> 
     assert [name for name in before if not torch.equal(before[name], after[name])] == []
 
 
-def test_radiance_is_a_colour_a_direction(make: MakeMethod, scene: Scene) -> None:
+def test_radiance_gives_a_colour_per_direction(make: MakeMethod, scene: Scene) -> None:
     directions = torch.nn.functional.normalize(torch.randn(50, 3, dtype=torch.float64), dim=-1)
     points = torch.tensor([[0.1, 0.2, 0.3], [0.3, 0.0, -0.2]], dtype=torch.float64)
     method = trained(make(), scene)
@@ -178,7 +178,7 @@ def test_density_is_that_of_the_samples(make: MakeMethod, scene: Scene) -> None:
         torch.testing.assert_close(method.density(points), last.sigma[ray, :count], rtol=2e-2, atol=2e-2)
 
 
-def test_a_walk_has_stations_with_finite_values(make: MakeMethod, scene: Scene) -> None:
+def test_a_walk_has_stages_with_finite_values(make: MakeMethod, scene: Scene) -> None:
     method, (rays, _) = trained(make(), scene), some_rays(scene, 3)
     for ray in range(3):
         stages = method.explain(rays[ray : ray + 1])
@@ -196,7 +196,7 @@ def test_the_walk_of_a_ray_that_meets_nothing_says_so(make: MakeMethod, scene: S
     away = replace(rays, origins=rays.origins + 100, near=rays.near * 0 + 1, far=rays.far * 0 + 2)
     last = method.trace(away).passes[-1]
     titles = [stage.title for stage in method.explain(away)]
-    if last.count is None:  # the paper's method takes its samples wherever it looks
+    if last.count is None:  # the paper's method places samples along every ray
         assert "α, T and w" in titles
     else:
         assert int(last.count[0]) == 0
@@ -241,13 +241,13 @@ def test_a_pixel_does_not_depend_on_its_neighbours_in_either_precision(scene: Sc
 
 @pytest.mark.parametrize("name", METHODS.names())
 def test_an_abandoned_step_leaves_the_state_as_it_was(name: str, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whichever of its calls it is abandoned in."""
+    """The step is abandoned in each call of the yield callback in turn."""
     for module, piece in ((voxel_model, 30), (guided, 100), (hash_method, 2000)):
         monkeypatch.setattr(module, "PIECE", piece)
     monkeypatch.setattr(voxel_model, "BRICKS", 20)
     changes = SMALL.get(name, {}) | FEW_RAYS.get(name, {})
     trainer = Trainer(scene, RunSettings(method=name, changes=changes, device="cpu", threads=1))
-    calls = 0  # that the step may still go through
+    calls = 0  # of the yield callback before the step is abandoned
 
     def interrupt() -> None:
         nonlocal calls
@@ -266,7 +266,7 @@ def test_an_abandoned_step_leaves_the_state_as_it_was(name: str, scene: Scene, m
             except KeyboardInterrupt:
                 through += 1
                 after = trainer.state()
-                assert [k for k in before if k not in TOLD_AGAIN and not torch.equal(before[k], after[k])] == []
+                assert [k for k in before if k not in NOTED_AGAIN and not torch.equal(before[k], after[k])] == []
         assert through > 0
 
 

@@ -1,4 +1,4 @@
-"""The guided method: the paper's network, asked only where a voxel grid says that something is."""
+"""The guided method: the paper's network, evaluated only where a proposal grid of voxels finds density."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_the_network_is_the_papers(scene: Scene) -> None:
     assert sum(p.numel() for p in method.parameters()) == 595_844
 
 
-def test_until_the_guide_is_done_its_picture_is_shown_and_then_stays_as_it_is(scene: Scene) -> None:
+def test_the_proposal_grid_draws_the_picture_until_it_is_done_and_then_stays(scene: Scene) -> None:
     trainer, rays = run(scene, 60), first_rays(scene)
     method = guided(trainer)
     begun = [p.clone() for p in method.parameters()]
@@ -68,8 +68,8 @@ def test_until_the_guide_is_done_its_picture_is_shown_and_then_stays_as_it_is(sc
     assert torch.equal(early.density(where[0]), early.guide.density(where[0]))
 
 
-class _TheGuideItself(nn.Module):
-    """A network that knows what the guide knows: density per unit of world distance, and colour, at world points."""
+class _ProposalGridAsNetwork(nn.Module):
+    """A network that gives the proposal grid's density, per unit of world distance, and colour at world points."""
 
     def __init__(self, method: GuidedNerf) -> None:
         super().__init__()
@@ -81,26 +81,28 @@ class _TheGuideItself(nn.Module):
     def forward(self, x: Tensor, d: Tensor) -> tuple[Tensor, Tensor]:
         guide = self.method.guide
         rows = guide.grid.interpolate(*guide.grid.cells_of(guide.space.points(x)))
-        side = float(guide.grid.voxel[0]) * guide.space.extent  # of a cell, in the world
+        side = float(guide.grid.voxel[0]) * guide.space.extent  # of a cell, in world units
         sigma = nn.functional.softplus(rows[:, 12] + guide.config.bias) / side
         basis = torch.stack([torch.full_like(d[:, 0], 0.28209479), *(0.48860251 * d[:, a] for a in (1, 2, 0))], -1)
         return sigma, torch.sigmoid((rows[:, :12].view(-1, 3, 4) * basis[:, None]).sum(-1))
 
 
-def test_with_the_guide_for_a_network_the_picture_is_the_guides(scene: Scene) -> None:
-    """Where samples lie, how long they are and how they are composited leaves no other difference than what is culled:
-    samples that weigh at most `least`."""
+def test_with_the_proposal_grid_as_network_the_picture_is_the_grids(scene: Scene) -> None:
+    """The samples' positions, their lengths and the compositing agree.
+
+    They differ only by the culled samples, which weigh at most `least`.
+    """
     method = guided(run(scene, 60, least=1e-4))
     rays = first_rays(scene)
     wanted = method.guide.render(rays)
-    method.networks = {"fine": _TheGuideItself(method)}  # pyright: ignore[reportAttributeAccessIssue]
+    method.networks = {"fine": _ProposalGridAsNetwork(method)}  # pyright: ignore[reportAttributeAccessIssue]
     drawn = method.render(rays)
     assert float(wanted.opacity.max()) > 0.5
     torch.testing.assert_close(drawn.color, wanted.color, atol=5e-3, rtol=0)
     torch.testing.assert_close(drawn.opacity, wanted.opacity, atol=5e-3, rtol=0)
 
 
-def test_what_weighs_too_little_is_not_asked_about(scene: Scene) -> None:
+def test_samples_of_little_weight_are_not_evaluated(scene: Scene) -> None:
     method, rays = guided(run(scene, 60, least=0.05)), first_rays(scene)
     half = torch.full((len(rays),), 0.5)
     found = method.guide.traced(rays, half)
@@ -111,8 +113,8 @@ def test_what_weighs_too_little_is_not_asked_about(scene: Scene) -> None:
     assert torch.equal(placed.ray, found.ray[weight > 0.05])
 
 
-def test_all_that_lies_beyond_far_is_one_opaque_sample_there(scene: Scene) -> None:
-    place = replace(scene, synthetic=False, far=scene.near + 1.0)  # a space without end, cut off within what is there
+def test_everything_beyond_far_is_one_opaque_sample_at_far(scene: Scene) -> None:
+    place = replace(scene, synthetic=False, far=scene.near + 1.0)  # unbounded, with a far bound within the content
     method, rays = guided(run(place, 60)), first_rays(place)
     half = torch.full((len(rays),), 0.5)
     found, placed = method.guide.traced(rays, half), method._placed(rays, half)
@@ -158,7 +160,7 @@ def test_an_unknown_preset_and_a_useless_threshold_are_refused(scene: Scene) -> 
         GuidedConfig.configure(scene, "auto", {"least": "0.7"}, CPU)
 
 
-def test_the_guides_constants_are_set_checked_and_stored(scene: Scene) -> None:
+def test_the_proposal_grids_constants_are_set_checked_and_stored(scene: Scene) -> None:
     config = GuidedConfig.configure(scene, "auto", {"guide.growth": "1.5", "rays": "64"}, CPU)
     assert (config.guide.growth, config.rays) == (1.5, 64)
     assert GuidedConfig.restore(json.loads(json.dumps(config.to_json()))) == config
@@ -170,7 +172,7 @@ def test_the_guides_constants_are_set_checked_and_stored(scene: Scene) -> None:
             GuidedConfig.restore(config.to_json() | broken)
 
 
-def test_a_guide_that_is_done_keeps_no_optimiser(scene: Scene) -> None:
+def test_a_finished_proposal_grid_keeps_no_optimiser(scene: Scene) -> None:
     trainer = run(scene, 59)
     early = trainer.state()
     trainer.step()
@@ -182,11 +184,11 @@ def test_a_guide_that_is_done_keeps_no_optimiser(scene: Scene) -> None:
     again = Trainer.resume(scene, trainer.describe(), trainer.state(), "cpu")
     assert torch.equal(guided(again).render(rays).color, method.render(rays).color)
     assert trained.psnr > 0
-    trainer.go_to(trainer.describe() | {"step": 59}, early)  # as when training breaks, back to before it was done
+    trainer.go_to(trainer.describe() | {"step": 59}, early)  # as after a divergence: back to before the grid was done
     assert [trainer.step().step for _ in range(3)] == [60, 61, 62]
 
 
-def test_the_guides_picture_stays_as_it_was_frozen(scene: Scene) -> None:
+def test_a_frozen_proposal_grid_keeps_its_picture(scene: Scene) -> None:
     trainer, rays = run(scene, 20), first_rays(scene)
     frozen = guided(trainer).frozen()
     before = frozen.render(rays).color
@@ -205,7 +207,7 @@ class _Fog(nn.Module):
 
 
 def test_under_ndc_density_is_per_length_of_ndc(scene: Scene) -> None:
-    """As for the paper's method: δ is a length in normalised device coordinates, whatever stretch a ray has there."""
+    """As in the paper's method, δ is a length in normalised device coordinates, however long the ray is there."""
     c2w = torch.eye(4, dtype=torch.float64)[:3].numpy()
     views = tuple(replace(view, camera=view.camera.moved(c2w)) for view in scene.views)
     ndc = Ndc(16, 16, scene.views[0].camera.fx, 1.0, 20.0)
@@ -224,8 +226,8 @@ def test_under_ndc_density_is_per_length_of_ndc(scene: Scene) -> None:
     torch.testing.assert_close(fine.alpha[real], 1 - torch.exp(-3.0 * fine.delta[real]))
 
 
-def test_what_has_no_end_is_behind_all_that_is_before_it(scene: Scene) -> None:
-    """The last sample of a ray in open space is 10¹⁰ long: the light that reaches it is what the others let by."""
+def test_the_unbounded_last_sample_lies_behind_all_others(scene: Scene) -> None:
+    """The last sample in open space is 10¹⁰ long. Its transmittance is the product over the samples before it."""
     method = guided(run(replace(scene, synthetic=False), 60, least=0.0))
     method.networks = {"fine": _Fog()}  # pyright: ignore[reportAttributeAccessIssue]
     rays = first_rays(scene)

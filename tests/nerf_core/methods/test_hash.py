@@ -1,4 +1,4 @@
-"""The hash method beyond its kernels and its step: what it refuses."""
+"""The hash method beyond its kernels and its step: what it refuses, its batch size and its EMA."""
 
 from __future__ import annotations
 
@@ -117,19 +117,19 @@ def test_fewer_samples_a_ray_make_more_rays_a_step(scene: Scene) -> None:
     assert method.draw(60).rays == int(max(4000 / method.samples_per_ray, 64))
 
 
-def test_pictures_show_the_average_of_every_fourth_steps_weights(scene: Scene) -> None:
+def test_pictures_show_the_ema_of_every_fourth_steps_weights(scene: Scene) -> None:
     trainer = Trainer(scene, RunSettings(method="hash", changes=SMALL))
     method = trainer.method
     assert isinstance(method, Hash)
-    mean = None
+    ema = None
     for move in range(1, 44):
         for _ in range(4):
             trainer.step()
         now = [p.detach().double() for p in method.field.parameters()]
-        share = max(0.1, 4 / (3 + move))
-        mean = now if mean is None else [m + share * (n - m) for m, n in zip(mean, now, strict=True)]
-    assert mean is not None
-    for shown, expected in zip(method.ema_field.parameters(), mean, strict=True):
+        rate = max(0.1, 4 / (3 + move))
+        ema = now if ema is None else [m + rate * (n - m) for m, n in zip(ema, now, strict=True)]
+    assert ema is not None
+    for shown, expected in zip(method.ema_field.parameters(), ema, strict=True):
         torch.testing.assert_close(shown.double(), expected, rtol=1e-4, atol=1e-6)
     rays = camera_rays(scene.views[0].camera, scene.near, scene.far)
     before, frozen = method.render(rays).color, method.frozen()

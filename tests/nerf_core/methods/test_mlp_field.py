@@ -93,7 +93,7 @@ def test_bare_coordinates_keep_their_digits_in_bfloat16() -> None:
     x = torch.tensor([[1.5, 1.5, 1.5], [1.501, 1.5, 1.5]], requires_grad=True)
     assert x.detach().to(torch.bfloat16).unique(dim=0).shape[0] == 1
     with torch.no_grad():
-        # so that what the layers behind it can tell apart is not what fails
+        # so that the later layers' precision does not hide the difference
         field.trunk[0].get_parameter("weight").mul_(100)
     raw, _ = field.geometry(x)
     assert raw[0] != raw[1]

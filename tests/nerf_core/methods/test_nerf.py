@@ -1,4 +1,4 @@
-"""The paper's method against the paper written down plainly, in single precision."""
+"""The paper's method against a plain transcription of the paper, in single precision."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def render(w: dict[str, Tensor], c: NerfConfig, rays: Rays, t: Tensor, draws: to
 
 
 def _inverse(bounds: list[float], cdf: list[float], u: float) -> float:
-    """Where the distribution that is constant between the bounds has reached the share u (inverse transform)."""
+    """Inverse transform: where the distribution that is constant between the bounds reaches the share u."""
     k = 0
     while k < len(cdf) - 2 and cdf[k + 1] <= u:
         k += 1
@@ -159,7 +159,7 @@ def test_adam_follows_the_schedule_of_steps(scene: Scene, steps: int | None) -> 
         torch.testing.assert_close(ours, theirs, atol=1e-6, rtol=1e-4)
 
 
-def test_only_living_samples_backwards_gives_the_same_gradients(scene: Scene) -> None:
+def test_backpropagating_only_living_samples_gives_the_same_gradients(scene: Scene) -> None:
     found = []
     for share in (0.0, 1.0):
         method = Nerf(scene, CONFIG, CPU, seed=2)
@@ -184,7 +184,7 @@ def test_only_living_samples_backwards_gives_the_same_gradients(scene: Scene) ->
     ],
 )
 def test_an_optimisers_state_that_does_not_fit_is_refused(scene: Scene, change: dict[str, Tensor | None]) -> None:
-    """The fused kernel would write past the end of what is too small."""
+    """The fused kernel would write past the end of a tensor that is too small."""
     method = Nerf(scene, CONFIG, CPU, 0)
     method.train(*batch(scene, 24), 0, None, lambda: None)
     state = {k: v for k, v in (method.state() | change).items() if v is not None}
@@ -193,7 +193,7 @@ def test_an_optimisers_state_that_does_not_fit_is_refused(scene: Scene, change: 
 
 
 def test_a_dead_network_is_resumed_bit_for_bit(scene: Scene) -> None:
-    """Adam goes on by its momentum where no sample gets a gradient; so must a resumed one."""
+    """Adam's momentum moves the weights although no sample has a gradient. A resumed Adam must do the same."""
     first = Nerf(scene, replace(CONFIG, fine_samples=0), CPU, seed=0)
     first.train(*batch(scene, 24), 0, None, lambda: None)
     nn.init.constant_(first.networks["coarse"].density.bias, -100.0)
@@ -212,8 +212,8 @@ def test_it_learns(make_trainer: Callable[..., Trainer]) -> None:
     assert sum(losses[-3:]) < sum(losses[:3]) / 4
 
 
-def test_rays_of_a_checkpoint_from_another_kind_of_device_start_anew(scene: Scene) -> None:
-    """A CUDA generator's state is 16 bytes long: the weights still open on a CPU."""
+def test_the_generator_of_a_checkpoint_from_another_kind_of_device_starts_anew(scene: Scene) -> None:
+    """A CUDA generator's state is 16 bytes long. A checkpoint with it still loads on a CPU."""
     method = Nerf(scene, CONFIG, CPU, seed=4)
     fresh = method.state()["generator"].clone()
     method.load_state(method.state() | {"generator": torch.zeros(16, dtype=torch.uint8)})
@@ -298,7 +298,7 @@ def test_a_camera_that_turns_away_sees_background(forward: Scene) -> None:
 
 
 @pytest.mark.parametrize("z", [0.5, -2.0, -7.0, -19.0])
-def test_a_camera_that_flew_in_sees_nothing_behind_itself(forward: Scene, z: float) -> None:
+def test_a_camera_within_the_scene_sees_nothing_behind_itself(forward: Scene, z: float) -> None:
     method = Nerf(forward, CONFIG, CPU, 0)
     c2w = forward.views[0].camera.c2w.copy()
     c2w[2, 3] = z
@@ -311,7 +311,7 @@ def test_a_camera_that_flew_in_sees_nothing_behind_itself(forward: Scene, z: flo
         torch.testing.assert_close(depth[:, -1], torch.full((4,), -20.0), rtol=1e-3, atol=0)
 
 
-def test_radiance_under_ndc_is_asked_for_at_the_projected_point(forward: Scene) -> None:
+def test_radiance_under_ndc_is_evaluated_at_the_projected_point(forward: Scene) -> None:
     method = Nerf(forward, CONFIG, CPU, 0)
     directions = nn.functional.normalize(torch.randn(9, 3), dim=-1)
     world, net = torch.tensor([0.3, -0.2, -2.5]), method.networks["fine"]

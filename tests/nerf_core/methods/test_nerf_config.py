@@ -1,4 +1,4 @@
-"""Official constants, the nine rows of the ablation table, and words from the command line."""
+"""Official constants, the nine rows of the ablation table, and values from the command line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from nerf_core.geometry.scene import Scene
 from nerf_core.methods.nerf.config import PRESETS, NerfConfig
 
 CPU = torch.device("cpu")
-# NeRF, table 2: all that each row changes in the complete model
+# NeRF, table 2: everything that each row changes in the complete model
 ROWS: dict[str, dict[str, Any]] = {
     "no-pe-viewdirs-hierarchy": {
         "position_frequencies": 0, "view_directions": False, "coarse_samples": 256, "fine_samples": 0
@@ -60,7 +60,7 @@ def test_every_row_has_its_preset() -> None:
     assert set(PRESETS) == {*ROWS, "quick"}
 
 
-def test_changes_have_the_last_word(scene: Scene) -> None:
+def test_changes_override_the_preset(scene: Scene) -> None:
     assert NerfConfig.configure(scene, "quick", {"rays": "7"}, CPU).rays == 7
     words = {"rays": "7", "learning_rate": "1e-2", "pi": "True", "view_directions": "false"}
     config = NerfConfig.configure(scene, "more-frequencies", words, CPU)
@@ -82,12 +82,12 @@ def test_changes_have_the_last_word(scene: Scene) -> None:
         ({"density_noise": "-1"}, "--set density_noise=-1.0: must be at least 0"),
     ],
 )
-def test_a_wrong_word_is_told_what_is_right(scene: Scene, words: dict[str, str], said: str) -> None:
+def test_a_wrong_value_is_refused_with_what_is_right(scene: Scene, words: dict[str, str], said: str) -> None:
     with pytest.raises(UserError, match=said):
         NerfConfig.configure(scene, "complete", words, CPU)
 
 
-def test_a_wrong_preset_is_told_the_choices(scene: Scene) -> None:
+def test_a_wrong_preset_lists_the_choices(scene: Scene) -> None:
     with pytest.raises(UserError, match=r"--preset 'fast': choose one of auto, complete, .*no-hierarchy"):
         NerfConfig.configure(scene, "fast", {}, CPU)
 

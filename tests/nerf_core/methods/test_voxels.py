@@ -1,4 +1,4 @@
-"""The voxel method beyond its kernels: levels, spaces, what is dropped, what a checkpoint must hold."""
+"""The voxel method beyond its kernels: levels, spaces, dropped cells, and what a checkpoint must hold."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def around(scene: Scene) -> Scene:
 # ---- spaces -------------------------------------------------------------------------------------------------------
 
 
-def test_contraction_keeps_the_cube_and_brings_infinity_to_its_double() -> None:
+def test_contraction_keeps_the_cube_and_maps_infinity_to_twice_its_size() -> None:
     inside = torch.rand(50, 3) * 2 - 1
     assert torch.equal(contract(inside), inside)
     far = torch.tensor([[1e9, 0.0, 0.0], [0.0, -4.0, 2.0], [2.0, 2.0, 2.0]])
@@ -128,7 +128,7 @@ def test_a_sample_ends_where_the_next_begins_or_before(
     trainer = Trainer(there, RunSettings(method=method, changes=changes))
     ray = open_ray(trainer.method, there, there.views[0].camera, (9, 7), 0)
     first = ray.passes[0]
-    near_end = first.until[:-1] < 0.9 * ray.far  # t is clamped there under NDC
+    near_end = first.until[:-1] < 0.9 * ray.far  # under NDC t is clamped at far
     assert near_end.sum() > 5
     np.testing.assert_allclose(first.until[:-1][near_end], first.t[1:][near_end], rtol=1e-3)
     assert (first.until >= first.t).all()
@@ -152,7 +152,7 @@ def test_a_finer_grid_holds_the_same_density_in_the_same_places(scene: Scene) ->
     at = torch.from_numpy((new.origin + vertex * new.voxel - old.origin) / old.voxel)
     cell = at.floor().long().clamp(min=0).minimum(torch.tensor(old.size) - 1)
     before = softplus(old.interpolate(cell, (at - cell).clamp(0, 1).float())[:, DENSITY] + bias)
-    after = softplus(new.rows[:, DENSITY] + bias)  # both are optical depths of a cell, whose side differs
+    after = softplus(new.rows[:, DENSITY] + bias)  # both are optical depths of cells, which differ in size
     torch.testing.assert_close(after / float(new.voxel[0]), before / float(old.voxel[0]), rtol=1e-3, atol=1e-4)
     centres = new.origin + (np.argwhere(np.ones(new.size)) + 0.5) * new.voxel
     i, j, k = np.minimum(((centres - old.origin) / old.voxel).astype(int), np.array(old.size) - 1).T
@@ -161,19 +161,19 @@ def test_a_finer_grid_holds_the_same_density_in_the_same_places(scene: Scene) ->
     assert torch.equal(method.ema_rows, new.rows)
 
 
-def test_pictures_show_the_average_of_the_last_steps(scene: Scene) -> None:
-    """A mean over more steps the longer a level has lasted; its rows are what a picture shows, and a finer grid."""
+def test_pictures_show_the_ema_of_the_last_steps(scene: Scene) -> None:
+    """The EMA spans more steps the longer a level lasts. Pictures and the next finer grid use its rows."""
     trainer = run(scene, 1, average=0.9, level_steps=40)
     method, camera = voxels_of(trainer), scene.views[0].camera
-    assert torch.equal(method.ema_rows, method.grid.rows)  # there is nothing yet to take a mean of
+    assert torch.equal(method.ema_rows, method.grid.rows)  # after one step the EMA is that step's rows
     rays = camera_rays(camera, scene.near, scene.far)
     for updates in range(2, 12):
-        rows, mean = method.grid.rows.clone(), method.ema_rows.clone()
+        rows, ema = method.grid.rows.clone(), method.ema_rows.clone()
         trainer.step()
         moved = (method.grid.rows != rows).any(-1)
         follow = max(0.1, 4 / (4 + updates - 1))
-        torch.testing.assert_close(method.ema_rows[moved], mean[moved].lerp(method.grid.rows[moved], follow))
-        assert torch.equal(method.ema_rows[~moved], mean[~moved])
+        torch.testing.assert_close(method.ema_rows[moved], ema[moved].lerp(method.grid.rows[moved], follow))
+        assert torch.equal(method.ema_rows[~moved], ema[~moved])
     drawn = method.render(rays).color
     method.grid.rows.add_(1.0)
     assert torch.equal(method.render(rays).color, drawn)
@@ -198,7 +198,7 @@ def test_rates_fall_within_a_level_and_adam_begins_anew_with_it(scene: Scene, mo
         assert adam.correction2 == pytest.approx(1 / (1 - c.keep_square ** (since + 1)))
 
 
-def test_what_was_seen_is_forgotten_half_way_and_after_cells_were_dropped(scene: Scene) -> None:
+def test_seen_cells_are_forgotten_halfway_through_a_level_and_after_pruning(scene: Scene) -> None:
     trainer = run(scene, 0, prune_every=8)
     method, forgotten = voxels_of(trainer), []
     while trainer.step_count < method.levels[-1].begin + 20:
@@ -258,9 +258,9 @@ def test_the_same_seed_gives_the_same_bits_and_another_does_not(scene: Scene) ->
     assert not torch.equal(a["method.grid.rows"], c["method.grid.rows"])
 
 
-def test_an_abandoned_step_has_not_happened(scene: Scene) -> None:
-    """At every step: those at which a level begins, and those at which cells are dropped, are among them."""
-    trainer, calm = run(scene, 8, prune_every=7), run(scene, 8, prune_every=7)
+def test_an_abandoned_step_changes_nothing(scene: Scene) -> None:
+    """Abandons every step, including those at which a level begins or cells are dropped."""
+    trainer, uninterrupted = run(scene, 8, prune_every=7), run(scene, 8, prune_every=7)
     method = trainer.method
     assert isinstance(method, Voxels)
 
@@ -273,12 +273,12 @@ def test_an_abandoned_step_has_not_happened(scene: Scene) -> None:
             with pytest.raises(KeyboardInterrupt):
                 trainer.step(interrupt)
         trainer.step()
-        calm.step()
+        uninterrupted.step()
         levels.add(method.level)
         cells.add((method.level, int(method.grid.occupied.sum())))
     assert len(levels) > 1
     assert len(cells) > len(levels)
-    a, b = trainer.state(), calm.state()
+    a, b = trainer.state(), uninterrupted.state()
     assert [name for name in a if not torch.equal(a[name], b[name])] == []
 
 
@@ -318,13 +318,13 @@ def test_rows_never_pass_their_limit(scene: Scene) -> None:
     ],
 )
 def test_a_state_that_does_not_fit_is_refused(scene: Scene, name: str, value: torch.Tensor, text: str) -> None:
-    """The loops trust table and rows: past their end they would read and write all the same."""
+    """The compiled loops check no bounds: they would read and write past the end of the table and rows."""
     method = run(scene, 10).method
     with pytest.raises(ValueError, match=text):
         method.load_state(method.state() | {name: value})
 
 
-def test_without_numba_torch_does_the_same_and_it_is_told(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_numba_torch_does_the_same_and_a_note_says_so(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     fast = run(scene, 3)
     monkeypatch.setattr(on_numba, "numba_obstacle", lambda: "numba cannot be imported (gone)")
     plain = run(scene, 3)
