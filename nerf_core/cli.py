@@ -21,6 +21,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The exit status: 0; 1 when training diverged; 2 for what the user can mend; 130 and 143 after signals."""
     with Signals() as signals:
         try:
+            arguments = sys.argv[1:] if arguments is None else arguments
+            if arguments and not arguments[0].startswith("-"):
+                COMMANDS.get(arguments[0])  # raises UserError with all names, for an unknown command
             return parse(_any_command(), "nerf-core", arguments, DESCRIPTION).run(signals)
         except Diverged as error:
             status, text = 1, str(error)

@@ -74,10 +74,9 @@ class Render(PathOptions):
             raise UserError(f"--out {self.out}: only MP4 is written: name a .mp4 file")
         kind = PATHS.get(self.path)
         chosen: dict[str, Any] = {name: getattr(self, name) for name in OPTIONS if getattr(self, name) is not None}
-        for owner, other in KINDS.items():
-            if other is not kind and chosen.keys() & other.options.keys() - kind.options.keys():
-                names = " and ".join(f"--{name}" for name in other.options)
-                raise UserError(f"{names} belong to --path {owner}, not to {self.path}: leave them out")
+        for name in chosen.keys() - kind.options.keys():
+            owners = " and ".join(owner for owner, other in KINDS.items() if name in other.options)
+            raise UserError(f"--{name} belongs to --path {owners}, not to {self.path}: leave it out")
         trainer = restored(RunFolder(self.run_folder), self.data, self.device)
         cameras = kind.cameras(trainer.scene, self.frames, self.width, self.height, **chosen)
         signals.be_polite()

@@ -14,14 +14,14 @@ DEMO = "demo"
 
 def recognise(path: Path | None, wanted: str) -> tuple[Path, str, tuple[str, ...]]:
     """Return the path to read, the format's name, and notes. Raises UserError that lists the known formats."""
+    if wanted != "auto":
+        DATASETS.get(wanted)
     if path is None:
         if wanted not in ("auto", DEMO):
             raise UserError(f"--format {wanted} needs a dataset: name its folder")
         return assets_dir() / DEMO, DEMO, ()
     if wanted == DEMO:
         raise UserError(f"--format {DEMO} opens the scene that is installed: leave out {path}")
-    if wanted != "auto":
-        DATASETS.get(wanted)
     if not path.exists():
         raise UserError(f"{path} does not exist: name the folder of a dataset")
     if not path.is_dir() and path.suffix.lower() != ".json":

@@ -9,6 +9,8 @@ from typing import Literal
 
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.datasets import LoadOptions, check_options
+from nerf_core.datasets.capture import DATASETS
+from nerf_core.methods import METHODS
 from nerf_core.training.loop import Goal
 from nerf_core.training.settings import RunSettings
 
@@ -59,6 +61,12 @@ class TrainOptions:
             raise UserError(
                 f"--threads {shorten(self.threads)}: give a whole number from 1 to 1024, or 0 for all cores"
             )
+        for option, value, names in (
+            ("format", self.format, DATASETS.names()),
+            ("method", self.method, METHODS.names()),
+        ):
+            if value not in ("auto", *names):
+                raise UserError(f"--{option} {shorten(value)}: choose from auto, {', '.join(names)}")
         load = LoadOptions(self.format, self.downscale, self.max_size, self.ndc, self.background, self.memory_gb)
         check_options(load)
         return RunSettings(

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from nerf_core.common.console import Display, duration
 from nerf_core.common.errors import UserError
@@ -148,7 +149,10 @@ class Script:
         self.app.settle()
 
     def prepare(self) -> None:
-        """Set camera and mode before training, and pin rays, so that their histories begin at the first step."""
+        """Set camera and mode before training, and pin rays, so that their histories begin at the first step.
+
+        Raises UserError for pins and clicks that miss the viewport, before time is spent on training.
+        """
         state, scene = self.app.state, self._snapshot().scene
         state.mode = self.wishes.mode
         if self.wishes.camera:
@@ -161,6 +165,8 @@ class Script:
             _, _, column, row = self._place("pin", x, y)
             camera = state.camera.camera(*state.viewport)
             self.app.perform(PinRay(camera, (column, row)))
+        for x, y in self.wishes.clicks:
+            self._place("click", x, y)
 
     def _check_room(self) -> None:
         """Raise UserError if there are too many pins. The demo's own pins give way to --pin; the user's do not."""
@@ -176,7 +182,7 @@ class Script:
         if "viewport" not in self.app.widgets:
             raise UserError(f"--{option} {x} {y}: there is no viewport in so small a window; give a larger --size")
         left, top, right, bottom = self.app.widgets["viewport"]
-        return left, top, _position(option, x, right - left), _position(option, y, bottom - top)
+        return left, top, _position(option, x, right - left, "wide"), _position(option, y, bottom - top, "high")
 
     def _click(self, x: str, y: str) -> None:
         left, top, column, row = self._place("click", x, y)
@@ -287,9 +293,9 @@ class Script:
                 raise UserError("the worker ended unexpectedly")
 
 
-def _position(option: str, text: str, size: float) -> int:
-    """The pixel that a coordinate names in a viewport of `size` pixels. Raises UserError."""
+def _position(option: str, text: str, size: float, extent: Literal["wide", "high"]) -> int:
+    """The pixel that a coordinate names in a viewport that is `size` pixels wide or high. Raises UserError."""
     value = coordinate(option, text) * (size if "." in text else 1)
     if value > size:
-        raise UserError(f"--{option} {text}: outside the viewport, which has {size:.0f} pixels here")
+        raise UserError(f"--{option} {text}: outside the viewport, which is {size:.0f} pixels {extent} here")
     return min(int(value), int(size) - 1)

@@ -61,6 +61,9 @@ class Session:
         try:
             script.open(data, self.settings)
             script.prepare()
+            if wishes.folder is not None:
+                files = "a screenshot, an orbit and the inspection of one ray"
+                self.say(f"training first, then {files} go to {wishes.folder}")
             if self.window.has_display and not wishes.any_file():
                 self._attend(wishes)
             else:
@@ -124,9 +127,9 @@ def unattended(wishes: Wishes) -> Wishes:
         wishes = replace(wishes, seconds=UNATTENDED_SECONDS)
     if not wishes.any_file():
         folder = Path.cwd() / time.strftime("nerf-viewer-%Y%m%d-%H%M%S")
-        print(f"training first, then a screenshot, an orbit and the inspection of one ray go to {folder}")
         wishes = replace(
             wishes,
+            folder=folder,
             clicks=wishes.clicks or (("0.5", "0.5"),),
             screenshot=folder / "screenshot.png",
             orbit=folder / "orbit.mp4",

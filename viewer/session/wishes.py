@@ -18,9 +18,11 @@ from nerf_core.training.checkpoint import describe
 class Wishes:
     """The files to write, and what to do before; see `viewer.cli.ViewerOptions`.
 
+    folder: where the files go if the user asked for none; None: the user did.
     orbit_seconds: make the orbit's frames small enough to take about so long; None: as large as the photos.
     """
 
+    folder: Path | None = None
     load: Path | None = None
     steps: int | None = None
     seconds: float | None = None

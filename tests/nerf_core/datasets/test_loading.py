@@ -33,6 +33,8 @@ def test_without_a_path_the_demo_scene_opens() -> None:
     assert len({view.name for view in scene.views}) == len(scene.views)
     with pytest.raises(UserError, match="--format demo opens the scene that is installed: leave out"):
         load_scene(Path("x"), LoadOptions(format="demo"))
+    with pytest.raises(UserError, match=r"unknown dataset format 'nosuch': choose one of blender, "):
+        load_scene(None, LoadOptions("nosuch"))
     with pytest.raises(UserError, match="--format colmap needs a dataset"):
         load_scene(None, LoadOptions(format="colmap"))
 

@@ -38,6 +38,8 @@ def test_every_option_arrives() -> None:
         ({"seconds": math.nan}, "--seconds nan"),
         ({"seed": -1}, "--seed -1"),
         ({"threads": -1}, "--threads -1"),
+        ({"method": "magic"}, "--method 'magic': choose from auto, hash, "),
+        ({"format": "doc"}, "--format 'doc': choose from auto, blender, "),
         ({"set": ["rays"]}, "--set 'rays': write NAME=VALUE"),
         ({"set": ["=3"]}, "--set '=3': write NAME=VALUE"),
         ({"set": ["rays="]}, "--set 'rays=': write NAME=VALUE"),

@@ -30,6 +30,7 @@ from nerf_core.geometry.cameras import camera_rays
 from nerf_core.live.messages import MOST_PINS
 from nerf_core.rendering.images import to_bytes
 from viewer.cli import main
+from viewer.session.script import Script
 from viewer.session.session import autosave_path
 from viewer.session.wishes import Wishes
 
@@ -238,12 +239,18 @@ def test_eight_pins_replace_those_of_the_demo_and_every_file_has_them(tmp_path: 
     assert not (tmp_path / "x.npy").exists()
 
 
-def test_trained_weights_are_saved_if_a_file_cannot_be_written(data_home: Path, tmp_path: Path) -> None:
+def test_trained_weights_are_saved_if_a_file_cannot_be_written(
+    data_home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_: Script, file: Path) -> None:
+        raise UserError(f"{file}: no space left on the disk")
+
+    monkeypatch.setattr(Script, "_inspect", fail)
     for old in data_home.rglob("*.safetensors"):
         old.unlink()
-    done = viewer(*TINY, "--headless", "--steps", "3", "--click", "5000", "5", "--inspect", str(tmp_path / "x.json"))
+    done = viewer(*TINY, "--headless", "--steps", "3", "--click", "0.5", "0.5", "--inspect", str(tmp_path / "x.json"))
     assert done.returncode == 2
-    assert "--click 5000" in done.stderr
+    assert "no space left on the disk" in done.stderr
     (file,) = data_home.rglob("*.safetensors")
     assert str(file) in done.stdout
 
@@ -317,6 +324,12 @@ def test_offscreen_without_requests_a_picture_an_orbit_and_a_ray_are_written(
     assert str(folder) in done.stdout
     assert sorted(p.name for p in folder.iterdir()) == ["orbit.mp4", "ray.json", "screenshot.png"]
     assert imageio_ffmpeg.count_frames_and_secs(str(folder / "orbit.mp4"))[0] == 40
+
+
+def test_offscreen_no_folder_is_named_before_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = viewer("--headless", "nowhere")
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
 
 
 def test_a_window_without_a_display_works_offscreen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -64,6 +64,12 @@ def script(offscreen: Callable[..., Window]) -> Iterator[Script]:
     app.close()
 
 
+def test_a_click_outside_the_viewport_is_refused_before_training(script: Script) -> None:
+    script.wishes = Wishes(clicks=(("0.5", "0.5"), ("5000", "5")))
+    with pytest.raises(UserError, match=r"--click 5000: outside the viewport, which is .* pixels wide here"):
+        script.prepare()
+
+
 def test_an_error_in_the_frames_of_a_click_ends_the_script(script: Script) -> None:
     with pytest.raises(UserError, match="no ray is opened"):
         script._click("0.5", "0.5")
