@@ -22,7 +22,7 @@ from nerf_core.live.messages import (
     StartExport,
     StopInspecting,
 )
-from nerf_core.rendering.export.requests import ExportPath
+from nerf_core.rendering.export.requests import ExportModel, ExportPath
 
 from ..model.link import Link
 from ..model.state import (
@@ -91,6 +91,8 @@ class Actions:
                 command = replace(command, path=own_path(path))
             case ExportRays(file):
                 command = replace(command, file=own_path(file))
+            case StartExport(ExportModel(file)):
+                command = replace(command, request=ExportModel(own_path(file)))
             case _:
                 pass
         return self._link.send(command)

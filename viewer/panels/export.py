@@ -11,7 +11,6 @@ from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.common.errors import UserError
-from nerf_core.common.user_paths import own_path
 from nerf_core.geometry.paths import PATHS, CameraPath, Option
 from nerf_core.geometry.paths.steps import training_size
 from nerf_core.geometry.scene import Scene
@@ -175,7 +174,7 @@ def _models(ui: Ui, state: AppState) -> Iterator[Action]:
     imgui.same_line()
     tip = "; ".join(f"{kind.suffix}: {kind.summary}" for kind in kinds)
     if button(ui, MODEL, "export.model", enabled=bool(state.model_file.strip()), tip=tip):
-        yield StartExport(ExportModel(own_path(Path(state.model_file.strip()))))
+        yield StartExport(ExportModel(Path(state.model_file.strip())))
 
 
 def _number(

@@ -30,7 +30,7 @@ from nerf_core.live.messages import (
     Train,
 )
 from nerf_core.probe import Verdict
-from nerf_core.rendering.export.requests import ExportPath
+from nerf_core.rendering.export.requests import ExportModel, ExportPath
 from viewer.app.app import App
 from viewer.commands.perform import film_export
 from viewer.model.state import (
@@ -515,6 +515,16 @@ def test_an_impossible_orbit_is_a_notice(start: Start) -> None:
 def test_export_forms_are_checked(field: str, value: object, words: str) -> None:
     with pytest.raises(UserError, match=words):
         film_export(scripted.make_scene(), replace(FilmForm(), **{field: value}))
+
+
+def test_the_file_of_a_model_may_begin_with_a_tilde(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    app, worker = start()
+    monkeypatch.setenv("HOME", "/home/me")
+    app.perform(StartExport(ExportModel(Path("~/model.ply"))))
+    assert worker.sent == [StartExport(ExportModel(Path("/home/me/model.ply")))]
+    app.perform(StartExport(ExportModel(Path("~nobody-at-all/model.ply"))))
+    assert len(worker.sent) == 1
+    assert "there is no such user's folder" in app.state.notices[-1].notice.text
 
 
 def test_a_form_left_alone_takes_the_number_of_frames_of_the_path() -> None:
