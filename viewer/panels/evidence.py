@@ -16,7 +16,7 @@ from nerf_core.probe import RayProbe, Sightings
 
 from ..model.state import Action, AppState, GoToView
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import hint, mono, packed, swatch
+from ..ui.widgets import hint, mono, nothing_yet, packed, swatch
 
 PHOTO = 400  # limit for the longer side, in pixels, of the photo shown on hover
 SHOWN = 48  # photos in the table: first those that see the point, each group sorted by angle to the ray
@@ -39,7 +39,9 @@ class EvidencePanel:
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
         evidence, scene, ray = state.snapshot.evidence, state.snapshot.scene, state.snapshot.ray
         if evidence is None or scene is None or ray is None:
-            hint(ui, "Click a pixel: here you will see which photos know the point it shows.")
+            nothing_yet(
+                ui, state.snapshot.method, "Click a pixel: here you will see which photos know the point it shows."
+            )
             return
         if evidence is not self._of:
             self._of, self._sheet = evidence, _sheet(scene, evidence)

@@ -11,7 +11,6 @@ from typing import Literal
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
 
-from nerf_core.methods import lacking
 from nerf_core.probe import (
     DISC_SIZE,
     SPHERE_COLUMNS,
@@ -26,7 +25,7 @@ from nerf_core.probe import (
 from ..model.state import Action, AppState, SetDisc, SetPointDepth
 from ..ui.contract import PANELS, Ui
 from ..ui.text import number, triple, vector
-from ..ui.widgets import Row, button, figures, hint, mono, packed, swatch
+from ..ui.widgets import Row, button, figures, hint, mono, nothing_yet, packed, swatch
 
 CAPTIONS = {"viewer": "facing its camera", "normal": "around the normal"}
 SPHERE_CAPTION = "all directions; hatched: unseen"
@@ -92,7 +91,7 @@ class RadiancePanel:
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
         probe, evidence = state.snapshot.radiance, state.snapshot.evidence
         if probe is None:
-            hint(ui, _nothing_yet(state))
+            nothing_yet(ui, state.snapshot.method, _nothing_yet(state), ("trace", "radiance"))
             return
         known = self._pictures
         if known is None or not known.shows(probe, evidence, state.frozen_ray):
@@ -266,9 +265,6 @@ def _tooltip(ui: Ui, direction: np.ndarray, rgb: np.ndarray) -> None:
 
 
 def _nothing_yet(state: AppState) -> str:
-    missing = lacking(state.snapshot.method, "radiance")
-    if missing:
-        return f"There is nothing to show here: {missing}."
     if state.inspect is not None:
         return "Looking at this point from all around …"
     return "Click a pixel: here you will see the colour that its surface emits in every direction."

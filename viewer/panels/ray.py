@@ -17,7 +17,7 @@ from ..draw.ray_steps import Steps, steps_of
 from ..model.state import Action, AppState, SampleRef, SetPointDepth
 from ..ui.contract import PANELS, Ui
 from ..ui.text import number, triple
-from ..ui.widgets import Row, faded, figures, hint, packed, same_line_if_fits, sample_tooltip, swatch
+from ..ui.widgets import Row, faded, figures, hint, nothing_yet, packed, same_line_if_fits, sample_tooltip, swatch
 
 AXIS = "over t (world units)"
 BEYOND = 0.01  # weight beyond the end of the axis that is mentioned
@@ -45,7 +45,7 @@ class RayPanel:
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
         ray = state.snapshot.ray
         if ray is None:
-            hint(ui, _nothing_yet(state))
+            nothing_yet(ui, state.snapshot.method, _nothing_yet(state))
             return
         self._take(ray, state.snapshot.loaded)
         avail = imgui.get_content_region_avail()

@@ -15,7 +15,7 @@ from nerf_core.probe import RayHistory
 
 from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import Limits, axis_name, color_scale, faded, hint, packed, same_line_if_fits
+from ..ui.widgets import Limits, axis_name, color_scale, faded, hint, nothing_yet, packed, same_line_if_fits
 
 COLUMNS = 320  # columns of the map: more than there are records, so that each has its own
 STRIP_EM = 1.4
@@ -46,7 +46,8 @@ class RayHistoryPanel:
             )
             return
         if pin is None or history is None:
-            hint(ui, "Pin a ray (Ctrl+click): from then on, here is how its weights move while the model learns.")
+            text = "Pin a ray (Ctrl+click): from then on, here is how its weights move while the model learns."
+            nothing_yet(ui, state.snapshot.method, text)
             return
         fresh = self._of is None or history.edges is not self._of.edges  # another pin, or a new training
         if history is not self._of:

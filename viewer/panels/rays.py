@@ -15,7 +15,7 @@ from nerf_core.live.messages import MOST_PINS, PIN_NAME_LENGTH, EditPin, ExportR
 from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
 from ..ui.text import number, triple
-from ..ui.widgets import Row, button, field_beside, figures, hint, packed, swatch
+from ..ui.widgets import Row, button, field_beside, figures, nothing_yet, packed, swatch
 
 WRITE = f"{icons.ICON_FA_FILE_EXPORT}  Write"
 PIN = f"{icons.ICON_FA_THUMBTACK}  Pin the opened ray"
@@ -35,9 +35,8 @@ class RaysPanel:
         if button(ui, PIN, "rays.pin", enabled=can, tip=tip) and asked is not None:
             yield PinRay.of(asked)
         if not pins:
-            hint(
-                ui, f"Up to {MOST_PINS} rays stay where they are while you move, and keep a history of their training."
-            )
+            text = f"Up to {MOST_PINS} rays stay where they are while you move, and keep a history of their training."
+            nothing_yet(ui, state.snapshot.method, text)
         if pins or state.snapshot.opened is not None:
             field_beside(ui, WRITE)
             _, state.rays_file = imgui.input_text("##file", state.rays_file)

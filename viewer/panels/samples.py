@@ -14,7 +14,7 @@ from ..model.state import Action, AppState, SampleRef
 from ..ui.contract import PANELS, Ui
 from ..ui.text import number, triple
 from ..ui.theme import CLEAR
-from ..ui.widgets import faded, hint, mono, packed, swatch
+from ..ui.widgets import faded, mono, nothing_yet, packed, swatch
 
 COLUMNS = ("", "t", "δ", "σ", "α", "T", "w", "colour")
 WIDTHS_EM = (3.0, 5.0, 5.0, 5.0, 4.5, 4.5, 4.5, 11.0)
@@ -34,7 +34,9 @@ class SamplesPanel:
         yield from ()
         ray = state.snapshot.ray
         if ray is None or not ray.passes:
-            hint(ui, "Click a pixel: here you will see the samples of its ray in numbers.")
+            nothing_yet(
+                ui, state.snapshot.method, "Click a pixel: here you will see the samples of its ray in numbers."
+            )
             return
         count = len(ray.passes)
         self.one = self.one if 0 <= self.one < count else count - 1

@@ -10,7 +10,7 @@ from imgui_bundle import ImVec2, ImVec4, imgui, implot
 
 from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import axis_name, color_of, field_width, hint
+from ..ui.widgets import axis_name, color_of, field_width, hint, nothing_yet
 
 NEAR_DEGREES = 12.0  # photos farther from the slice's plane are left out
 CHANNELS = (ImVec4(0.92, 0.36, 0.32, 1), ImVec4(0.36, 0.78, 0.42, 1), ImVec4(0.40, 0.58, 0.95, 1))
@@ -30,7 +30,8 @@ class SlicePanel:
         yield from ()
         probe, evidence = state.snapshot.radiance, state.snapshot.evidence
         if probe is None:
-            hint(ui, "Click a pixel: here you will see how its colour changes along a line of directions.")
+            text = "Click a pixel: here you will see how its colour changes along a line of directions."
+            nothing_yet(ui, state.snapshot.method, text, ("trace", "radiance"))
             return
         field_width(ui, "azimuth")
         _, self.degrees = imgui.slider_float("azimuth", self.degrees, 0.0, 180.0, "%.0f°")

@@ -13,7 +13,7 @@ from nerf_core.methods.stages import BarCode, Chart, Colors, Marks, Stage, Stems
 
 from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import axis_name, color_of, faded, figures, hint, packed, swatch
+from ..ui.widgets import axis_name, color_of, faded, figures, hint, nothing_yet, packed, swatch
 
 WIDTH_EM = 19.0
 CHART_EM = 2.0, 9.0  # least and largest height of a plot; in between, the plots of a stage share its height
@@ -38,7 +38,11 @@ class WalkPanel:
         yield from ()
         stages = state.snapshot.opened.walk if state.snapshot.opened is not None else ()
         if not stages:
-            hint(ui, "Click a pixel: here you will see it go through the whole method, stage by stage.")
+            nothing_yet(
+                ui,
+                state.snapshot.method,
+                "Click a pixel: here you will see it go through the whole method, stage by stage.",
+            )
             return
         scroll = imgui.WindowFlags_.horizontal_scrollbar
         imgui.begin_child("strip", ImVec2(0, 0), 0, scroll)

@@ -15,6 +15,7 @@ from imgui_bundle import ImVec2, ImVec4, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.common.colormaps import Name, colored
+from nerf_core.methods import lacking
 
 from .text import number, triple
 
@@ -71,6 +72,15 @@ def hint(ui: Ui, text: str, color: ImVec4 | None = None) -> None:
     imgui.push_style_color(imgui.Col_.text, color or ui.theme.muted)
     imgui.text_wrapped(text)
     imgui.pop_style_color()
+
+
+def nothing_yet(ui: Ui, method: str, text: str, needs: Sequence[str] = ("trace",)) -> None:
+    """Draw the hint of a panel that has nothing to show: what the method lacks for it, otherwise `text`.
+
+    needs: what the panel needs of the method; keys of `nerf_core.methods.ABSENT`.
+    """
+    missing = next(filter(None, (lacking(method, ability) for ability in needs)), "")
+    hint(ui, f"There is nothing to show here: {missing}." if missing else text)
 
 
 def button(ui: Ui, label: str, mark: str, *, enabled: bool = True, tip: str = "", width: float = 0.0) -> bool:

@@ -459,6 +459,20 @@ def test_the_export_shows_its_duration_before_it_starts() -> None:
     assert estimate(replace(form, frames=5), own, speed=0.0, share=0.2).startswith("5 frames")
 
 
+@pytest.mark.parametrize("name", ["ray", "samples", "evidence", "walk", "radiance", "slice", "rays", "ray_history"])
+def test_a_panel_says_that_the_method_keeps_no_samples_along_a_ray(
+    screen: Screen, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    METHODS.names()
+    monkeypatch.setitem(METHODS._items, "flat", object)
+    texts: list[str] = []
+    monkeypatch.setattr(imgui, "text_wrapped", texts.append)
+    state = make_state(replace(make_snapshot(), method="flat", opened=None, pins=()))
+    state.inspect = Inspect(make_camera(np.array([3.2, 0, 2.4])), (4, 5))
+    screen.frame(PANELS.get(name)(), state)
+    assert texts == ["There is nothing to show here: method flat keeps no samples along a ray."]
+
+
 # ---- the ray and its point --------------------------------------------------------------------------------------
 
 
