@@ -8,7 +8,9 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import is_dataclass
 from pathlib import Path
+from typing import Any
 
 import imageio_ffmpeg
 import pytest
@@ -16,6 +18,7 @@ from desk import PATIENCE
 
 import nerf_core
 from nerf_core.cli import main
+from nerf_core.commands import COMMANDS
 from nerf_core.methods import METHODS
 from nerf_core.training import checkpoint
 from nerf_core.training.run_folder import RunFolder
@@ -24,6 +27,10 @@ TINY = [
     "--method", "nerf", "--device", "cpu", "--threads", "1", "--set", "coarse_samples=8",
     "--set", "fine_samples=8", "--set", "depth=2", "--set", "width=16",
 ]  # fmt: skip
+
+
+ORDERED = sorted(COMMANDS.names(), key=lambda name: COMMANDS.get(name).order)
+SUBCOMMANDS = f"{{{', '.join(ORDERED)}}}"
 
 
 def train(capture: Path, out: Path, *more: str, rays: int = 32) -> list[str]:
@@ -169,7 +176,7 @@ def test_wrong_arguments_give_an_error_of_one_line(
             "nerf-core: --t: cannot be read: 'x': a number is needed; nerf-core probe",
         ),
         (["--wings"], "--wings"),
-        ([], "{train, eval, render, probe, methods}"),
+        ([], SUBCOMMANDS),
     ],
 )
 def test_a_command_that_cannot_be_parsed_gives_an_error_of_one_line(
@@ -180,6 +187,23 @@ def test_a_command_that_cannot_be_parsed_gives_an_error_of_one_line(
     assert text in line
     about = f"nerf-core {arguments[0]}" if "--" in text else "nerf-core"
     assert line.endswith(f"; {about} --help lists the options\n")
+
+
+@pytest.mark.parametrize("name", COMMANDS.names())
+def test_a_subcommand_explains_itself_and_its_mistakes(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    kind: Any = COMMANDS.get(name)
+    assert is_dataclass(kind)
+    assert vars(kind)["__dataclass_params__"].frozen
+    sentence = " ".join((kind.__doc__ or "").split())
+    assert sentence.endswith(".")
+    for words in (["--help"], [name, "--help"]):
+        with pytest.raises(SystemExit) as caught:
+            main(words)
+        assert caught.value.code == 0
+        shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
+        assert sentence.partition(".")[0] in shown
+    assert main([name, "--no-such-option"]) == 2
+    assert error_line(capsys).endswith("--help lists the options\n")
 
 
 def test_help_exits_with_status_0(capsys: pytest.CaptureFixture[str]) -> None:

@@ -26,9 +26,9 @@ ORDER = (
 )  # fmt: skip
 # Folders of plug-ins: no file that registers something is imported by a sibling.
 PLUGINS = (
-    "nerf_core/geometry/paths", "nerf_core/datasets/formats", "nerf_core/methods", "nerf_core/commands",
-    "nerf_core/kernels/implementations", "nerf_core/probe/verdicts",
-    "viewer/panels", "viewer/commands/actions",
+    "nerf_core/geometry/paths", "nerf_core/datasets/formats", "nerf_core/methods", "nerf_core/kernels/implementations",
+    "nerf_core/rendering/modes", "nerf_core/rendering/export/models", "nerf_core/probe/verdicts",
+    "nerf_core/live/shares", "nerf_core/commands", "viewer/panels", "viewer/commands/actions",
 )  # fmt: skip
 # The edges of the program are windows, dataset formats, videos and the command line. Only they need these libraries.
 EDGES = {

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from captures import write_photo
 from PIL import Image
 
 from nerf_core.common.errors import UserError
@@ -213,10 +214,26 @@ def test_photos_are_only_read(transforms_folder: Folder) -> None:
     assert {p: p.read_bytes() for p in folder.rglob("*") if p.is_file()} == before
 
 
-def test_every_format_says_what_it_needs() -> None:
+def test_ranks_of_formats_differ() -> None:
     ranks = [DATASETS.get(name).rank for name in DATASETS.names()]
     assert len(set(ranks)) == len(ranks)
-    assert all(DATASETS.get(name).files for name in DATASETS.names())
+
+
+@pytest.mark.parametrize("name", DATASETS.names())
+def test_every_format_says_what_it_needs_and_refuses_what_it_does_not_know(name: str, tmp_path: Path) -> None:
+    kind = DATASETS.get(name)
+    assert kind.files
+    empty, photos, text = tmp_path / "empty", tmp_path / "photos", tmp_path / "notes.json"
+    empty.mkdir()
+    write_photo(photos / "a.png")
+    text.write_text("no JSON", encoding="utf-8")
+    assert isinstance(kind.matches(text), bool)  # it may take any .json file for its own, but never raises
+    for path in (empty, photos, tmp_path / "missing"):
+        assert not kind.matches(path)
+    for path in (empty, photos, text, tmp_path / "missing"):
+        with pytest.raises(UserError) as caught:
+            load_scene(path, LoadOptions(format=name))
+        assert "\n" not in str(caught.value)
 
 
 def test_lego(scenes: Path) -> None:

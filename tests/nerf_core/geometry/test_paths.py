@@ -154,8 +154,12 @@ def test_spiral_of_a_surrounding_capture_stays_by_its_first_view() -> None:
 
 @pytest.mark.parametrize("name", PATHS.names())
 def test_every_path_is_made_of_proper_cameras(name: str) -> None:
+    kind = PATHS.get(name)
+    assert kind.label
+    assert kind.summary
+    assert kind.default_frames is None or kind.default_frames > 0
     for scene in (around(), forward()):
-        for camera in PATHS.get(name).cameras(scene, 3, 64, 20):
+        for camera in kind.cameras(scene, 3, 64, 20):
             assert (camera.width, camera.height) == (64, 20)
             rotation = camera.c2w[:, :3]
             np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
@@ -255,5 +259,6 @@ def test_a_kind_in_a_new_file_is_found_with_its_options(tmp_path: Path) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     shown = " ".join(done.stdout.split())
-    for text in ("{orbit,spiral,test,zigzag}", "to and fro (zigzag)", "7 (zigzag)", "--swing", "Of a zigzag"):
+    choices = "{" + ",".join(sorted([*PATHS.names(), "zigzag"])) + "}"
+    for text in (choices, "to and fro (zigzag)", "7 (zigzag)", "--swing", "Of a zigzag"):
         assert text in shown, done.stderr or shown

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from packed_implementations import PLAIN, fast
+from kernel_implementations import PLAIN, fast_packed
 from torch import Tensor
 
 from nerf_core.geometry.spaces import BoxRays
@@ -16,10 +16,10 @@ from nerf_core.volume.cells import Cells
 from nerf_core.volume.compositing import absorb, composite
 
 LEVELS = HashLevels((2, 5, 11, 40))
-MARCHED = 100 if "triton" in fast() else 300  # rays; Triton's interpreter takes seconds for 64 of them
+MARCHED = 100 if "triton" in fast_packed() else 300  # rays; Triton's interpreter takes seconds for 64 of them
 WHITE = torch.tensor([1.0, 0.5, 0.25])
-each_fast = pytest.mark.parametrize("kernels", fast().values(), ids=fast().keys())
-each = pytest.mark.parametrize("kernels", [*fast().values(), PLAIN], ids=[*fast().keys(), "torch"])
+each_fast = pytest.mark.parametrize("kernels", fast_packed().values(), ids=fast_packed().keys())
+each = pytest.mark.parametrize("kernels", [*fast_packed().values(), PLAIN], ids=[*fast_packed().keys(), "torch"])
 
 
 def generator(seed: int = 0) -> torch.Generator:

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from kernel_implementations import fast_voxels
 from torch import Tensor
 
 from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels.cpu_voxels import CpuVoxels
 from nerf_core.kernels.torch_voxels import STOP, TorchVoxels
-from nerf_core.kernels.voxel_kernels import Adam, March
+from nerf_core.kernels.voxel_kernels import Adam, March, VoxelKernels
 from nerf_core.volume.voxel_grid import DENSITY, VoxelGrid
 
 WHITE = torch.ones(3)
+FAST = fast_voxels()
+Make = Callable[[], VoxelKernels]
+each_fast = pytest.mark.parametrize("make", FAST.values(), ids=FAST.keys())
+each = pytest.mark.parametrize("make", [*FAST.values(), TorchVoxels], ids=[*FAST.keys(), "torch"])
 
 
 def some_grid(contracted: bool, size: tuple[int, int, int] = (11, 8, 13), dense: float = 0.3) -> VoxelGrid:
@@ -49,14 +55,15 @@ def how(count: int, **changes: float) -> March:
 
 
 @pytest.mark.parametrize("contracted", [False, True])
-@pytest.mark.parametrize("shards", [1, 2, 3])
+@each_fast
 @pytest.mark.parametrize("dense", [0.02, 0.3, 1.0])
-def test_pictures_and_gradients_agree_with_the_reference(contracted: bool, shards: int, dense: float) -> None:
+def test_pictures_and_gradients_agree_with_the_reference(contracted: bool, make: Make, dense: float) -> None:
     grid, rays = some_grid(contracted, dense=dense), some_rays()
     truth = torch.rand(len(rays), 3, generator=torch.Generator().manual_seed(2))
     march = how(len(rays), smoothness=0.1)
-    fast, plain = CpuVoxels(shards), TorchVoxels()
+    fast, plain = make(), TorchVoxels()
     a, b = fast.render(grid, rays, march), plain.render(grid, rays, march)
+    torch.testing.assert_close(fast.trace(grid, rays, march).pixel, a, atol=1e-4, rtol=1e-4)
     # rounding may put a sample that lies on a cell's face on the other side of it
     for got, expected in ((a[:, :4], b[:, :4]), (a[:, 4:] / (1 + b[:, 4:]), b[:, 4:] / (1 + b[:, 4:]))):
         assert float((got - expected).abs().amax(-1).sort().values[-3]) < 1e-3
@@ -67,14 +74,17 @@ def test_pictures_and_gradients_agree_with_the_reference(contracted: bool, shard
     a, b = fast.gradient(grid), plain.gradient(grid)
     assert float((a - b).norm()) <= 2e-3 * float(b.norm())
     assert float((fast.seen(grid) != plain.seen(grid)).float().mean()) < 2e-3
+    fast.see(grid, plain.seen(grid))
+    assert torch.equal(fast.seen(grid), plain.seen(grid))
 
 
 @pytest.mark.parametrize("contracted", [False, True])
-def test_the_gradient_is_that_of_finite_differences(contracted: bool) -> None:
+@each
+def test_the_gradient_is_that_of_finite_differences(contracted: bool, make: Make) -> None:
     grid, rays = some_grid(contracted, size=(4, 5, 4), dense=1.0), some_rays(40)
     grid.rows[:, DENSITY] -= 1.5  # so that no ray is cut off at a low transmittance: the cut-off is not smooth
     truth = torch.rand(40, 3, generator=torch.Generator().manual_seed(2))
-    kernels, march = CpuVoxels(2), how(40)
+    kernels, march = make(), how(40)
 
     def loss() -> float:
         return float((kernels.render(grid, rays, march)[:, :3] - truth).double().square().sum()) / 2
@@ -95,7 +105,8 @@ def test_the_gradient_is_that_of_finite_differences(contracted: bool) -> None:
         assert (above - below) / (2 * h) == pytest.approx(float((gradient * direction).sum()), rel=2e-2, abs=1e-3)
 
 
-def test_a_ray_through_one_opaque_cell_has_the_colour_of_its_coefficients() -> None:
+@each
+def test_a_ray_through_one_opaque_cell_has_the_colour_of_its_coefficients(make: Make) -> None:
     occupied = torch.zeros(4, 4, 4, dtype=torch.bool)
     occupied[2, 1, 1] = True
     grid = VoxelGrid.over(np.full(3, -2.0), np.ones(3), occupied, contracted=False)
@@ -105,34 +116,34 @@ def test_a_ray_through_one_opaque_cell_has_the_colour_of_its_coefficients() -> N
         torch.tensor([[-5.0, -0.5, -0.5]]), torch.tensor([[1.0, 0, 0]]), torch.tensor([[1.0, 0, 0]]), torch.zeros(1),
         torch.full((1,), 100.0),
     )  # fmt: skip
-    for kernels in (CpuVoxels(1), TorchVoxels()):
-        pixel = kernels.render(grid, ray, March(0.25, 0.0, WHITE, torch.tensor([0.5])))[0]
-        expected = torch.sigmoid(torch.tensor([4.0, -4.0, 0.0]) * 0.28209479)
-        torch.testing.assert_close(pixel[:3], expected, atol=1e-3, rtol=0)
-        assert float(pixel[3]) == pytest.approx(1, abs=1e-3)
-        assert float(pixel[4]) == pytest.approx(5.125, abs=0.3)  # the cell begins at x = 0
+    pixel = make().render(grid, ray, March(0.25, 0.0, WHITE, torch.tensor([0.5])))[0]
+    expected = torch.sigmoid(torch.tensor([4.0, -4.0, 0.0]) * 0.28209479)
+    torch.testing.assert_close(pixel[:3], expected, atol=1e-3, rtol=0)
+    assert float(pixel[3]) == pytest.approx(1, abs=1e-3)
+    assert float(pixel[4]) == pytest.approx(5.125, abs=0.3)  # the cell begins at x = 0
 
 
 @pytest.mark.parametrize("dense", [0.05, 1.0])
-def test_grids_are_resampled_alike(dense: float) -> None:
+@each_fast
+def test_grids_are_resampled_alike(make: Make, dense: float) -> None:
     """The new box reaches beyond the old one, and many of the old vertices are not stored."""
     old, g = some_grid(False, dense=dense), torch.Generator().manual_seed(3)
     occupied = torch.rand(17, 9, 14, generator=g) < 0.4
     new = [VoxelGrid.over(np.array([-1.2, -0.7, -0.9]), np.array([0.13, 0.2, 0.17]), occupied, False) for _ in range(2)]
-    for kernels, grid in zip((CpuVoxels(3), TorchVoxels()), new, strict=True):
+    for kernels, grid in zip((make(), TorchVoxels()), new, strict=True):
         for first in range(0, grid.bricks, 7):
             kernels.resample(old, grid, first, min(first + 7, grid.bricks))
     assert new[0].rows.count_nonzero() > 0.2 * new[0].rows[:, : DENSITY + 1].numel()
     torch.testing.assert_close(new[0].rows, new[1].rows, atol=1e-5, rtol=1e-5)
 
 
-def test_empty_grids_and_rays_that_miss_show_background_and_have_no_gradient() -> None:
-    grid, rays = some_grid(False, dense=0.0), some_rays()
-    for kernels in (CpuVoxels(2), TorchVoxels()):
-        pixel = kernels.render(grid, rays, how(len(rays)))
-        assert torch.equal(pixel[:, :3], torch.ones(len(rays), 3))
-        assert not pixel[:, 3:].any()
-        assert kernels.accumulate(grid, rays, torch.ones(len(rays), 3), how(len(rays))) == (0, 0)
+@each
+def test_empty_grids_and_rays_that_miss_show_background_and_have_no_gradient(make: Make) -> None:
+    grid, rays, kernels = some_grid(False, dense=0.0), some_rays(), make()
+    pixel = kernels.render(grid, rays, how(len(rays)))
+    assert torch.equal(pixel[:, :3], torch.ones(len(rays), 3))
+    assert not pixel[:, 3:].any()
+    assert kernels.accumulate(grid, rays, torch.ones(len(rays), 3), how(len(rays))) == (0, 0)
 
 
 @pytest.mark.parametrize("contracted", [False, True])
@@ -152,21 +163,23 @@ def test_no_sample_reads_a_missing_row(contracted: bool) -> None:
 
 
 @pytest.mark.parametrize("contracted", [False, True])
-def test_nothing_is_ever_nan(contracted: bool) -> None:
+@each
+def test_nothing_is_ever_nan(contracted: bool, make: Make) -> None:
     grid, rays = some_grid(contracted), some_rays(spread=1.0)
     grid.rows[:, DENSITY] *= 40  # from perfectly clear to perfectly opaque
     grid.rows[:, :DENSITY] *= 40
-    for kernels in (CpuVoxels(2), TorchVoxels()):
-        assert kernels.render(grid, rays, how(len(rays))).isfinite().all()
-        kernels.accumulate(grid, rays, torch.rand(len(rays), 3), how(len(rays)))
-        assert kernels.gradient(grid).isfinite().all()
+    kernels = make()
+    assert kernels.render(grid, rays, how(len(rays))).isfinite().all()
+    kernels.accumulate(grid, rays, torch.rand(len(rays), 3), how(len(rays)))
+    assert kernels.gradient(grid).isfinite().all()
 
 
-def test_adam_agrees_with_the_reference() -> None:
+@each_fast
+def test_adam_agrees_with_the_reference(make: Make) -> None:
     truth, rays = torch.rand(200, 3, generator=torch.Generator().manual_seed(2)), some_rays()
     settings = Adam(0.2, 0.3, 0.9, 0.99, 10.0, 100.0, 1e-4, 0.3)
     results: list[tuple[Tensor, ...]] = []
-    for kernels in (CpuVoxels(2), TorchVoxels()):
+    for kernels in (make(), TorchVoxels()):
         grid = some_grid(False)
         moments, ema, expected = torch.zeros_like(grid.rows), grid.rows.clone(), grid.rows.clone()
         for _ in range(3):
@@ -193,8 +206,9 @@ def test_the_same_thread_count_gives_the_same_bits() -> None:
     assert torch.equal(found[0], found[2])
 
 
-def test_forgotten_gradients_leave_no_trace() -> None:
-    grid, rays, kernels = some_grid(False), some_rays(), CpuVoxels(2)
+@each
+def test_forgotten_gradients_leave_no_trace(make: Make) -> None:
+    grid, rays, kernels = some_grid(False), some_rays(), make()
     kernels.accumulate(grid, rays, torch.zeros(200, 3), how(200))
     kernels.forget()
     before, moments, ema_rows = grid.rows.clone(), torch.zeros_like(grid.rows), torch.zeros_like(grid.rows)

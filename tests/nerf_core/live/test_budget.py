@@ -1,10 +1,13 @@
-"""The time budget, on a simulated clock."""
+"""The time budget, on a simulated clock, and the rules that decide about training's share."""
 
 from __future__ import annotations
+
+from itertools import product
 
 import pytest
 
 from nerf_core.live.budget import Budget
+from nerf_core.live.shares import SHARES, Situation
 
 
 class Clock:
@@ -109,3 +112,12 @@ def test_a_moving_camera_waits_a_quarter_of_a_second_at_most() -> None:
     assert not budget.may_follow()
     clock.now += 0.06
     assert budget.may_follow()
+
+
+@pytest.mark.parametrize("name", SHARES.names())
+def test_every_rule_leaves_time_for_training_and_for_pictures(name: str) -> None:
+    rule = SHARES.get(name)
+    assert rule.label
+    assert rule.tip
+    for wanted, moving, exporting in product((0.05, 0.3, 0.6, 0.95), (False, True), (False, True)):
+        assert 0.05 <= rule.share(wanted, Situation(moving, exporting)) <= 0.95

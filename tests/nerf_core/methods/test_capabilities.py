@@ -18,7 +18,7 @@ from nerf_core.methods import METHODS, Defaults, Draw, lacking
 from nerf_core.probe import open_pixel, open_ray
 from nerf_core.probe.walkthrough import walk
 from nerf_core.rendering.images import render_camera
-from nerf_core.rendering.modes import shaded
+from nerf_core.rendering.modes import MODES, shaded
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
 
@@ -129,3 +129,16 @@ def test_a_mode_that_needs_a_radiance_says_so(scene: Scene) -> None:
     rays = Rays(torch.zeros(2, 3), torch.eye(3)[:2], torch.zeros(2), torch.ones(2))
     with pytest.raises(UserError, match="method sampled has no radiance at a point"):
         shaded(method, rays, method.trace(rays), "view-dependence")
+
+
+@pytest.mark.parametrize("mode", MODES.names())
+def test_every_mode_draws_the_samples_of_a_method_or_says_what_it_lacks(scene: Scene, mode: str) -> None:
+    method = trained(scene, "sampled").method
+    assert isinstance(method, Sampled)
+    rays = Rays(torch.zeros(2, 3), torch.eye(3)[:2], torch.zeros(2), torch.ones(2))
+    lack = ""
+    try:
+        assert shaded(method, rays, method.trace(rays), mode).shape == (2, 3)
+    except UserError as error:
+        lack = str(error)
+    assert lack == "" or "method sampled" in lack

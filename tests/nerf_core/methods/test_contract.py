@@ -58,6 +58,13 @@ def make(request: pytest.FixtureRequest, scene: Scene) -> MakeMethod:
     return build
 
 
+def require(method: Method, *abilities: type) -> None:
+    """Skip the test of a method that lacks an optional member."""
+    lacking = [ability.__name__ for ability in abilities if not isinstance(method, ability)]
+    if lacking:
+        pytest.skip(f"{type(method).__name__} is not {' or '.join(lacking)}, which is optional")
+
+
 def some_rays(scene: Scene, count: int = 77) -> tuple[Rays, torch.Tensor]:
     rays = camera_rays(scene.views[0].camera, scene.near, scene.far)
     truth = torch.from_numpy(scene.images[0].reshape(-1, 3).astype("float32") / 65535)
@@ -119,6 +126,7 @@ def test_a_state_that_was_loaded_is_not_written_into(make: MakeMethod, scene: Sc
 
 def test_a_trace_is_the_rendering_opened_up(make: MakeMethod, scene: Scene) -> None:
     method = trained(make(), scene)
+    require(method, Traceable)
     rays = some_rays(scene, min(method.tile, 77))[0]
     trace, drawn = method.trace(rays), method.render(rays)
     assert torch.equal(trace.rendering.color, drawn.color)
@@ -151,10 +159,14 @@ def test_rendering_leaves_the_model_as_it_is(make: MakeMethod, scene: Scene) -> 
     rays = some_rays(scene, 8)[0]
     for quality in ("coarse", "fine"):
         method.render(rays, quality)
-    method.trace(rays)
-    method.radiance(torch.zeros(2, 3), torch.eye(3))
-    method.density(torch.zeros(2, 3))
-    method.explain(rays[:1])
+    if isinstance(method, Traceable):
+        method.trace(rays)
+    if isinstance(method, Radiant):
+        method.radiance(torch.zeros(2, 3), torch.eye(3))
+    if isinstance(method, Dense):
+        method.density(torch.zeros(2, 3))
+    if isinstance(method, Explainable):
+        method.explain(rays[:1])
     after = method.state()
     assert [name for name in before if not torch.equal(before[name], after[name])] == []
 
@@ -163,6 +175,7 @@ def test_radiance_gives_a_colour_per_direction(make: MakeMethod, scene: Scene) -
     directions = torch.nn.functional.normalize(torch.randn(50, 3, dtype=torch.float64), dim=-1)
     points = torch.tensor([[0.1, 0.2, 0.3], [0.3, 0.0, -0.2]], dtype=torch.float64)
     method = trained(make(), scene)
+    require(method, Radiant)
     rgb = method.radiance(points, directions)
     assert rgb.shape == (2, 50, 3)
     assert ((rgb >= 0) & (rgb <= 1)).all()
@@ -171,6 +184,7 @@ def test_radiance_gives_a_colour_per_direction(make: MakeMethod, scene: Scene) -
 
 def test_density_is_that_of_the_samples(make: MakeMethod, scene: Scene) -> None:
     method, (rays, _) = trained(make(), scene, 6), some_rays(scene, 20)
+    require(method, Traceable, Dense)
     last = method.trace(rays).passes[-1]
     for ray in range(len(rays)):
         count = last.t.shape[1] if last.count is None else int(last.count[ray])
@@ -180,9 +194,10 @@ def test_density_is_that_of_the_samples(make: MakeMethod, scene: Scene) -> None:
 
 def test_a_walk_has_stages_with_finite_values(make: MakeMethod, scene: Scene) -> None:
     method, (rays, _) = trained(make(), scene), some_rays(scene, 3)
+    require(method, Explainable)
     for ray in range(3):
         stages = method.explain(rays[ray : ray + 1])
-        assert len({s.title for s in stages}) == len(stages) >= 4
+        assert len({s.title for s in stages}) == len(stages) > 0
         for stage in stages:
             assert stage.sentence.endswith((".", "?"))
             for chart in stage.charts:
@@ -193,6 +208,7 @@ def test_a_walk_has_stages_with_finite_values(make: MakeMethod, scene: Scene) ->
 
 def test_the_walk_of_a_ray_that_meets_nothing_says_so(make: MakeMethod, scene: Scene) -> None:
     method, (rays, _) = trained(make(), scene), some_rays(scene, 1)
+    require(method, Traceable, Explainable)
     away = replace(rays, origins=rays.origins + 100, near=rays.near * 0 + 1, far=rays.far * 0 + 2)
     last = method.trace(away).passes[-1]
     titles = [stage.title for stage in method.explain(away)]

@@ -8,7 +8,7 @@ from unittest import mock
 
 import pytest
 import torch
-from packed_implementations import fast
+from kernel_implementations import fast_packed
 from pretended_cuda import FarTensor, Graph, Launches, pretended_cuda
 
 from nerf_core.geometry.cameras import camera_rays
@@ -34,7 +34,7 @@ def some(scene: Scene, count: int = 50) -> tuple[Rays, torch.Tensor, torch.Tenso
     return rays[index], truth[index], torch.rand(count, generator=generator)
 
 
-each_fast = pytest.mark.parametrize("kernels", fast().values(), ids=fast().keys())
+each_fast = pytest.mark.parametrize("kernels", fast_packed().values(), ids=fast_packed().keys())
 
 
 def learnt(scene: Scene, kernels: PackedKernels, steps: int = 12) -> Hash:
@@ -114,9 +114,11 @@ def test_it_follows_the_occupancy(scene: Scene, kernels: PackedKernels) -> None:
     assert 0 < after < before
 
 
-@pytest.mark.skipif("triton" not in fast(), reason="only Triton's kernels take fixed steps; test_triton.py runs this")
+@pytest.mark.skipif(
+    "triton" not in fast_packed(), reason="only Triton's kernels take fixed steps; test_triton.py runs this"
+)
 def test_with_triton_the_method_takes_fixed_steps_and_learns(scene: Scene) -> None:
-    method = learnt(scene, fast()["triton"], 0)
+    method = learnt(scene, fast_packed()["triton"], 0)
     method.config = replace(method.config, samples=600)
     count = method.draw(0).rays
     assert count & (count - 1) == 0

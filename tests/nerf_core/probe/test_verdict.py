@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -12,7 +13,8 @@ from balls import Ball, looking, model_of, ring_scene
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method
 from nerf_core.probe import TrainingViews, Verdict, judge, open_pixel, open_ray
-from nerf_core.probe.verdict import conclude
+from nerf_core.probe.standing import Tone
+from nerf_core.probe.verdicts import VERDICTS, Facts
 
 RED = Ball((0.0, 0.0, 0.0), 0.7, (0.8, 0.2, 0.15))
 FLOATER = Ball((1.5, 0.0, 0.35), 0.25, (0.1, 0.2, 0.9))
@@ -27,6 +29,13 @@ def scene() -> Scene:
 
 def verdict_of(method: Method, scene: Scene, pixel: tuple[int, int] = MIDDLE) -> Verdict:
     return judge(method, TrainingViews(scene), open_ray(method, scene, CAMERA, pixel, 0))
+
+
+def facts_of(scene: Scene, *balls: Ball, pixel: tuple[int, int] = MIDDLE) -> Facts:
+    """What the classes judge by, for a model of `balls` in a scene."""
+    method = model_of(scene, *balls)
+    ray = open_ray(method, scene, CAMERA, pixel, 0)
+    return Facts(ray, judge(method, TrainingViews(scene), ray).standings)
 
 
 def front_of(ball: Ball) -> float:
@@ -48,13 +57,13 @@ def test_a_ball_is_a_surface(scene: Scene) -> None:
 
 
 def test_the_wrong_colour_of_a_surface_is_reported(scene: Scene) -> None:
-    method = model_of(scene, RED)
-    verdict = verdict_of(method, scene)
-    assert "colour is wrong" not in verdict.reasons[0]
-    off = tuple(replace(s, error=0.14, opaque=0.14) for s in verdict.standings)
-    wrong = conclude(open_ray(method, scene, CAMERA, MIDDLE, 0), off)
-    assert wrong.kind == "surface"
-    assert "with an error of 0.140: there is something, but its colour is wrong" in wrong.reasons[0]
+    """The class is asked alone, since another class may be named after the wrong colour."""
+    facts = facts_of(scene, RED)
+    surface = VERDICTS.get("surface")
+    assert "colour is wrong" not in surface.reasons(facts)[0]
+    off = tuple(replace(s, error=0.14, opaque=0.14) for s in facts.standings)
+    reason = surface.reasons(replace(facts, standings=off))[0]
+    assert "with an error of 0.140: there is something, but its colour is wrong" in reason
 
 
 def test_past_the_ball_there_is_background(scene: Scene) -> None:
@@ -190,3 +199,41 @@ def test_what_no_photo_has_in_view_is_unobserved(scene: Scene) -> None:
 
 def test_faint_density_everywhere_is_fog(scene: Scene) -> None:
     assert verdict_of(model_of(scene, Ball((0.0, 0.0, 0.0), 1.4, (0.6, 0.4, 0.4), 0.8)), scene).kind == "fog"
+
+
+# ---- the rules for every class, whichever file registers it ---------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def all_facts(scene: Scene) -> dict[str, Facts]:
+    """A ray that meets nothing, one that meets a surface, others that meet faults, and one that no photo sees."""
+    behind = tuple(k for k, view in enumerate(scene.views) if view.camera.c2w[0, 3] < -2)
+    surface = facts_of(scene, RED)
+    return {
+        "nothing": facts_of(scene, RED, pixel=(1, 1)),
+        "surface": surface,
+        "floater": facts_of(scene, RED, FLOATER),
+        "fog": facts_of(scene, Ball((0.0, 0.0, 0.0), 1.4, (0.6, 0.4, 0.4), 0.8)),
+        "unobserved": facts_of(replace(scene, splits={"train": behind}), RED),
+        "no layer": replace(surface, standings=()),
+    }
+
+
+@pytest.mark.parametrize("name", VERDICTS.names())
+def test_a_class_of_verdicts_answers_for_every_ray(all_facts: dict[str, Facts], name: str) -> None:
+    """`conclude` asks a class about any ray that the classes of lower rank leave."""
+    kind = VERDICTS.get(name)
+    assert kind.tone in get_args(Tone)
+    for facts in all_facts.values():
+        reasons = kind.reasons(facts)
+        assert isinstance(reasons, tuple)
+        assert all(isinstance(line, str) and line.strip() and "\n" not in line for line in reasons)
+
+
+def test_ranks_of_verdicts_differ_and_every_class_can_be_reached(all_facts: dict[str, Facts]) -> None:
+    """Of two classes of one rank, the names would decide. After a class that always holds, no class is asked."""
+    kinds = sorted((VERDICTS.get(name) for name in VERDICTS.names()), key=lambda kind: kind.rank)
+    assert len({kind.rank for kind in kinds}) == len(kinds)
+    held = [[bool(kind.reasons(facts)) for facts in all_facts.values()] for kind in kinds]
+    assert not any(all(answers) for answers in held[:-1])
+    assert all(any(answers) for answers in zip(*held, strict=True))  # some class holds for every ray

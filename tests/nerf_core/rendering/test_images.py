@@ -1,14 +1,17 @@
-"""Whole pictures are made of the method's tiles, in row order."""
+"""Whole pictures are made of the method's tiles, in row order; render modes draw other numbers of a pixel."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 import torch
 
+from nerf_core.common.colormaps import Name
 from nerf_core.common.errors import UserError
 from nerf_core.geometry.cameras import camera_rays
 from nerf_core.geometry.scene import Scene
@@ -16,7 +19,7 @@ from nerf_core.methods import traced
 from nerf_core.rendering.export.requests import ExportStill
 from nerf_core.rendering.export.still import StillJob
 from nerf_core.rendering.images import render_camera, tiles, to_bytes
-from nerf_core.rendering.modes import shaded
+from nerf_core.rendering.modes import COLOR, MODES, mode_names, shaded
 from nerf_core.training.trainer import Trainer
 
 
@@ -70,3 +73,29 @@ def test_a_picture_in_an_unknown_mode_is_refused_at_once(
 
 def test_bytes_are_rounded_and_clipped() -> None:
     assert to_bytes(np.array([-1, 0, 0.5 / 255 - 1e-9, 0.5 / 255 + 1e-9, 1, 3])).tolist() == [0, 0, 0, 1, 255, 255]
+
+
+@pytest.mark.parametrize("name", MODES.names())
+def test_a_mode_has_a_number_for_each_pixel(make_trainer: Callable[..., Trainer], scene: Scene, name: str) -> None:
+    mode = MODES.get(name)
+    assert mode.label
+    assert mode.tip
+    assert mode.low < mode.high
+    assert mode.colors in get_args(Name)
+    method, rays = make_trainer().method, camera_rays(scene.views[0].camera, scene.near, scene.far)[:40]
+    away = replace(rays, origins=rays.origins + 100)  # these rays meet nothing
+    for some in (rays, away, rays[:1]):
+        trace = traced(method, some)
+        values = mode.values(method, some, trace)
+        assert values.shape == (len(some),)
+        assert values.is_floating_point()
+        assert not values.isinf().any()
+        picture = shaded(method, some, trace, name)
+        assert (picture.shape, picture.dtype) == ((len(some), 3), np.float32)
+
+
+def test_the_modes_stand_in_their_order_after_colour() -> None:
+    first, *others = mode_names()
+    assert first == COLOR
+    assert sorted(others) == list(MODES.names())
+    assert [MODES.get(name).order for name in others] == sorted(MODES.get(name).order for name in others)

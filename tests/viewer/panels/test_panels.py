@@ -50,6 +50,7 @@ from nerf_core.live.messages import (
 from nerf_core.methods import METHODS
 from nerf_core.methods.nerf.config import NerfConfig
 from nerf_core.probe import RayHistory, TrainingViews
+from nerf_core.rendering.export.models import EXPORTS
 from nerf_core.training.settings import RunSettings
 from viewer.model.state import (
     Action,
@@ -381,7 +382,7 @@ def test_a_path_brings_its_own_fields(screen: Screen, path: str) -> None:
         f"export.{name}" for name in PATHS.get(path).options
     }
     assert "export.path" in screen.widgets
-    assert "export.model" not in screen.widgets  # no model export is installed
+    assert ("export.model" in screen.widgets) == bool(EXPORTS.names())  # it appears with the first model export
 
 
 def test_an_options_field_has_the_paths_default_and_limits(screen: Screen, tilted: str) -> None:
