@@ -99,7 +99,7 @@ def _digest(version: str, text: str, arrays: Mapping[str, Tensor]) -> str:
 def newest(folder: Path) -> tuple[Path, dict[str, Any], dict[str, Tensor], tuple[str, ...]]:
     """The newest intact checkpoint of a run folder: its path, contents, and what was said of damaged newer ones."""
     rejected: list[str] = []
-    for path in sorted(folder.glob(f"checkpoints/*{SUFFIX}"), reverse=True):
+    for path in reversed(checkpoints(folder)):
         try:
             return path, *load(path), tuple(rejected)
         except UserError as error:
@@ -113,7 +113,18 @@ def step_path(folder: Path, step: int) -> Path:
     return folder / "checkpoints" / f"step_{step:08d}{SUFFIX}"
 
 
+def step_of(path: Path) -> int:
+    """The step in the name of a checkpoint; -1 if the name is another than `step_path` gives."""
+    digits = path.stem.removeprefix("step_")
+    return int(digits) if digits.isdecimal() else -1
+
+
+def checkpoints(folder: Path) -> list[Path]:
+    """The checkpoints of a run folder, oldest first."""
+    return sorted(folder.glob(f"checkpoints/*{SUFFIX}"), key=lambda path: (step_of(path), path.name))
+
+
 def keep_newest(folder: Path, count: int = 2) -> None:
     """Delete all but the newest `count` checkpoints of a run folder: one intact predecessor is enough."""
-    for path in sorted(folder.glob(f"checkpoints/*{SUFFIX}"))[:-count]:
+    for path in checkpoints(folder)[:-count]:
         path.unlink(missing_ok=True)

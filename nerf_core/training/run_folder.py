@@ -106,7 +106,7 @@ class RunFolder:
 
     def checkpoints(self) -> list[Path]:
         """The checkpoints, oldest first."""
-        return sorted(self.path.glob(f"checkpoints/*{checkpoint.SUFFIX}"))
+        return checkpoint.checkpoints(self.path)
 
     def config(self) -> tuple[Path | None, RunSettings]:
         """The dataset (None: the demo scene) and the settings. Raises UserError for a folder without sound ones."""
@@ -145,7 +145,7 @@ class RunFolder:
         """Before a run continues from `step`: set aside what was written after it. Raises UserError."""
         try:
             for path in self.checkpoints():
-                if path > checkpoint.step_path(self.path, step):  # damaged, or it would have been taken
+                if checkpoint.step_of(path) > step:  # damaged, or it would have been taken
                     path.replace(path.with_name(f"{path.name}.damaged"))
             lines = self.log_file.read_text(encoding="utf-8").splitlines(True) if self.log_file.exists() else []
         except OSError as error:

@@ -24,6 +24,7 @@ from nerf_core.common.files import write_atomically
 from nerf_core.common.json_files import finite
 from nerf_core.training import checkpoint
 from nerf_core.training.checkpoint import keep_newest, newest, step_path
+from nerf_core.training.run_folder import RunFolder
 from nerf_core.training.trainer import Trainer
 
 DESCRIPTION: dict[str, Any] = {
@@ -228,6 +229,14 @@ def test_an_impossible_path_is_reported(tmp_path: Path, name: str) -> None:
     assert sorted(os.listdir(tmp_path)) == ["file", "folder"]
 
 
+@pytest.mark.parametrize("name", ["", ".", "..", "/"])
+def test_a_path_without_a_file_name_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UserError, match="cannot be written: Is a directory"):
+        write_atomically(Path(name), "text")
+    assert not os.listdir(tmp_path)
+
+
 def test_folders_are_made_and_text_is_utf8(tmp_path: Path) -> None:
     write_atomically(tmp_path / "a" / "b" / "c.txt", "größer")
     assert (tmp_path / "a" / "b" / "c.txt").read_text(encoding="utf-8") == "größer"
@@ -300,6 +309,18 @@ def test_older_checkpoints_are_deleted(tmp_path: Path) -> None:
     assert sorted(p.name for p in (tmp_path / "checkpoints").iterdir()) == [
         "step_00000002.safetensors", "step_00000030.safetensors"
     ]  # fmt: skip
+
+
+def test_steps_of_any_length_are_sorted_by_number(tmp_path: Path) -> None:
+    run, steps = RunFolder(tmp_path), [99_999_998, 99_999_999, 100_000_000, 1_000_000_000]
+    for step in steps:
+        checkpoint.save(step_path(tmp_path, step), DESCRIPTION | {"step": step}, TENSORS)
+    assert run.checkpoints() == [step_path(tmp_path, step) for step in steps]
+    assert newest(tmp_path)[0] == step_path(tmp_path, steps[-1])
+    keep_newest(tmp_path, 3)
+    assert run.checkpoints() == [step_path(tmp_path, step) for step in steps[1:]]
+    run.rewind(steps[1])
+    assert run.checkpoints() == [step_path(tmp_path, steps[1])]
 
 
 def test_finite_makes_json_of_anything_a_probe_holds() -> None:
