@@ -145,7 +145,7 @@ class Trainer:
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
-        """Restore everything that the next step changes if the block raises: random numbers, and the method's own."""
+        """If the block raises, restore the random generators and call what the method's `undo` returned."""
         generators = self.batches.generator, *self.method.generators
         drawn = [generator.get_state() for generator in generators]
         undo = self.method.undo(self.step_count)
