@@ -1,4 +1,7 @@
-"""A pixel, opened up as plain arrays: its ray, a point of it and all its directions, what the photos know of it."""
+"""Open a pixel: its ray, the radiance of a point on it, and what the training photos show of that point.
+
+Everything is returned as plain arrays.
+"""
 
 import importlib
 from typing import TYPE_CHECKING, Any

@@ -1,4 +1,7 @@
-"""What the training photos know of a point: who sees it, what they show, how the model would stand without it."""
+"""Ask the training photos about a point.
+
+Which of them see it, what do they show there, and what would the model show in their pixels without it?
+"""
 
 from __future__ import annotations
 
@@ -18,16 +21,18 @@ from nerf_core.methods import Method, Radiant, traced
 from nerf_core.probe.ray import MOST_RAYS, sample_ends
 from nerf_core.probe.sightings import Sightings
 
-MOST_VIEWS = 256  # that are asked about one point: half of them those that look at it most as the ray does
+MOST_VIEWS = 256  # photos asked about one point; half of them are those nearest in angle to the ray
 
 
 def _spread(looks: np.ndarray, first: int, most: int) -> np.ndarray:
-    """Which of N unit looks (N, 3) to take, `most` of them: the `first`, then the one farthest from all that are taken,
-    again and again, so that no direction that somebody looked from is far from all of them. Ascending indices."""
+    """Choose `most` of N unit directions (N, 3): the first `first`, then repeatedly the one farthest from those chosen.
+
+    So no direction is far from all that are chosen. Returns ascending indices.
+    """
     if len(looks) <= most:
         return np.arange(len(looks))
     taken = list(range(first))
-    nearest = np.einsum("nc,kc->nk", looks, looks[:first]).max(-1)  # cosine to the nearest that is taken
+    nearest = np.einsum("nc,kc->nk", looks, looks[:first]).max(-1)  # cosine to the nearest chosen direction
     while len(taken) < most:
         taken.append(int(nearest.argmin()))
         nearest = np.maximum(nearest, looks @ looks[taken[-1]])
@@ -35,9 +40,18 @@ def _spread(looks: np.ndarray, first: int, most: int) -> np.ndarray:
 
 
 class TrainingViews:
-    """A scene's training photos, ready to be asked; made once a scene, for its cameras lie side by side."""
+    """The training photos of a scene, prepared for questions about points. Make it once for a scene.
+
+    scene: the scene.
+    views: (C,) the training views as indices into `Scene.views`, ascending.
+    """
 
     def __init__(self, scene: Scene) -> None:
+        """Stack the cameras of the training views into arrays.
+
+        Args:
+            scene: the scene; its split "train" names the photos.
+        """
         self.scene = scene
         self.views = np.array(sorted(scene.split("train")), np.int64)
         cameras = [scene.views[i].camera for i in self.views]
@@ -46,11 +60,19 @@ class TrainingViews:
         self._intrinsics = np.array([c.intrinsics() for c in cameras], np.float64).reshape(-1, 11)
 
     def project(self, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where the cameras have a world point (3,): pixels (C, 2), and whether it lies in their frame (C,)."""
+        """Project a world point into all C training photos.
+
+        Args:
+            point: (3,) in world units.
+
+        Returns:
+            Column and row (C, 2) in pixels, and whether the point lies in the photo's frame, bool (C,). A point behind
+            the camera, or one that the lens does not show, is in no frame; its pixel then means nothing.
+        """
         offsets = point - self._c2w[:, :, 3]
         local = np.einsum("cij,ci->cj", self._c2w[:, :, :3], offsets)
         depth = -local[:, 2]
-        plane = np.stack([local[:, 0], -local[:, 1]], -1) / np.maximum(depth, 1e-12)[:, None]  # behind: not framed
+        plane = np.stack([local[:, 0], -local[:, 1]], -1) / np.maximum(depth, 1e-12)[:, None]  # behind: not in frame
         width, height, fx, fy, cx, cy, *coefficients = self._intrinsics.T
         lens = Lens(*coefficients)
         plane = np.clip(plane, -BESIDE, BESIDE)
@@ -62,18 +84,39 @@ class TrainingViews:
         return pixels, (depth > 0) & inside
 
     def rays(self, index: np.ndarray, pixels: np.ndarray) -> Rays:
-        """Through the centres of the pixels that hold `pixels` (V, 2), of the cameras at `index` (V,) of `views`."""
+        """Return the rays through the centres of the pixels that hold given positions.
+
+        Args:
+            index: (V,) positions in `views`, one for each ray.
+            pixels: (V, 2) column and row, anywhere in the pixel.
+
+        Returns:
+            V rays.
+        """
         assert self._cameras is not None
         centres = torch.from_numpy(np.floor(pixels) + 0.5)
         return self._cameras.rays(torch.from_numpy(index), centres)
 
     def look(self, method: Method, point: np.ndarray, towards: np.ndarray, margin: float) -> Sightings:
-        """Everything the photos know of a world point (3,). towards: (3,) unit, the look that angles are measured from,
-        camera to point. margin: how far before the point light must have come; about the thickness of what is there."""
+        """Return what the photos show of a world point.
+
+        Args:
+            method: the model; it predicts the photos' pixels and the transmittance up to the point.
+            point: (3,) in world units.
+            towards: (3,) unit, from which angles are measured: the ray's direction, from its camera to the point.
+            margin: half the length of the stretch that counts as the point, in world units. Transmittance is taken
+                at its beginning, because the surface itself must not count as an obstacle.
+
+        Returns:
+            The photos that have the point in their frame, at most MOST_VIEWS of them.
+
+        Raises:
+            UserError: the method keeps no samples along a ray.
+        """
         pixels, framed = self.project(point)
         offsets = point - self._c2w[:, :, 3]
         distance = np.linalg.norm(offsets, axis=-1)
-        looks = offsets / np.maximum(distance, 1e-12)[:, None]  # a camera in the point itself looks nowhere
+        looks = offsets / np.maximum(distance, 1e-12)[:, None]  # a camera in the point itself has no direction
         angle = np.arccos(np.clip(looks @ towards, -1, 1))
         index = np.flatnonzero(framed)
         index = index[np.argsort(angle[index], kind="stable")]
@@ -90,7 +133,12 @@ class TrainingViews:
         return found.at(np.lexsort((found.angle, ~found.seen)))
 
     def observed(self, index: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-        """The photos' colours (V, 3) float32 at the pixels that hold `pixels` (V, 2)."""
+        """Return the photos' colours at given positions, (V, 3) float32 in [0, 1].
+
+        Args:
+            index: (V,) positions in `views`.
+            pixels: (V, 2) column and row, anywhere in the pixel; they must lie in the photo.
+        """
         colors = np.zeros((len(index), 3), np.float32)
         for k, (view, (x, y)) in enumerate(zip(self.views[index], np.floor(pixels).astype(int), strict=True)):
             colors[k] = self.scene.images[view][y, x] / np.float32(65535)
@@ -99,7 +147,7 @@ class TrainingViews:
     def _traced(
         self, method: Method, index: np.ndarray, pixels: np.ndarray, distance: np.ndarray, margin: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Transmittance (V,), share (V,) and predicted colour (V, 3)."""
+        """Return `Sightings.transmittance` (V,), `share` (V,) and `predicted` (V, 3) of the chosen photos."""
         light, share = np.zeros(len(index)), np.zeros(len(index))
         color = np.zeros((len(index), 3), np.float32)
         if not len(index):
@@ -114,13 +162,22 @@ class TrainingViews:
     def otherwise(
         self, method: Method, seen: Sightings, reaches: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The pixels of `seen` as they would be without what begins at the point, with it opaque, and with nothing from
-        there on.
+        """Return the colours of the photos' pixels if the layer at the point were different.
 
-        Without, (B, V, 3), one for each of B reaches: the stretch from `margin` before the point to `reach` behind it
-        is taken out of the pixel's ray. What is left is the part in front of it, and, as far as light comes to the
-        point, a ray that begins behind it. Opaque, (V, 3): the part in front, then what comes from there on, scaled up
-        until no background is left. Bare, (V, 3): the part in front, then the background.
+        Let F be the colour of the part of a pixel's ray up to `margin` in front of the point, and T the transmittance
+        of that part.
+
+        Args:
+            method: the model.
+            seen: the V photos to ask.
+            reaches: (B,) world distances behind the point at which the layer may end.
+
+        Returns:
+            Without the layer, (B, V, 3): F + T × the colour of a ray that begins `reach` behind the point. The stretch
+            between the two is left out. One row for each reach.
+            With the layer opaque, (V, 3): F + T × the colour of the rest of the ray, which is scaled up until no
+            background is left.
+            With nothing but background from the layer on, (V, 3): F + T × background.
         """
         if not len(seen.views):
             nothing = np.zeros((0, 3), np.float32)
@@ -131,7 +188,7 @@ class TrainingViews:
         for part, one in self._opened(method, rays):
             front[part] = one.color_until(distance[part] - seen.margin)
             end = torch.full_like(distance[part], torch.inf)
-            kept = (light[part] - one.light_at(end)).clamp(min=1e-6)  # of less than that nothing is seen
+            kept = (light[part] - one.light_at(end)).clamp(min=1e-6)  # less than this is invisible
             behind = one.color_until(end) - front[part]
             opaque[part] = front[part] + (light[part] / kept).float()[:, None] * behind
         without = []
@@ -142,15 +199,24 @@ class TrainingViews:
         return torch.stack(without).numpy(), opaque.clamp(0, 1).numpy(), bare.numpy()
 
     def beginning(self, rays: Rays, begin: Tensor) -> Rays:
-        """The same rays (V) from world distances `begin` (V,) on."""
+        """Return V rays that begin farther along.
+
+        Args:
+            rays: V rays.
+            begin: (V,) world distances along them; negative ones count as 0.
+
+        Returns:
+            The rays with `near` raised to `begin`. Under NDC the origin moves in place of `near`, so that distances
+            count from there.
+        """
         begin = begin.clamp(min=0).float()
-        if self.scene.ndc is not None:  # there a ray begins where its origin lies: t is then counted from there
+        if self.scene.ndc is not None:  # NDC ignores near: the ray begins at its origin, from which t then counts
             return replace(rays, origins=rays.origins + begin[:, None] * rays.directions)
         near = torch.maximum(rays.near, begin)
         return replace(rays, near=near, far=torch.maximum(rays.far, near))
 
     def _opened(self, method: Method, rays: Rays) -> Iterator[tuple[slice, OpenedRays]]:
-        """A piece of the rays at a time."""
+        """Trace the rays in pieces. Yields each piece's slice and its traced rays."""
         piece = min(method.tile, MOST_RAYS)
         for first in range(0, len(rays), piece):
             part = slice(first, first + piece)
@@ -159,7 +225,13 @@ class TrainingViews:
 
 @dataclass(frozen=True)
 class OpenedRays:
-    """Traced rays, to be asked about what lies up to some distance: t, until, tau (R, S) float64, world and optical."""
+    """R traced rays that give transmittance and colour up to any distance.
+
+    trace: the rays' pixels and samples. Only the last pass is used.
+    t: (R, S) float64, where a sample's stretch begins, as a world distance.
+    until: (R, S) float64, where it ends, as a world distance.
+    tau: (R, S) float64, the stretch's optical depth σδ.
+    """
 
     trace: Trace
     t: Tensor
@@ -168,21 +240,25 @@ class OpenedRays:
 
     @staticmethod
     def of(scene: Scene, rays: Rays, trace: Trace) -> OpenedRays:
+        """Prepare R rays and the trace that `method.trace(rays)` returned."""
         last = trace.passes[-1]
         tau = (last.sigma.double() * last.delta.double()).cpu()
         return OpenedRays(trace, last.t.double().cpu(), sample_ends(scene, rays, last), tau)
 
     def _covered(self, end: Tensor) -> Tensor:
-        """Which share (R, S) of each sample's stretch lies in front of `end` (R,)."""
-        length = (self.until - self.t).clamp(min=1e-12)  # a sample of no length is in front or behind as a whole
+        """Return the share (R, S) of each sample's stretch that lies in front of `end` (R,)."""
+        length = (self.until - self.t).clamp(min=1e-12)  # a sample without length lies wholly in front or behind
         return ((end[:, None] - self.t) / length).clamp(0, 1)
 
     def light_at(self, end: Tensor) -> Tensor:
-        """Transmittance (R,) up to world distances `end` (R,): exp(−Σ τ_i), a sample that holds `end` in part."""
+        """Return the transmittance (R,) up to world distances `end` (R,).
+
+        It is exp(−Σ τ_i). The sample whose stretch contains `end` counts with the part in front of it.
+        """
         return torch.exp(-(self.tau * self._covered(end)).sum(-1))
 
     def color_until(self, end: Tensor) -> Tensor:
-        """What the stretch up to `end` (R,) shows, without any background: (R, 3)."""
+        """Return the colour (R, 3) of the stretch up to world distances `end` (R,), without background: Σ w c."""
         last = self.trace.passes[-1]
         weights = last.transmittance.cpu() * -torch.expm1(-self.tau * self._covered(end)).float()
         return torch.einsum("rs,rsc->rc", weights, last.rgb.cpu())

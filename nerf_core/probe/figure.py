@@ -1,4 +1,7 @@
-"""An opened pixel as a figure for a page: weights, light, density and colours over t, and the radiance's disc."""
+"""Draw opened pixels as a figure for a page.
+
+It has weights, transmittance, density and colours over t, and the radiance as a disc.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +20,12 @@ from nerf_core.probe.sightings import unseen
 from nerf_core.probe.verdicts import NOTHING
 
 FINE, COARSE, LIGHT, ALPHA, DENSITY = "#0072b2", "#e69f00", "#cc79a7", "#d55e00", "#009e73"  # Okabe and Ito's
-WIDTH, HEIGHT = 7.0, 3.9  # inches: a column of text, and a ray
-DOTS = 200  # an inch
-LEFT = 0.02  # where a ray's words begin, and as far from the right edge they end
-TAIL = 0.001  # of a pass's weight, at either end: what is drawn need not hold it
-MARGIN = 0.15  # of what is drawn, on either side
-FEWEST = 4.0  # grains: no shorter part of a ray is drawn
+WIDTH, HEIGHT = 7.0, 3.9  # inches: the width of a page's text, and the height of one ray
+DOTS = 200  # per inch
+LEFT = 0.02  # the margin of a ray's text on either side, as a share of the width
+TAIL = 0.001  # the share of a pass's weight, at either end, that may lie outside the drawn part of the ray
+MARGIN = 0.15  # the drawn part is extended on either side by this share of its length
+FEWEST = 4.0  # grains: the drawn part is at least this long
 STYLE: dict[Any, Any] = {
     "font.size": 8,
     "svg.fonttype": "none",
@@ -34,7 +37,12 @@ STYLE: dict[Any, Any] = {
 
 
 def figure(opened: Sequence[Opened], kind: str) -> bytes:
-    """PNG or SVG; a row for each ray."""
+    """Return a figure as the bytes of a file, with one row for each ray.
+
+    Args:
+        opened: one or more opened pixels.
+        kind: "png" or "svg".
+    """
     import matplotlib as mpl
 
     data = io.BytesIO()
@@ -44,7 +52,7 @@ def figure(opened: Sequence[Opened], kind: str) -> bytes:
 
 
 def page(opened: Sequence[Opened]) -> Any:
-    """matplotlib's Figure of it."""
+    """Return matplotlib's `Figure` with one row for each ray, WIDTH × HEIGHT inches each."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -58,7 +66,7 @@ def page(opened: Sequence[Opened]) -> Any:
 
 
 class _Row:
-    """A ray's part of the page: axes are placed by shares of it, so that every figure's lie alike."""
+    """One ray's part of the page. Axes are placed by shares of it, so that they lie alike in every figure."""
 
     def __init__(self, page: Any, k: int, count: int) -> None:
         self._page, self._bottom, self._height = page, 1 - (k + 1) / count, 1 / count
@@ -68,12 +76,15 @@ class _Row:
         return self._page.add_axes(at, **given)
 
     def title(self, text: str, under: str) -> None:
-        """Four lines in all."""
+        """Write a title and the text under it, four lines in all."""
         lines, below = self._write(text, 2, 0.98, fontsize=9)
         self._write(under, 4 - lines, below - 0.015, fontsize=6.5, color="0.3")
 
     def _write(self, text: str, lines: int, top: float, **given: Any) -> tuple[int, float]:
-        """In `lines` at most, as long as there is room, the last one cut short; returns how many, and their end."""
+        """Write text in at most `lines` lines and cut the last one short if it does not fit.
+
+        Returns the number of lines, and their lower end as a share of the row's height.
+        """
         top = self._bottom + top * self._height
         found = self._page.text(LEFT, top, text, ha="left", va="top", parse_math=False, **given)
         room = (1 - 2 * LEFT) * self._page.bbox.width
@@ -102,7 +113,8 @@ def _draw(row: _Row, one: Opened) -> None:
         if not len(p.t):
             continue
         t, until = _stretches(p, ray.far)
-        # a pass's own: many narrow samples share what a few wide ones have; next to nothing is not made large
+        # Each pass has its own scale, because many narrow samples share the weight of a few wide ones. A pass that hits
+        # nothing is not scaled up.
         scale = float(p.weights.max()) if p.weights.sum() >= NOTHING else 1.0
         x, w = _steps(t, until, p.weights / scale)
         if p is last:
@@ -117,7 +129,7 @@ def _draw(row: _Row, one: Opened) -> None:
     light = np.concatenate([[1.0], passed, passed[-1:] if len(t) else [1.0]])
     ends = np.concatenate([[ray.near], np.stack([t, until], 1).ravel(), [max([ray.far, *until[-1:]])]])
     top.plot(ends, light, color=LIGHT, lw=1.2, label="T")
-    # each reaches on under the next that it touches: where two edges met, the paper would shine through
+    # Each bar extends under the next one if they touch; else the paper would shine through where two edges meet.
     under = np.where(_touching(t, until), until[1:], until[:-1])
     strip.bar(t, 1, np.append(under, until[-1:]) - t, align="edge", color=np.clip(last.rgb, 0, 1), lw=0)
     _draw_marks(marks, one)
@@ -152,7 +164,10 @@ def _say(axes: Any, text: str) -> None:
 
 
 def _shown(one: Opened, passes: Sequence[PassProbe]) -> tuple[float, float]:
-    """The part of the ray that is drawn: with its weight, its depths and its point; all of it where it met nothing."""
+    """Return begin and end of the part of the ray to draw, as world distances.
+
+    It contains the weight, the depths and the point. It is the whole ray if the ray hits nothing.
+    """
     ray = one.ray
     places = [ray.depth_expected, ray.depth_median, ray.depth_strongest, one.radiance and one.radiance.t]
     places = [t for t in places if t is not None and np.isfinite(t)]
@@ -172,13 +187,13 @@ def _shown(one: Opened, passes: Sequence[PassProbe]) -> tuple[float, float]:
 
 
 def _largest(p: PassProbe, far: float, low: float, high: float) -> float:
-    """The largest density between `low` and `high`."""
+    """Return the largest density of a pass between two world distances."""
     t, until = _stretches(p, far)
     return float(p.sigma[(until >= low) & (t <= high)].max(initial=0.0))
 
 
 def _draw_marks(axes: Any, one: Opened) -> None:
-    """The three depths, a row each: on a clean surface they are one place."""
+    """Draw the three depths, each in a row of its own, because on a clean surface they coincide."""
     marks = (("expected depth", one.ray.depth_expected, "v"), ("median depth", one.ray.depth_median, "D"),
              ("strongest w", one.ray.depth_strongest, "o"))  # fmt: skip
     known = [(2 - k, *mark) for k, mark in enumerate(marks) if mark[1] is not None]
@@ -194,7 +209,7 @@ def _draw_marks(axes: Any, one: Opened) -> None:
 
 
 def _words(one: Opened) -> tuple[str, str]:
-    """What it is, and why. A name is left as it was typed."""
+    """Return the title, and the text that says what the pixel is and why. A user's name keeps its first letter."""
     (x, y), camera, verdict = one.ray.pixel, one.camera, one.verdict
     what = f"Pixel {x}, {y} of {camera.width} × {camera.height}"
     about = ", ".join(filter(None, (what, one.scene.name, one.method, f"step {one.ray.step:,}")))
@@ -208,13 +223,13 @@ def _sentence(text: str) -> str:
 
 
 def _finite(p: PassProbe) -> PassProbe:
-    """Zero for what is not a number: a figure of a broken ray shows that much."""
+    """Replace what is not finite, so that the rest of a broken ray can be drawn. NaN becomes 0."""
     arrays = {f.name: getattr(p, f.name) for f in fields(p) if f.name not in ("name", "until")}
     return replace(p, **{name: np.nan_to_num(value.astype(np.float64)) for name, value in arrays.items()})
 
 
 def _stretches(p: PassProbe, far: float) -> tuple[np.ndarray, np.ndarray]:
-    """Where the samples' stretches begin and end; a last one without end goes on to the far bound."""
+    """Return where the samples' stretches begin and end (S,). An endless last one ends at the far bound."""
     t = p.t.astype(np.float64)
     if not len(t):
         return t, t
@@ -222,12 +237,12 @@ def _stretches(p: PassProbe, far: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _touching(t: np.ndarray, until: np.ndarray) -> np.ndarray:
-    """Of each stretch but the last: whether the next begins where it ends."""
+    """Return for each stretch but the last whether the next one begins where it ends, bool (S − 1,)."""
     return t[1:] - until[:-1] <= 1e-3 * (until - t)[:-1]
 
 
 def _steps(t: np.ndarray, until: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A line that is `values` over each stretch, and 0 between two that do not touch."""
+    """Return the points of a line that has `values` (S,) over the stretches and 0 in the gaps between them."""
     x = np.stack([t, t, until, until], 1).ravel()
     touches = np.append(_touching(t, until), False)
     after = np.where(touches, np.append(values[1:], 0), 0)
@@ -267,7 +282,7 @@ def _draw_disc(axes: Any, one: Opened) -> None:
 
 
 def _over_the_rim(values: np.ndarray) -> np.ndarray:
-    """The disc's pixels (DISC_SIZE, DISC_SIZE, ...), each outside the circle as the nearest inside."""
+    """Extend values (DISC_SIZE, DISC_SIZE, ...) over the rim: a pixel outside the disc gets the nearest inside."""
     x, y, inside = disc_grid()
     out = np.where(inside, 1, np.hypot(x, y) / (1 - 1.5 / DISC_SIZE))
     row, column = (np.rint((v / out * DISC_SIZE + DISC_SIZE - 1) / 2).astype(int) for v in (-y, x))

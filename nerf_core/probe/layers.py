@@ -1,4 +1,4 @@
-"""What lies along a ray, as one would say it: so many layers, here and there, of such weight, thickness and colour."""
+"""Find the layers of a ray: the peaks of weight along it, with position, thickness, weight and colour."""
 
 from __future__ import annotations
 
@@ -8,38 +8,61 @@ from nerf_core.geometry.scene import Scene
 from nerf_core.probe.records import PassProbe, RayProbe
 from nerf_core.probe.standing import Layer
 
-GRAIN = 0.02  # of the scene's radius: what is closer together counts as one layer, and beyond
-FAR_GRAIN = 0.01  # of its distance, where that is more: far away, as cameras resolve it
-BINS = 2  # to a grain
-VALLEY = 0.5  # two peaks are one layer unless the weight between them falls under this share of the lesser one's
-SURFACE = 0.25  # of a layer's weight lies in front of the surface that it stands for
-LIGHTEST = 0.02  # weight of what is worth to be called a layer
+# A grain is the unit of length in which layers are measured; see `grain_at`.
+GRAIN = 0.02  # the least grain, as a share of the scene's radius
+FAR_GRAIN = 0.01  # the grain of far places, as a share of their distance, because cameras resolve them less finely
+BINS = 2  # bins in a grain
+VALLEY = 0.5  # two peaks are one layer unless the weight between them falls under this share of the lesser peak
+SURFACE = 0.25  # the share of a layer's weight that lies in front of the surface that it stands for
+LIGHTEST = 0.02  # a layer weighs at least this
 
 
 def layers_of(ray: RayProbe, scene: Scene) -> tuple[Layer, ...]:
-    """The layers of the pass that made the pixel, front to back: peaks of weight over t, parted at the valleys between.
+    """Find the layers of the pass that makes the pixel. They are the peaks of weight over t.
 
-    Weight is counted in bins half a grain wide. From the highest bin down, each joins the peak it touches; where two
-    peaks meet, they are one unless the meeting bin is under VALLEY of the lesser.
+    The weight is counted in bins half a grain wide. From the highest bin down, each bin joins the peak that it touches.
+    Where two peaks meet, they become one unless the bin between them is under VALLEY times the lesser peak.
+
+    Args:
+        ray: an opened ray.
+        scene: its scene; the radius sets the length of a grain.
+
+    Returns:
+        The layers from front to back. Empty if no peak weighs LIGHTEST, or if weights are not finite.
     """
     return pass_layers(ray.passes[-1], ray.far, scene.radius)
 
 
 def grain_at(t: float, radius: float) -> float:
+    """Return the length of a grain: max(GRAIN · radius, FAR_GRAIN · t), in world units.
+
+    What is closer together than this counts as one layer.
+
+    Args:
+        t: world distance along the ray.
+        radius: the scene's radius, in world units.
+    """
     return max(GRAIN * radius, FAR_GRAIN * t)
 
 
 def pass_layers(p: PassProbe, far: float, radius: float) -> tuple[Layer, ...]:
-    """`layers_of` one pass; far: distance behind which a sample without end is as if it had none."""
+    """Find the layers of one pass; see `layers_of`.
+
+    Args:
+        p: the pass.
+        far: the ray's far bound, in world units. A sample whose stretch ends behind four times this bound, and
+            behind four times the last sample, counts as endless. Its weight is placed in the stretch's first grain.
+        radius: the scene's radius, in world units.
+    """
     if not len(p.t) or not np.isfinite(p.weights).all():
         return ()
     t = p.t.astype(np.float64)
     until = np.minimum(np.maximum(p.until.astype(np.float64), t), np.append(t[1:], np.inf))
-    until = np.where(np.isfinite(until) & (until < 4 * max(far, t[-1])), until, t + GRAIN * radius)  # δ without end
+    until = np.where(np.isfinite(until) & (until < 4 * max(far, t[-1])), until, t + GRAIN * radius)  # an endless δ
     weights = p.weights.astype(np.float64)
     low, high = _grains(t, radius), _grains(np.maximum(until, t + 1e-9 * radius), radius)
     edges = np.arange(np.floor(low[0] * BINS), np.ceil(high.max() * BINS) + 2) / BINS
-    # the accumulated weight, linear within a sample and level between two
+    # the accumulated weight rises linearly within a sample and is constant between samples
     knots = np.maximum.accumulate(np.stack([low, high], -1).ravel())
     total = np.concatenate([[0], np.cumsum(weights)])
     reached = np.stack([total[:-1], total[1:]], -1).ravel()
@@ -62,21 +85,24 @@ def pass_layers(p: PassProbe, far: float, radius: float) -> tuple[Layer, ...]:
 
 
 def _grains(t: np.ndarray, radius: float) -> np.ndarray:
-    """Distances counted in grains: ∫ dt / grain(t), straight up to where far grains are longer, a logarithm behind."""
+    """Convert distances to numbers of grains: ∫ dt / grain(t).
+
+    This is linear up to the distance from which far grains are the longer ones, and logarithmic behind it.
+    """
     turn = GRAIN * radius / FAR_GRAIN
     near = np.minimum(t, turn) / (GRAIN * radius)
     return near + np.log(np.maximum(t, turn) / turn) / FAR_GRAIN
 
 
 def _distance(s: float, radius: float) -> float:
-    """The inverse of `_grains`."""
+    """Convert a number of grains to a distance: the inverse of `_grains`."""
     turn = GRAIN * radius / FAR_GRAIN
     most = turn / (GRAIN * radius)
     return s * GRAIN * radius if s <= most else turn * float(np.exp((s - most) * FAR_GRAIN))
 
 
 def _peaks(height: np.ndarray) -> list[tuple[int, int]]:
-    """The first and last bin of each peak, in order."""
+    """Return the first and last bin of each peak, in order. height: the weight of each bin, (B,)."""
     peak = np.full(len(height), -1)
     top: dict[int, int] = {}
     parent: dict[int, int] = {}

@@ -1,4 +1,4 @@
-"""A pixel opened whole: its ray, the verdict on it, its point's radiance and evidence, and its walk."""
+"""Open a pixel completely: its ray, its verdict, the radiance and the evidence of its point, and its stages."""
 
 from __future__ import annotations
 
@@ -30,13 +30,29 @@ def open_pixel(
     point_t: float | None = None,
     around: Around = "viewer",
 ) -> Opened:
-    """Integer `pixel` (column, row) of `camera`, opened whole; see `open_ray` and `open_radiance`.
+    """Open a pixel completely. `open_ray`, `judge`, `open_radiance` and `walk` give the parts one by one.
 
-    point_t: where on the ray the radiance is looked at; None: where the verdict has the surface, else as
-    `open_radiance` chooses. Raises UserError outside the picture, and for a t that is no distance.
+    Args:
+        method: the model. It must keep samples along a ray (`Traceable`). Radiance needs `Radiant`, normals need
+            `Dense`, and the method's own stages need `Explainable`; without them these parts are left out.
+        scene: the scene; its training photos give the evidence.
+        camera: any camera, not only one of the scene's.
+        pixel: integer column and row in the camera's picture.
+        step: the training step of the model. It is copied into the result and is not used otherwise.
+        point_t: world distance along the ray of the point whose radiance and evidence are wanted. None takes the
+            verdict's surface, else the default of `open_radiance`.
+        around: what the radiance's disc has at its centre: "viewer" for the direction to the camera, or "normal" for
+            the density's normal.
+
+    Returns:
+        The opened pixel. `name` and `history` stay empty, because only pins have them.
+
+    Raises:
+        UserError: the pixel lies outside the picture, `point_t` is no distance on the ray, or the method keeps no
+            samples.
     """
     opened = None
-    for opened in pieces(method, TrainingViews(scene), camera, pixel, step, point_t, around):  # noqa: B007  the last counts
+    for opened in pieces(method, TrainingViews(scene), camera, pixel, step, point_t, around):  # noqa: B007  the last piece is complete
         pass
     assert opened is not None
     return opened
@@ -51,9 +67,11 @@ def pieces(
     point_t: float | None,
     around: Around,
 ) -> Iterator[Opened]:
-    """`open_pixel` in pieces, each with more of it, for whoever has something else to do in between.
+    """Open a pixel in pieces, so that the caller can do other work in between.
 
-    A point that is asked for comes in the first of them: a hand that drags it asks anew before the verdict is there.
+    Arguments and errors are those of `open_pixel`. `training_views` takes the place of the scene, because it can be
+    made once for many pixels. Each piece contains the earlier ones and more. If `point_t` is given, its radiance is in
+    the first piece: while the user drags the point, it is asked for again before the verdict is ready.
     """
     if point_t is not None and not 0 <= point_t < np.inf:
         raise UserError(f"t {point_t}: the point's distance along the ray must be a number of at least 0")
@@ -78,7 +96,7 @@ def pieces(
 def _with_point(
     method: Method, training_views: TrainingViews, opened: Opened, t: float | None, around: Around
 ) -> Opened:
-    """With the radiance of the point at t, if the method has one, and what the photos know of the point."""
+    """Add the evidence of the point at t, and its radiance if the method has one."""
     radius, look = training_views.scene.radius, opened.ray.direction.astype(np.float64)
     radiance = None
     if isinstance(method, Radiant):

@@ -1,4 +1,4 @@
-"""One point and all its directions, opened up as plain arrays: what it emits, and what the whole ray would show."""
+"""The colours that one point emits over all directions, and those that the whole ray would show, as plain arrays."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from nerf_core.probe.directions import SPHERE_COLUMNS, SPHERE_ROWS, Around, Radi
 from nerf_core.probe.records import PassProbe, RayProbe
 from nerf_core.rendering.view_dependence import view_dependence
 
-FROZEN_WEIGHT = 0.998  # of a frozen ray looks around: what the lightest samples make of the rest is half an 8-bit step
-FROZEN_PAIRS = 1 << 16  # of a sample and a direction, looked up at once: with a network some 100 MB
-STEEP = 1e-6  # of σ: a gradient that changes it by no more over a sample's length points nowhere
+# The share of a ray's weight that is evaluated anew for each direction. The rest changes a pixel by at most half an
+# 8-bit step.
+FROZEN_WEIGHT = 0.998
+FROZEN_PAIRS = 1 << 16  # pairs of a sample and a direction that are evaluated at once: some 100 MB with a network
+STEEP = 1e-6  # there is no normal where σ changes by no more than this share over a sample's length
 
 
 def open_radiance(
@@ -25,11 +27,20 @@ def open_radiance(
     point_t: float | None = None,
     around: Around = "viewer",
 ) -> RadianceProbe:
-    """The colours that the point at distance `point_t` of `ray` emits.
+    """Return the colours that a point of an opened ray emits over all directions.
 
-    None: at the median depth, else at the strongest sample; where there is none, in the middle of the ray.
-    The network takes d, camera to point; the plot is over v = −d. `camera_up` (3,) turns the disc upright; around: what
-    its middle is. Where the density has no normal, it is the viewer.
+    Args:
+        method: a model that has a radiance at a point.
+        scene: its scene.
+        ray: the opened ray.
+        camera_up: (3,) the camera's upward direction in the world; the disc is drawn with it upright.
+        point_t: the point's world distance along the ray. None takes the median depth, else the strongest sample,
+            else the middle of the ray.
+        around: the direction at the disc's centre: "viewer" for the one to the camera, or "normal" for the density's
+            normal. Where there is no normal, it is the viewer.
+
+    Returns:
+        Colours over directions v, from the point outwards.
     """
     t = ray.point_t() if point_t is None else point_t
     origin, along = ray.origin.astype(np.float64), ray.direction.astype(np.float64)
@@ -50,12 +61,18 @@ def open_radiance(
 
 
 def density_normal(method: Radiant | Dense, point: np.ndarray, length: float, towards: np.ndarray) -> np.ndarray | None:
-    """±∇σ/‖∇σ‖ at a world point (3,) by central differences over `length` on each side, (3,) float64.
+    """Return the normal of the density at a point: ±∇σ/‖∇σ‖, by central differences.
 
-    None: flat, or the method has no density at a point.
+    The sign is chosen towards the viewer, because a thin sheet has equal gradients on both sides.
 
-    The sign is the one that leans towards `towards` (3,): what is looked at is seen from outside, and of a sheet whose
-    two sides fall alike −∇σ has no sign of its own.
+    Args:
+        method: the model.
+        point: (3,) in world units.
+        length: the step to either side, in world units.
+        towards: (3,) direction to the viewer.
+
+    Returns:
+        (3,) float64, of unit length. None if σ is constant there, or if the method has no density at a point.
     """
     if not isinstance(method, Dense):
         return None
@@ -70,7 +87,10 @@ def density_normal(method: Radiant | Dense, point: np.ndarray, length: float, to
 
 
 def _length_at(one: PassProbe, t: float, scene: Scene) -> float:
-    """The length of the sample at t: what the density is resolved to there; a hundredth of the scene at most."""
+    """Return the length of the sample at t, which is the finest detail of the density there.
+
+    It is limited to between 0.0001 and 0.01 of the scene's radius.
+    """
     most = 0.01 * scene.radius
     if not len(one.t):
         return most
@@ -79,7 +99,7 @@ def _length_at(one: PassProbe, t: float, scene: Scene) -> float:
 
 
 def _frozen(method: Radiant, ray: RayProbe, looking: Tensor) -> np.ndarray:
-    """Σ w_i c(x_i, d) + (1 − Σ w_i) background over directions d (K, 3): (K, 3) float32."""
+    """Return Σ w_i c(x_i, d) + (1 − Σ w_i) background over ray directions d (K, 3), as (K, 3) float32."""
     last = ray.passes[-1]
     order = np.argsort(-last.weights, kind="stable")
     reach = np.cumsum(last.weights[order], dtype=np.float64)
@@ -97,16 +117,17 @@ def _frozen(method: Radiant, ray: RayProbe, looking: Tensor) -> np.ndarray:
 
 
 def _facing(towards: np.ndarray, hint: np.ndarray) -> np.ndarray:
-    """Rows right, up, towards: a right-handed frame whose up leans to `hint` as far as it can."""
+    """Return a right-handed frame as rows right, up, towards. Its up is as close to `hint` as possible."""
     towards = towards / np.linalg.norm(towards)
     right = np.cross(hint, towards)
-    if np.linalg.norm(right) < 1e-6:  # the hint lies along the direction itself: any other axis will do
+    if np.linalg.norm(right) < 1e-6:  # the hint is parallel to the direction: take any other axis
         right = np.cross(np.eye(3)[int(np.argmin(np.abs(towards)))], towards)
     right = right / np.linalg.norm(right)
     return np.stack([right, np.cross(towards, right), towards])
 
 
 def _sphere(pole: np.ndarray, azimuth0: np.ndarray) -> np.ndarray:
+    """Return the directions of the sphere map's pixels, row by row: (SPHERE_ROWS · SPHERE_COLUMNS, 3)."""
     polar = (np.arange(SPHERE_ROWS) + 0.5) / SPHERE_ROWS * np.pi
     azimuth = (np.arange(SPHERE_COLUMNS) + 0.5) / SPHERE_COLUMNS * 2 * np.pi
     polar, azimuth = (v.reshape(-1, 1) for v in np.meshgrid(polar, azimuth, indexing="ij"))
@@ -115,6 +136,7 @@ def _sphere(pole: np.ndarray, azimuth0: np.ndarray) -> np.ndarray:
 
 
 def _disc(axes: np.ndarray) -> np.ndarray:
+    """Return the directions of the disc's pixels inside the circle, row by row: (K, 3)."""
     x, y, inside = disc_grid()
     x, y = x[inside], y[inside]
     return np.stack([x, y, np.sqrt(1 - x * x - y * y)], -1) @ axes

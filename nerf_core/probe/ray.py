@@ -1,4 +1,4 @@
-"""One ray, opened up as plain arrays: what made a pixel."""
+"""Open a ray: the samples that make a pixel, as plain arrays."""
 
 from __future__ import annotations
 
@@ -14,12 +14,22 @@ from nerf_core.methods import Method, traced
 from nerf_core.probe.records import PassProbe, RayProbe
 from nerf_core.rendering.images import tile_rays
 
-FARTHEST = 3.0  # times the scene's far bound: where space has no end, fog reaches to a horizon that no plot can show
-MOST_RAYS = 512  # traced together: every ray takes the room of the longest one
+# An opened ray reaches to at most this many times the scene's far bound. In unbounded space, fog can reach so far that
+# no plot can show it.
+FARTHEST = 3.0
+MOST_RAYS = 512  # rays traced together: every ray takes as much memory as the one with the most samples
 
 
 def sample_ends(scene: Scene, rays: Rays, samples: Samples) -> Tensor:
-    """The world distances (R, S) float64 up to which samples stand for their rays: t + δ."""
+    """Return where the samples' stretches end, as world distances (R, S) float64: t + δ.
+
+    Under NDC it is the world distance of t′ + δ.
+
+    Args:
+        scene: the scene.
+        rays: R rays.
+        samples: their samples.
+    """
     t, delta = samples.t.double().cpu(), samples.delta.double().cpu()
     if scene.ndc is None:
         return t + delta
@@ -27,7 +37,14 @@ def sample_ends(scene: Scene, rays: Rays, samples: Samples) -> Tensor:
 
 
 def passes_of(scene: Scene, rays: Rays, trace: Trace, i: int) -> tuple[PassProbe, ...]:
-    """What was composited along ray i of `rays`."""
+    """Return the passes of ray i of `rays` as plain arrays, coarse before fine, without padding.
+
+    Args:
+        scene: the scene.
+        rays: R rays.
+        trace: what the method composited along them.
+        i: the index of the ray.
+    """
     return tuple(
         PassProbe(s.name, *(v[i, : s.t.shape[1] if s.count is None else int(s.count[i])].cpu().numpy() for v in (
             s.t, sample_ends(scene, rays, s), s.delta, s.sigma, s.alpha, s.transmittance, s.weights, s.rgb)))
@@ -36,7 +53,10 @@ def passes_of(scene: Scene, rays: Rays, trace: Trace, i: int) -> tuple[PassProbe
 
 
 def _matters_until(p: PassProbe) -> float:
-    """The distance up to which a pass has all but a thousandth of its weight: in open space samples go on for ever."""
+    """Return the distance up to which a pass has all but a thousandth of its weight; −inf if it has none.
+
+    The last sample itself is no bound, because in unbounded space the samples go on to the horizon.
+    """
     total = np.cumsum(p.weights, dtype=np.float64)
     if not len(total) or total[-1] == 0:
         return -np.inf
@@ -44,12 +64,23 @@ def _matters_until(p: PassProbe) -> float:
 
 
 def open_ray(method: Method, scene: Scene, camera: Camera, pixel: tuple[int, int], step: int) -> RayProbe:
-    """Everything that made integer `pixel` (column, row) of `camera`. Raises UserError outside the picture,
-    and if the method keeps no samples.
+    """Open the ray of a pixel: all samples that make it, and its colour and depths.
 
-    The pixel runs through the same code as in the full-resolution picture, where that matters with a tile's share of
-    its neighbours, so the composited colour is the rendered one. A median is the first sample at which the accumulated
-    weight reaches 0.5.
+    The pixel is computed by the renderer's own code. If the method rounds differently for other batch sizes (`alone` is
+    False), it is computed together with its tile's neighbours. So the composited colour is the rendered one.
+
+    Args:
+        method: the model. It must keep samples along a ray (`Traceable`).
+        scene: its scene.
+        camera: any camera.
+        pixel: integer column and row in the camera's picture.
+        step: the training step of the model. It is copied into the result and is not used otherwise.
+
+    Returns:
+        The ray with the samples of all its passes.
+
+    Raises:
+        UserError: the pixel lies outside the picture, or the method keeps no samples.
     """
     column, row = pixel
     if not (0 <= column < camera.width and 0 <= row < camera.height):
@@ -61,7 +92,7 @@ def open_ray(method: Method, scene: Scene, camera: Camera, pixel: tuple[int, int
     trace, rendered = traced(method, rays), method.render(rays)
     passes = passes_of(scene, rays, trace, i)
     last = passes[-1]
-    opacity = min(float(last.weights.sum(dtype=np.float64)), 1.0)  # rounding may carry it a little over
+    opacity = min(float(last.weights.sum(dtype=np.float64)), 1.0)  # rounding may exceed 1 slightly
     background = np.array(scene.background, dtype=np.float32)
     color = last.weights.astype(np.float64) @ last.rgb + (1 - opacity) * background
     depth = float(trace.rendering.depth[i])
@@ -71,7 +102,7 @@ def open_ray(method: Method, scene: Scene, camera: Camera, pixel: tuple[int, int
         pixel=pixel,
         origin=rays.origins[i].numpy(),
         direction=rays.directions[i].numpy(),
-        # under NDC samples lie between the near plane and the far bound, which the capture's bounds need not reach
+        # under NDC, samples may lie outside the capture's bounds: they fill near plane to far bound
         near=min([float(rays.near[i]), *(float(p.t[0]) for p in passes if len(p.t))]),
         far=max([float(rays.far[i]), *(min(_matters_until(p), FARTHEST * float(rays.far[i])) for p in passes)]),
         passes=passes,

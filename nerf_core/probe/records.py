@@ -1,4 +1,4 @@
-"""What is known of one opened pixel, as plain arrays: numpy only, so that messages can carry it."""
+"""The records of one opened pixel, as plain arrays. They need numpy only, so that messages can carry them."""
 
 from __future__ import annotations
 
@@ -16,9 +16,17 @@ from nerf_core.probe.standing import Verdict
 
 @dataclass(frozen=True)
 class PassProbe:
-    """The samples of one pass along one ray, (S,) each, rgb (S, 3); see `nerf_core.geometry.rays.Samples`.
+    """The S samples of one pass along one ray, front to back. See the table in `nerf_core.geometry.rays`.
 
-    until: the distance at which the stretch ends that a sample stands for: t + δ, where δ is of the world.
+    name: the pass's name, such as "coarse".
+    t: (S,) where the stretch that a sample stands for begins: world distance along the ray.
+    until: (S,) where that stretch ends, as a world distance: t + δ, or under NDC the world distance of t′ + δ.
+    delta: (S,) the length δ of the stretch, in world units; under NDC in those of NDC.
+    sigma: (S,) density σ ≥ 0, per unit of δ.
+    alpha: (S,) opacity, 1 − exp(−σδ).
+    transmittance: (S,) the share of light that is left in front of the sample.
+    weights: (S,) transmittance × alpha.
+    rgb: (S, 3) colour in [0, 1], sRGB-encoded.
     """
 
     name: str
@@ -34,14 +42,22 @@ class PassProbe:
 
 @dataclass(frozen=True)
 class RayProbe:
-    """What made one pixel, at training step `step`.
+    """The ray of one pixel with all its samples. Distances are along the ray, in world units.
 
-    pixel: integer (column, row) into the camera's image. passes: coarse before fine; the last one made the pixel.
-    color: composited from the last pass, background included; rendered_color: the same pixel from the renderer.
-    depth_expected: Σwt/Σw (under NDC that of t′, in the world), None where nothing was hit. depth_median: where
-    accumulated weight passes 0.5, None where the opacity stays under 0.5. depth_strongest: the sample of largest
-    weight, None where none has any. All are distances along the ray.
-    near, far: the scene's bounds on this ray; beyond them as far as a pass has weight, but FARTHEST of its bound.
+    step: the training step of the model.
+    pixel: integer column and row in the camera's picture.
+    origin: (3,) the camera's centre, in world units.
+    direction: (3,) unit, from the camera outwards.
+    near, far: the scene's bounds on this ray, extended to where passes have weight; far is at most FARTHEST times the
+        scene's bound.
+    passes: coarse before fine. The last one makes the pixel.
+    color: (3,) composited from the last pass over the background: Σ w c + (1 − Σ w) background (NeRF Eq. 3).
+    opacity: Σ w of the last pass, at most 1.
+    depth_expected: Σ w t / Σ w; under NDC, the world distance of Σ w t′ / Σ w. None where the ray hits nothing.
+    depth_median: the first sample at which the accumulated weight reaches 0.5. None if it stays under 0.5.
+    depth_strongest: the sample with the largest weight. None if no sample has any.
+    rendered_color: (3,) the same pixel as the renderer draws it.
+    background: (3,) the scene's background colour.
     """
 
     step: int
@@ -60,7 +76,10 @@ class RayProbe:
     background: np.ndarray
 
     def point_t(self) -> float:
-        """Where the ray's point lies unless one is asked for."""
+        """Return the default distance of the ray's point.
+
+        It is the median depth, else the strongest sample, else the middle between near and far.
+        """
         for t in (self.depth_median, self.depth_strongest):
             if t is not None:
                 return t
@@ -69,7 +88,12 @@ class RayProbe:
 
 @dataclass(frozen=True)
 class Truth:
-    """What a photo shows where a ray looks: view, an index into `Scene.views`; pixel (column, row); color (3,)."""
+    """What a photo shows where a ray looks.
+
+    view: the photo, as an index into `Scene.views`.
+    pixel: integer column and row in the photo.
+    color: (3,) float32, the photo's colour there, in [0, 1].
+    """
 
     view: int
     pixel: tuple[int, int]
@@ -78,9 +102,14 @@ class Truth:
 
 @dataclass(frozen=True)
 class RayHistory:
-    """steps (N,) int64, ascending. edges (BINS + 1,) world distances. weights (N, BINS): Σ w per bin.
+    """How one ray changed over training: N records.
 
-    color (N, 3); depth (N,): median depth, NaN where less than half of the light met anything; opacity (N,).
+    edges: (BINS + 1,) the edges of the bins, as world distances along the ray.
+    steps: (N,) int64, the training step of each record, ascending.
+    weights: (N, BINS) Σ w in each bin.
+    color: (N, 3) the pixel's colour.
+    depth: (N,) median depth in world units; NaN where the opacity is under 0.5.
+    opacity: (N,) Σ w.
     """
 
     edges: np.ndarray
@@ -93,10 +122,18 @@ class RayHistory:
 
 @dataclass(frozen=True)
 class Opened:
-    """Everything known of a pixel of `camera`; None, or empty: not yet. evidence is on the point of `radiance`.
+    """Everything that is known of one pixel. What is None or empty is not computed yet.
 
-    A method that has no radiance at a point leaves `radiance` at None. method: its name. name, history: of a pinned
-    ray.
+    camera: the camera that has the pixel.
+    scene: the scene, whose training photos give the evidence.
+    method: the method's name in `METHODS`.
+    ray: the samples that make the pixel.
+    verdict: what kind of pixel it is, and why.
+    radiance: the colours that the ray's point emits. It stays None if the method has no radiance at a point.
+    evidence: what the training photos show of the same point.
+    walk: the stages from the camera to the loss, with this ray's values.
+    name: the name of a pinned ray.
+    history: the history of a pinned ray over training.
     """
 
     camera: Camera

@@ -1,4 +1,4 @@
-"""An opened pixel for keeping: JSON and NPZ with everything, CSV with the samples, PNG and SVG with a figure."""
+"""Write opened pixels to files: JSON and NPZ hold everything, CSV the samples, PNG and SVG a figure."""
 
 from __future__ import annotations
 
@@ -22,12 +22,19 @@ SAMPLE = ("t", "until", "delta", "sigma", "alpha", "transmittance", "weights")
 
 
 def inspection(opened: Opened) -> dict[str, Any]:
-    """Everything as JSON values: finite numbers, null for what is not defined, lists of lists."""
+    """Return everything about an opened pixel as JSON values.
+
+    Arrays become nested lists. None, NaN and infinity become null.
+    """
     return finite(arrays(opened))
 
 
 def arrays(opened: Opened) -> dict[str, Any]:
-    """Everything as nested dicts and lists of arrays and numbers; what is not known yet is left out."""
+    """Return everything about an opened pixel as nested dicts and lists of arrays and numbers.
+
+    Parts that are not computed yet are left out. The names are those of the records in `nerf_core.probe`, except that
+    `Standing.training_views` is called "witnesses", as in files of earlier versions.
+    """
     ray, verdict, radiance = opened.ray, opened.verdict, opened.radiance
     found: dict[str, Any] = {
         "scene": opened.scene.name,
@@ -91,10 +98,19 @@ def _plain(value: Any) -> dict[str, Any]:
 
 
 def write_inspection(opened: Sequence[Opened], file: Path) -> None:
-    """Write one opened pixel, or several, in the format of the file's suffix (FORMATS). Raises UserError.
+    """Write opened pixels to a file, in the format of its suffix.
 
-    JSON: the object of `inspection`, or {"rays": [...]} of several; NPZ: the same names, joined by "/"; CSV: a line a
-    sample; PNG, SVG: a figure of the one, or of each below the other.
+    - .json: the object of `inspection`; {"rays": [...]} for several pixels.
+    - .npz: the arrays of `arrays`, with nested names joined by "/"; several pixels begin with "rays/0/", "rays/1/", ….
+    - .csv: one line for each sample.
+    - .png, .svg: a figure with one row for each pixel.
+
+    Args:
+        opened: one or more opened pixels.
+        file: the file to write. It is replaced as a whole or not at all.
+
+    Raises:
+        UserError: the suffix is none of these, there are no pixels, or the file cannot be written.
     """
     check_format(file)
     if not opened:
@@ -103,7 +119,7 @@ def write_inspection(opened: Sequence[Opened], file: Path) -> None:
 
 
 def check_format(file: Path) -> None:
-    """Raises UserError where `write_inspection` would not know how to write `file`."""
+    """Raise UserError if `write_inspection` has no format for the suffix of `file`."""
     if file.suffix.lower() not in FORMATS:
         raise UserError(f"{file}: an opened ray is written as {', '.join(FORMATS)}: name such a file")
 
@@ -118,13 +134,16 @@ def _npz(opened: Sequence[Opened]) -> bytes:
     for k, one in enumerate(opened):
         _flatten(arrays(one), f"rays/{k}/" if len(opened) > 1 else "", flat)
     data = io.BytesIO()
-    assert not any(array.dtype.hasobject for array in flat.values())  # they would be pickled
+    assert not any(array.dtype.hasobject for array in flat.values())  # numpy would pickle them
     np.savez_compressed(data, **flat)  # pyright: ignore[reportArgumentType]  none of the names is an option
     return data.getvalue()
 
 
 def _flatten(value: Any, name: str, into: dict[str, np.ndarray]) -> None:
-    """Names joined by "/"; None is NaN, text is text: no object arrays, which would have to be unpickled."""
+    """Fill `into` with arrays whose names are joined by "/".
+
+    None becomes NaN, and text becomes a text array: numpy would have to unpickle an object array.
+    """
     if isinstance(value, Mapping):
         for key, inner in value.items():
             _flatten(inner, f"{name}{key}/", into)

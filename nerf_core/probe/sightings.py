@@ -1,4 +1,4 @@
-"""Training photos that have a point in their frame: what they show of it, as plain arrays."""
+"""What the training photos show of one point, as plain arrays."""
 
 from __future__ import annotations
 
@@ -6,22 +6,31 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-SEEN = 0.5  # transmittance up to a point from which on a photo is said to see it
-FAR_DEGREES = 20.0  # from the nearest photo: what the model says there was never compared with anything
-FEWEST_LOOKS = 3  # with fewer one cannot tell what stays the same from all sides
+SEEN = 0.5  # a photo sees a point if the transmittance up to it is at least this
+FAR_DEGREES = 20.0  # a direction farther than this from every photo was never compared with a photo
+FEWEST_LOOKS = 3  # with fewer photos, the part of a colour that does not depend on the view cannot be told
 
 
 @dataclass(frozen=True)
 class Sightings:
-    """V training photos that have a world point in their frame, the clearest and then the nearest in angle first.
+    """V training photos that have a world point in their frame.
 
-    point: (3,). framed: how many have it in their frame, of `asked` training photos; V of them were looked at.
-    views: (V,) into `Scene.views`. pixels: (V, 2) where the point lies in the photo, in pixels; what follows is of the
-    pixel that holds it. distance: (V,). angle: (V,) radians between that look at the point and the ray's.
-    directions: (V, 3) unit, from the point to the camera. transmittance: (V,) of the model, from the camera up to
-    `margin` before the point; share: (V,) what the stretch of ± `margin` around the point weighs in that pixel.
-    observed, predicted: (V, 3) the photo's colour and the model's. emitted: (V, 3) what the point emits that way;
-    NaN if the method has no radiance at a point.
+    Photos that see the point come first; within each group, those nearest in angle to the ray come first.
+
+    point: (3,) in world units.
+    margin: half the length of the stretch that counts as the point, in world units.
+    asked: the number of training photos.
+    framed: how many of them have the point in their frame. V of these are kept, at most MOST_VIEWS.
+    views: (V,) indices into `Scene.views`.
+    pixels: (V, 2) column and row of the point in the photo; a pixel's centre lies at +0.5.
+    distance: (V,) from the camera to the point, in world units.
+    angle: (V,) radians between the camera's direction to the point and the ray's.
+    directions: (V, 3) unit, from the point to the camera.
+    transmittance: (V,) the model's transmittance from the camera to `margin` in front of the point.
+    share: (V,) weight of the stretch of ± `margin` around the point in the photo's pixel.
+    observed: (V, 3) the photo's colour in that pixel.
+    predicted: (V, 3) the model's colour of that pixel.
+    emitted: (V, 3) the colour that the point emits towards the camera; NaN if the method has no radiance at a point.
     """
 
     point: np.ndarray
@@ -41,29 +50,39 @@ class Sightings:
 
     @property
     def seen(self) -> np.ndarray:
-        """(V,) bool: whether the photo sees the point, as the model has it."""
+        """Whether each photo sees the point, by the model's transmittance: (V,) bool."""
         return self.transmittance >= SEEN
 
     def at(self, index: np.ndarray) -> Sightings:
-        """Those of an index or mask over V."""
+        """Return the photos that an index or mask over V chooses."""
         rows = ("point", "margin", "asked", "framed")
         return replace(self, **{f.name: getattr(self, f.name)[index] for f in fields(self) if f.name not in rows})
 
 
 def diffuse_of(sightings: Sightings) -> np.ndarray | None:
-    """What a point emits towards everybody: per channel the least that it shows any photo that sees it, (3,).
+    """Return the part of a point's colour that does not depend on the view, (3,).
 
-    The rest of its colour is specular: it is added, and depends on the view. None where fewer than FEWEST_LOOKS see it.
+    It is, for each channel, the minimum over the photos that see the point. The rest is specular: it is added to the
+    diffuse colour and depends on the view. None if fewer than FEWEST_LOOKS photos see the point, or if the method has
+    no radiance at a point.
     """
     emitted = sightings.emitted[sightings.seen]
     return emitted.min(0) if len(emitted) >= FEWEST_LOOKS and not np.isnan(emitted).any() else None
 
 
 def unseen(directions: np.ndarray, evidence: Sightings | None) -> np.ndarray:
-    """Which directions (K, 3), from a point outwards, lie farther than FAR_DEGREES from any photo's."""
+    """Return which directions are farther than FAR_DEGREES from every photo that sees the point.
+
+    Args:
+        directions: (K, 3) unit vectors from the point outwards.
+        evidence: the photos; None counts as no photos.
+
+    Returns:
+        (K,) bool.
+    """
     seen = evidence.directions[evidence.seen] if evidence is not None else np.zeros((0, 3))
     if not len(seen):
         return np.ones(len(directions), bool)
-    # Not @, whose BLAS waits for threads that training may hold for 20 ms, and a window for it
+    # einsum in place of @: BLAS would wait for threads that training may hold for 20 ms, and the window with it
     cosines = np.einsum("vi,ik->vk", seen.astype(np.float32), np.ascontiguousarray(directions.T, np.float32))
     return cosines.max(0) < np.cos(np.radians(FAR_DEGREES))

@@ -1,4 +1,4 @@
-"""The layers of a ray, what the training photos say of each, and the verdict on the pixel, as plain values."""
+"""The layers of a ray, what the training photos say about each, and the verdict on the pixel, as plain values."""
 
 from __future__ import annotations
 
@@ -11,27 +11,34 @@ from nerf_core.probe.sightings import Sightings
 
 Tone = Literal["good", "neutral", "warning", "error"]
 
-THICK, DEEP = 6.0, 20.0  # grains: a thicker layer is a surface only where photos agree with it, and none at all
-CLOUD = 10.0  # grains: a thicker layer floats only where hardly anybody would miss it
-HAZY = 0.03  # mean error of a channel in the photos that see a thick layer, from which on they do not agree with it
-FEW = 2  # photos: what fewer see, nobody can have learnt
-INSIDE = 0.3  # of the photos that see a layer: what fewer see behind it is its own inside
-FRONT = 1 / 3  # of the weight of a front and of what shows through it: a lighter one is no front
-WRONG = 0.05  # mean error of a channel in the photos that see a layer, from which on something is wrong
-LEAKING = 0.8  # times the error: what no background from a layer on must bring it down to
-AGAINST = 1 / 4  # of the photos that see a layer: what so many contradict, and no more would miss, is not there
-HARDLY = 1 / 8  # of the photos that see a layer: so few may themselves be wrong, as by their poses
+# Thickness is counted in grains, see `nerf_core.probe.layers.grain_at`. An error is a mean over the channels. Shares of
+# photos are of those that are asked. docs/microscope.md states the rules in which these numbers are used.
+THICK, DEEP = 6.0, 20.0  # grains: the thickest surface, and the thickest one with which the photos agree
+CLOUD = 10.0  # grains: a thicker layer floats only if at most HARDLY of the photos would miss it
+HAZY = 0.03  # the photos agree with a thick layer if the error is under this
+FEW = 2  # photos: training cannot have learnt what fewer photos see
+INSIDE = 0.3  # a layer is the inside of one in front if fewer than this times as many photos see it from this side
+FRONT = 1 / 3  # the layer in front has at least this share of the weight of both
+WRONG = 0.05  # from this error on, something is wrong with the layer
+LEAKING = 0.8  # background leaks if the error without background falls to this times the error or less
+AGAINST = 1 / 4  # share of the photos that must speak against a layer for it to float
+HARDLY = 1 / 8  # share of the photos that may be wrong themselves, because of their poses for example
 
 
 @dataclass(frozen=True)
 class Layer:
-    """A stretch of a ray where weight gathers. t: where half of its weight lies; all are world distances.
+    """A peak of weight on a ray. Distances are along the ray, in world units.
 
-    surface: where a quarter of it lies. Photos carve free what is in front of a surface, while nothing keeps density
-    from reaching behind it: the middle of a layer that is not thin lies deeper than what it stands for.
-
-    begin, end: where its weight begins and ends; thickness: between a tenth and nine tenths of it; grain: the length
-    that counts as one there. weight: Σ w; light: transmittance in front of it. color: Σ w c / Σ w, (3,).
+    t: the distance in front of which half of the layer's weight lies.
+    surface: the distance in front of which a quarter of it lies. This is where the surface is: photos carve free what
+        is in front of a surface, but nothing keeps density from reaching behind it. So the middle of a thick layer lies
+        too deep.
+    begin, end: where the weight begins and ends, but for a thousandth on either side.
+    thickness: the length that holds the weight between a tenth and nine tenths.
+    grain: the length of a grain at t.
+    weight: Σ w.
+    light: the transmittance in front of the layer.
+    color: (3,) Σ w c / Σ w.
     """
 
     t: float
@@ -47,19 +54,24 @@ class Layer:
 
 @dataclass(frozen=True)
 class Standing:
-    """What the training photos say about a layer. Counts are numbers of photos.
+    """What the training photos say about a layer. Counts are numbers of photos; ASIDE and ASKED are in `probe.verdict`.
 
-    training_views: those that see the layer from the ray's side, under ASIDE from its direction.
-    looked: those that see it from anywhere. voters: those of them that are asked, at most ASKED.
-    against: voters that contradict the layer. Their pixel is matched better without it, or as well by the bare
-        background where that is known.
-    missing: other voters whose pixel is matched worse without it.
-    blank: the remaining voters that do not show it, since its weight in their pixel is small.
-    shown: voters in whose pixel its weight counts.
-    error: median over those of the mean difference between their pixel and the model's; None if it is shown in none.
-    without: the same without the layer. opaque: the same if no background showed behind the layer's beginning.
-    reach: the world distance behind the layer's middle from which on it is taken away: of REACHES the one at which the
-        layer floats and most voters contradict it, the shortest of equals.
+    layer: the layer.
+    sightings: what the photos show of the layer's point t.
+    training_views: photos that see the layer from the ray's side, at an angle under ASIDE to its direction.
+    looked: photos that see it from any side.
+    voters: the photos that are asked: those of `looked` that are nearest in angle, at most ASKED.
+    against: voters that contradict the layer. They show it, and the model would match their pixel better without it.
+        For an object on a plain background, it also counts if background alone would match as well as the layer.
+    missing: other voters, whose pixel would be matched worse without the layer.
+    blank: the remaining voters that do not show the layer, because its weight in their pixel is under COUNTS.
+    shown: voters that show the layer.
+    error: the difference between photo and model, a mean over channels and a median over `shown`. None if no voter
+        shows the layer.
+    without: the error if the layer were taken away.
+    opaque: the error if no background showed from the layer's beginning on.
+    reach: how far behind t the stretch ends that is taken away, in world units. Of the reaches that are tried, it is
+        the one that speaks most against the layer; the shortest if several do.
     """
 
     layer: Layer
@@ -78,9 +90,12 @@ class Standing:
 
     @property
     def floats(self) -> bool:
-        """Not few of the photos that see it contradict it, and no more would miss it than contradict it or do not show
-        it. Of a cloud, or what is contradicted only by not being shown, hardly one would: a thing finer than a pixel is
-        beside the middle of many."""
+        """Whether the photos speak against the layer.
+
+        There are at least FEW voters, AGAINST of them or more contradict the layer or do not show it, and no more would
+        miss it than these. For a cloud, or if fewer than AGAINST contradict it, at most HARDLY of the voters may miss
+        it: a thing that exists but is finer than a pixel is not shown by many photos.
+        """
         enough, idle = AGAINST * self.voters, self.against + self.blank
         if self.voters < FEW or idle < enough:
             return False
@@ -89,36 +104,41 @@ class Standing:
 
     @property
     def leaks(self) -> bool:
-        """The photos would be matched better, if no background showed from it on."""
+        """Whether the photos would be matched better if no background showed from the layer on."""
         if self.error is None or self.opaque is None or self.shown < FEW:
             return False
         return self.error >= WRONG and self.opaque <= LEAKING * self.error
 
     def inside(self, front: Standing) -> bool:
-        """Whether this is what shows through a layer in front that is not quite opaque: the inside of it, as hardly a
-        photo of those that see the front sees it from this side. Behind a true veil, a good part of them does."""
+        """Return whether this layer is the inside of a layer in front of it.
+
+        The inside shows through a front that is not quite opaque. Hardly any photo of those that see the front sees it
+        from this side, whereas many photos see what is behind a true veil.
+        """
         if front.training_views < FEW or self.training_views >= INSIDE * front.training_views:
             return False
         return front.layer.weight >= FRONT * (front.layer.weight + self.layer.weight)
 
     @property
     def hazy(self) -> bool:
-        """Too thick for a surface."""
+        """Whether the layer is too thick for a surface."""
         return self.layer.thickness > self.most_grains * self.layer.grain
 
     @property
     def most_grains(self) -> float:
-        """Of a surface that the photos agree with this much."""
+        """The greatest thickness of a surface, in grains: DEEP if the photos agree with the layer, else THICK."""
         return DEEP if self.error is not None and self.error < HAZY else THICK
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is wrong with a pixel, if anything.
+    """What kind of pixel it is: a surface, or what is wrong with it.
 
-    kind: the name of its class, one of `probe.verdicts`. tone: how good or bad that is. reasons: a line each, with
-    numbers. surface_t: the distance at which an eye should rest, behind what floats; None where there is nothing to
-    rest on. standings: the layers, front to back.
+    kind: the name of its class in `nerf_core.probe.verdicts.VERDICTS`.
+    reasons: lines of text with the numbers that decided.
+    surface_t: the distance of the surface behind everything that floats, in world units; None if there is none.
+    standings: the heaviest layers from front to back, with what the photos say about each.
+    tone: how good or bad the kind is.
     """
 
     kind: str

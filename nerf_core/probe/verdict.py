@@ -1,9 +1,9 @@
-"""What is wrong with a pixel, in words: its layers, what the photos say of each, and the conclusion.
+"""Reach the verdict on a pixel: find its layers, ask the training photos about each, and conclude.
 
-Questions to the photos decide more than any threshold on shapes. How many of those that see a layer contradict it, as
-they would be matched better if it were not there, or as well if there were nothing but background; and how many would
-miss it? Where not few contradict it, and no more would miss it, it is a floater. Would the photos be matched better if
-no background showed from there on? Then it leaks through.
+The photos that see a layer decide more than its shape does. Would the model match a photo better without the layer?
+Then the photo contradicts it. Would the model match it worse? Then the photo would miss it. If enough photos contradict
+a layer and no more would miss it, it is a floater. Would the photos be matched better if no background showed from the
+layer on? Then the background leaks through it. docs/microscope.md states all the rules.
 """
 
 from __future__ import annotations
@@ -23,21 +23,35 @@ from nerf_core.probe.records import RayProbe
 from nerf_core.probe.standing import FEW, THICK, Layer, Standing, Verdict
 from nerf_core.probe.verdicts import COUNTS, NOTHING, VERDICTS, Facts, outer, tolerance
 
-ASIDE = np.radians(75)  # between looks at a point: a photo that sees it from farther round does not see this side of it
-ASKED = 16  # photos that see a layer, the nearest in angle: they are asked how they would look otherwise
-REACHES = np.array([1.0, 3.0, 8.0, 20.0])  # grains behind a layer's end at which it may be over, where it hides that
+ASIDE = np.radians(75)  # a photo at a larger angle to the ray does not see this side of a layer
+ASKED = 16  # of the photos that see a layer, so many are asked: those nearest in angle
+REACHES = np.array([1.0, 3.0, 8.0, 20.0])  # grains: how much deeper than it seems a layer may be, if it hides its end
+# The photos are asked about the MOST_LAYERS heaviest layers. The search for a surface behind floaters tries at most
+# MOST_HIDDEN layers.
 MOST_LAYERS, MOST_HIDDEN = 4, 8
 
 
 def judge(method: Method, training_views: TrainingViews, ray: RayProbe) -> Verdict:
-    """Open the ray's layers, ask the photos, and conclude."""
+    """Reach the verdict on a pixel.
+
+    Args:
+        method: the model; it must keep samples along a ray.
+        training_views: the photos of its scene.
+        ray: the opened ray of the pixel.
+
+    Returns:
+        The verdict with its reasons, and the layers with what the photos say about them.
+
+    Raises:
+        UserError: the method keeps no samples.
+    """
     *_, verdict = judging(method, training_views, ray)
     assert verdict is not None
     return verdict
 
 
 def judging(method: Method, training_views: TrainingViews, ray: RayProbe) -> Iterator[Verdict | None]:
-    """`judge` in pieces, a layer at a time; the last is the verdict."""
+    """Reach the verdict in pieces, as `judge` does. Yields None after each layer, and the verdict at last."""
     found = layers_of(ray, training_views.scene)
     standings = []
     for layer in sorted(sorted(found, key=lambda one: -one.weight)[:MOST_LAYERS], key=lambda one: one.t):
@@ -46,7 +60,7 @@ def judging(method: Method, training_views: TrainingViews, ray: RayProbe) -> Ite
     verdict = conclude(ray, tuple(standings))
     if any(s.floats and s.layer.weight >= COUNTS for s in standings):
         last = max(s.layer.t for s in standings if s.floats and s.layer.weight >= COUNTS)
-        # what photos know nothing of may well be the floater's inside
+        # a layer that hardly a photo sees may be the floater's inside
         behind = [s.layer for s in outer(standings) if s.layer.t > last and s.training_views >= FEW]
         rest = max(behind, key=lambda layer: layer.weight, default=None)
         t = rest.surface if rest is not None else _hidden_surface(method, training_views, ray, verdict.standings)
@@ -55,7 +69,17 @@ def judging(method: Method, training_views: TrainingViews, ray: RayProbe) -> Ite
 
 
 def stand(method: Method, training_views: TrainingViews, ray: RayProbe, layer: Layer) -> Standing:
-    """What the photos say of a layer."""
+    """Ask the photos about a layer.
+
+    Args:
+        method: the model; it must keep samples along a ray.
+        training_views: the photos of its scene.
+        ray: the opened ray that has the layer.
+        layer: one of `layers_of(ray, scene)`.
+
+    Returns:
+        The photos' answers; all counts of voters are 0 if no photo sees the layer.
+    """
     point = ray.origin.astype(np.float64) + layer.t * ray.direction.astype(np.float64)
     margin = layer.grain + min(layer.t - layer.begin, THICK * layer.grain)
     sightings = training_views.look(method, point, ray.direction.astype(np.float64), margin)
@@ -83,13 +107,16 @@ def stand(method: Method, training_views: TrainingViews, ray: RayProbe, layer: L
             layer, sightings, *counts, len(error), int(against.sum()), int(missing.sum()), int(blank.sum()),
             int(shown.sum()), middle, median(instead), opaquely, reach,
         ))  # fmt: skip
-    return max(found, key=lambda one: (one.floats, one.against, -one.missing))  # of those alike the first
+    return max(found, key=lambda one: (one.floats, one.against, -one.missing))  # the first of equals
 
 
 def _hidden_surface(
     method: Method, training_views: TrainingViews, ray: RayProbe, standings: tuple[Standing, ...]
 ) -> float | None:
-    """Where the first layer lies that photos know and that does not float, behind what lets no light through."""
+    """Search for the surface behind floaters that hide it, with rays that begin behind them.
+
+    Returns the world distance of the first layer that enough photos see and that does not float; None if there is none.
+    """
     scene = training_views.scene
     begin = max(s.layer.t + s.reach for s in standings if s.floats and s.layer.weight >= COUNTS)
     for _ in range(MOST_HIDDEN):
@@ -105,12 +132,20 @@ def _hidden_surface(
         behind = stand(method, training_views, ray, heavy[0])
         if not behind.floats and behind.training_views >= FEW:
             return heavy[0].surface
-        begin = heavy[0].end  # its reach would not do: for photos that see it from behind, that is the whole floater
+        begin = heavy[0].end  # not its reach, which spans a whole floater for photos that see it from behind
     return None
 
 
 def conclude(ray: RayProbe, standings: tuple[Standing, ...]) -> Verdict:
-    """The verdict on what is known; no more is asked. The first class that holds, by rank, is taken."""
+    """Choose the verdict from what is known, without asking the photos again.
+
+    Args:
+        ray: the opened ray.
+        standings: its layers from front to back, with what the photos say about each.
+
+    Returns:
+        The verdict of the first class, by ascending rank, that gives reasons.
+    """
     facts = Facts(ray, standings)
     classes = [(name, VERDICTS.get(name)) for name in VERDICTS.names()]
     for name, one in sorted(classes, key=lambda item: item[1].rank):
@@ -122,5 +157,5 @@ def conclude(ray: RayProbe, standings: tuple[Standing, ...]) -> Verdict:
 
 
 def _off(colors: np.ndarray, photos: np.ndarray) -> np.ndarray:
-    """The mean difference of a channel in each photo, (V,)."""
+    """Return the error of each photo, (V,): |colors − photos| (V, 3) averaged over the channels."""
     return np.abs(colors - photos).mean(-1)

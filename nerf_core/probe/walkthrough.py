@@ -1,4 +1,4 @@
-"""One pixel followed through the whole method: camera, ray, the method's own stages, colour, photo, loss."""
+"""Follow one pixel through the whole method: camera, ray, the method's own stages, colour, photo and loss."""
 
 from __future__ import annotations
 
@@ -12,25 +12,44 @@ from nerf_core.methods import METHODS, Explainable, Method, lacking
 from nerf_core.methods.stages import Colors, Stage, number, triple
 from nerf_core.probe.records import PassProbe, RayProbe, Truth
 
-SAME_POSE = 1e-9  # of a camera that was flown to a photo's: easing ends exactly there, but for rounding
+SAME_POSE = 1e-9  # relative: a camera that flies to a photo ends at its pose, except for rounding
 
 
 def truth_of(scene: Scene, camera: Camera, ray: RayProbe) -> Truth | None:
-    """The photo whose camera stands where `camera` does and looks the same way, where its frame holds the ray."""
+    """Return what a photo shows where the ray looks. It must have been taken with the pose of `camera`.
+
+    Args:
+        scene: the scene.
+        camera: the camera that has the ray.
+        ray: an opened ray.
+
+    Returns:
+        The first photo with this pose that has the ray in its frame; None if there is none.
+    """
     for k, view in enumerate(scene.views):
         if np.abs(view.camera.c2w - camera.c2w).max() > SAME_POSE * max(1.0, float(np.abs(camera.c2w).max())):
             continue
         point = ray.origin.astype(np.float64) + ray.direction.astype(np.float64)
         (place,), (z,) = view.camera.project(point[None])
         width, height = view.camera.width, view.camera.height
-        if z > 0 and 0 <= place[0] < width and 0 <= place[1] < height:  # NaN is neither
+        if z > 0 and 0 <= place[0] < width and 0 <= place[1] < height:  # false for NaN
             x, y = int(place[0]), int(place[1])
             return Truth(k, (x, y), scene.images[k][y, x] / np.float32(65535))
     return None
 
 
 def walk(method: Method, scene: Scene, camera: Camera, ray: RayProbe) -> tuple[Stage, ...]:
-    """The stages of `ray`, which `camera` looks along, from the camera to the loss."""
+    """Return the stages of a ray from the camera to the loss, with the ray's own values.
+
+    Args:
+        method: the model. Its own stages are shown if it is `Explainable`; else one stage says that it is not.
+        scene: its scene. A photo and the loss are shown if a photo was taken with the pose of `camera`.
+        camera: the camera that has the ray.
+        ray: the opened ray.
+
+    Returns:
+        The stages in their order: camera and pixel, ray, the method's own, pixel, photo, loss.
+    """
     o, d, near, far = (
         torch.as_tensor(v, dtype=torch.float32)[None] for v in (ray.origin, ray.direction, ray.near, ray.far)
     )
@@ -105,7 +124,7 @@ def _photo_stages(scene: Scene, camera: Camera, ray: RayProbe) -> tuple[Stage, .
     view = scene.views[truth.view]
     split = next((name for name, indices in scene.splits.items() if truth.view in indices), "no")
     learnt = "Training has seen it." if split == "train" else "Training never sees it."
-    # of earlier passes only a coarse network is still supervised: a guide has learnt before
+    # Of the earlier passes only `coarse` has a loss; the guide is already trained.
     losses = [(p.name, _composited(ray, p)) for p in ray.passes if p.name == "coarse" or p is ray.passes[-1]]
     off = [(name, float(np.square(color - truth.color).mean())) for name, color in losses]
     return (

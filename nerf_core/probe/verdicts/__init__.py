@@ -1,4 +1,4 @@
-"""The classes of verdicts on a pixel: one file each."""
+"""The classes of verdicts on a pixel, one file each, and what they share."""
 
 from __future__ import annotations
 
@@ -13,18 +13,17 @@ from nerf_core.common.registry import Registry
 from nerf_core.probe.records import RayProbe
 from nerf_core.probe.standing import Standing, Tone
 
-NOTHING = 0.05  # opacity under which a ray has met nothing that one could see
-ALIKE, NOISE = 0.01, 0.25  # mean error of a channel, and share of a photo's own: the larger is no difference
-COUNTS = 0.1  # weight of a layer that is worth a verdict, in this pixel and in a photo's
+NOTHING = 0.05  # under this opacity a ray has hit nothing visible
+ALIKE, NOISE = 0.01, 0.25  # two errors are equal if they differ by less than ALIKE, or than NOISE times the error
+COUNTS = 0.1  # a layer counts, in the ray's pixel or in a photo's, if it weighs at least this
 
 
 @dataclass(frozen=True)
 class Facts:
-    """What a class judges by: the ray, and what the photos say of its layers, front to back.
+    """What a class of verdicts judges by.
 
-    heavy: the layers worth a verdict. floaters: those of them that float. real: those that neither float nor are the
-    inside of another. surface: the heaviest of these, if there is one. thin: the share of the layers' weight that lies
-    in layers that are not hazy.
+    ray: the opened ray.
+    standings: its heaviest layers from front to back, with what the photos say about each.
     """
 
     ray: RayProbe
@@ -32,30 +31,36 @@ class Facts:
 
     @cached_property
     def heavy(self) -> list[Standing]:
+        """The layers that weigh at least COUNTS, front to back."""
         return [s for s in self.standings if s.layer.weight >= COUNTS]
 
     @cached_property
     def floaters(self) -> list[Standing]:
+        """The heavy layers that float, front to back."""
         return [s for s in self.heavy if s.floats]
 
     @cached_property
     def real(self) -> list[Standing]:
+        """The heavy layers that neither float nor are another's inside, front to back."""
         return outer(self.standings)
 
     @cached_property
     def surface(self) -> Standing | None:
+        """The heaviest of the real layers; None if there is none."""
         return max(self.real, key=lambda s: s.layer.weight, default=None)
 
     @cached_property
     def thin(self) -> float:
+        """The share of the layers' weight that lies in layers that are not hazy."""
         whole = sum(s.layer.weight for s in self.standings)
         return sum(s.layer.weight for s in self.standings if not s.hazy) / max(whole, 1e-12)
 
 
 class VerdictClass(Protocol):
-    """A class of verdicts. Classes are asked by ascending rank, the worst first, and the first that holds is taken.
+    """A class of verdicts. The verdict is the first class, by ascending rank, that gives reasons.
 
-    tone: the colour in which the window shows its name.
+    rank: the place in that order. The background comes first, then the faults, then what is in order.
+    tone: how good or bad this is; it chooses the colour in which the window shows the verdict.
     """
 
     rank: ClassVar[int]
@@ -63,7 +68,7 @@ class VerdictClass(Protocol):
 
     @staticmethod
     def reasons(facts: Facts) -> tuple[str, ...]:
-        """Why the pixel is of this class, a line each, with numbers; empty where it is not."""
+        """Return lines that say, with numbers, why the pixel is of this class; empty if it is not."""
         ...
 
 
@@ -71,7 +76,10 @@ VERDICTS: Registry[type[VerdictClass]] = Registry("verdict", "nerf_core.probe.ve
 
 
 def outer(standings: Iterable[Standing]) -> list[Standing]:
-    """The layers of weight that neither float nor are another's inside, front to back."""
+    """Choose the layers that weigh at least COUNTS and neither float nor are another's inside.
+
+    standings: layers from front to back; the result is in the same order.
+    """
     found: list[Standing] = []
     for s in standings:
         if s.layer.weight >= COUNTS and not s.floats and not any(s.inside(front) for front in found):
@@ -80,5 +88,8 @@ def outer(standings: Iterable[Standing]) -> list[Standing]:
 
 
 def tolerance(error: Any) -> Any:
-    """What differs from an error (or each of an array) by less is as good."""
+    """Return by how much another error must differ from `error` to be different: max(ALIKE, NOISE · error).
+
+    error: a number or an array; the result is of the same kind.
+    """
     return np.maximum(ALIKE, NOISE * error)

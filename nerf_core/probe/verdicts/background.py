@@ -1,4 +1,4 @@
-"""The ray meets nothing."""
+"""Background: the ray hits nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The background shows through a layer that photos know to be opaque."""
+"""Background leak: the background shows through a layer that is opaque by the photos."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import ClassVar
 from nerf_core.probe.standing import Standing, Tone
 from nerf_core.probe.verdicts import VERDICTS, Facts
 
-LEAK = 0.1  # transmittance behind the last layer from which on what is behind shows
+LEAK = 0.1  # the background shows if the transmittance of the whole ray is at least this
 
 
 @VERDICTS.register("background leak")
@@ -18,7 +18,7 @@ class BackgroundLeak:
     @staticmethod
     def reasons(facts: Facts) -> tuple[str, ...]:
         left = 1 - facts.ray.opacity
-        leaking = next((s for s in reversed(facts.real) if s.leaks), None)  # a veil in front leaks as well
+        leaking = next((s for s in reversed(facts.real) if s.leaks), None)  # the last: a veil in front leaks, too
         return (_leak_reason(leaking, left),) if left >= LEAK and leaking is not None else ()
 
 

@@ -1,4 +1,4 @@
-"""A layer that the photos contradict."""
+"""Floater: a layer that the photos contradict."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Density that is spread too wide for a surface."""
+"""Fog: density that is spread too widely for a surface."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import ClassVar
 from nerf_core.probe.standing import Standing, Tone
 from nerf_core.probe.verdicts import COUNTS, VERDICTS, Facts
 
-SOLID = 0.5  # of the layers' weight must lie in layers that are not hazy, or the ray is in fog
+SOLID = 0.5  # the ray is in fog if layers that are not hazy hold less than this share of the weight
 
 
 @VERDICTS.register("fog")

@@ -1,4 +1,4 @@
-"""Layers that photos know one behind another, as a true veil before a wall."""
+"""Several surfaces: layers that photos confirm, one behind the other, such as a veil in front of a wall."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One layer makes the pixel."""
+"""Surface: one layer makes the pixel. This class holds if no other does."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A surface that hardly a photo sees."""
+"""Unobserved: fewer than two photos see the surface from this side, or confirm it."""
 
 from __future__ import annotations
 
