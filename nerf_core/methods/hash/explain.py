@@ -1,61 +1,46 @@
-"""The hash method's stages of one ray."""
+"""The stages of one ray through the hash grid."""
 
 from __future__ import annotations
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from nerf_core.geometry.rays import Rays, Trace
-from nerf_core.methods.hash.field import HashField
+from nerf_core.geometry.rays import Rays
+from nerf_core.methods.hash.model import HashModel
 from nerf_core.methods.stages import BarCode, Stage, absorption_stage, field_stage, nothing_stage, skipped_stage
 from nerf_core.volume.encodings import spherical_harmonics
-from nerf_core.volume.occupancy import Occupancy
 
 
-class HashStages:
-    """`Explainable` for the hash method. The method has the attributes declared here."""
-
-    device: torch.device
-    occupancy: Occupancy
-    step_cells: float
-    ema_field: HashField
-
-    def trace(self, rays: Rays) -> Trace:
-        raise NotImplementedError
-
-    def _unit(self, points: Tensor) -> Tensor:
-        raise NotImplementedError
-
-    @torch.no_grad()
-    def explain(self, rays: Rays) -> tuple[Stage, ...]:
-        samples = self.trace(rays).passes[0]
-        skipped = skipped_stage(samples, self.occupancy.cells, self.step_cells)
-        if samples.count is not None and not int(samples.count[0]):
-            return skipped, nothing_stage()
-        strongest = int(samples.weights[0].argmax())
-        rays = rays.to(self.device)
-        point = rays.origins + samples.t[:, strongest, None] * rays.directions
-        features = self.ema_field.encode(self._unit(point))
-        _, geometry = self.ema_field.geometry(features)
-        resolutions = self.ema_field.levels.resolutions
-        levels = features[0].view(len(resolutions), -1).cpu().numpy()
-        vector, harmonics = geometry[0].cpu().numpy(), spherical_harmonics(rays.directions)[0].cpu().numpy()
-        peak = max(float(np.abs(vector).max()), float(np.abs(harmonics).max()))
-        return (
-            skipped,
-            Stage(
-                "Hash grid",
-                f"{len(levels)} grids, each finer than the one before, hold {levels.shape[1]} numbers per corner; the "
-                "finer ones share rows through a hash. Each level is blended within the heaviest sample's cell.",
-                (BarCode(tuple(f"{r}³" for r in resolutions), tuple(levels), float(np.abs(levels).max())),),
-            ),
-            Stage(
-                "Networks",
-                "A small network turns them into 16 numbers; the first is the logarithm of the density. A second "
-                "network turns these and the spherical harmonics of the direction into colour.",
-                (BarCode(("geometry", "Y(d)"), (vector, harmonics), peak),),
-            ),
-            field_stage(samples, "The same is done at every sample in an occupied cell."),
-            absorption_stage(samples),
-        )
+@torch.no_grad()
+def explain(model: HashModel, rays: Rays) -> tuple[Stage, ...]:
+    """Return the stages: skipped space, hash grid, networks, density and colour, compositing."""
+    samples = model.trace(rays).passes[0]
+    skipped = skipped_stage(samples, model.occupancy.cells, model.step_cells)
+    if samples.count is not None and not int(samples.count[0]):
+        return skipped, nothing_stage()
+    strongest = int(samples.weights[0].argmax())
+    rays = rays.to(model.device)
+    point = rays.origins + samples.t[:, strongest, None] * rays.directions
+    features = model.ema_field.encode(model.unit_points(point))
+    _, geometry = model.ema_field.geometry(features)
+    resolutions = model.ema_field.levels.resolutions
+    levels = features[0].view(len(resolutions), -1).cpu().numpy()
+    vector, harmonics = geometry[0].cpu().numpy(), spherical_harmonics(rays.directions)[0].cpu().numpy()
+    peak = max(float(np.abs(vector).max()), float(np.abs(harmonics).max()))
+    return (
+        skipped,
+        Stage(
+            "Hash grid",
+            f"{len(levels)} grids, each finer than the one before, hold {levels.shape[1]} numbers per corner; the "
+            "finer ones share rows through a hash. Each level is blended within the heaviest sample's cell.",
+            (BarCode(tuple(f"{r}³" for r in resolutions), tuple(levels), float(np.abs(levels).max())),),
+        ),
+        Stage(
+            "Networks",
+            "A small network turns them into 16 numbers; the first is the logarithm of the density. A second "
+            "network turns these and the spherical harmonics of the direction into colour.",
+            (BarCode(("geometry", "Y(d)"), (vector, harmonics), peak),),
+        ),
+        field_stage(samples, "The same is done at every sample in an occupied cell."),
+        absorption_stage(samples),
+    )

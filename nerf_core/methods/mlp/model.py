@@ -6,16 +6,14 @@ from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from typing import Any, NamedTuple, Self
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from nerf_core.geometry.rays import Rays, Samples
+from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Defaults
 from nerf_core.methods.adam_state import adam_state, load_adam
 from nerf_core.methods.mlp.field import MlpField
-from nerf_core.methods.stages import BarCode, Stage, triple
 
 
 class Parametrised(NamedTuple):
@@ -85,45 +83,18 @@ class MlpModel(Defaults):
     @torch.no_grad()
     def radiance(self, points: Tensor, directions: Tensor) -> Tensor:
         """Return colours (P, K, 3): the trunk is evaluated once per point, and the view branch for each direction."""
-        _, trunk = self.final.geometry(self._seen(points))
+        _, trunk = self.final.geometry(self.network_points(points))
         encoded = self.final.encode_directions(directions.to(self.device, torch.float32))
         return self.final.colors(trunk, encoded)
 
     @torch.no_grad()
     def density(self, points: Tensor) -> Tensor:
-        return torch.relu(self.final.geometry(self._seen(points))[0])
+        return torch.relu(self.final.geometry(self.network_points(points))[0])
 
-    def _seen(self, points: Tensor) -> Tensor:
+    def network_points(self, points: Tensor) -> Tensor:
         """Map world points (P, 3) to the networks' coordinates (P, 3)."""
         x = points.to(self.device, torch.float32)
         return x if self.ndc is None else self.ndc.point(x)
-
-    @torch.no_grad()
-    def code_stage(self, rays: Rays, samples: Samples) -> Stage:
-        """The encoding γ of the first ray's sample with the largest weight: the input of the network."""
-        strongest = int(samples.weights[0].argmax())
-        point = (rays.origins + samples.t[:1, strongest, None].to(rays.origins) * rays.directions).to(self.device)
-        x, field = self._seen(point), self.final
-        position = field.encode_positions(x)[0].float().cpu().numpy()
-        direction = self.parametrise(rays.to(self.device)).encoded[0].float().cpu().numpy()
-        codes = {"γ(x)": position, "γ(d)": direction} if self.config.view_directions else {"γ(x)": position}
-        what = "The network gets bare coordinates, without sines and cosines: near points look alike to it. "
-        if self.config.position_frequencies:
-            what = ("The network does not get bare coordinates: γ adds sines and cosines of doubling frequency, so "
-                    "that near points look different to it. ")  # fmt: skip
-        return Stage(
-            "Encoding",
-            what
-            + "Here the heaviest sample's place x"
-            + (", and the direction d." if self.config.view_directions else "; it gets no direction."),
-            (BarCode(tuple(codes), tuple(codes.values()), max(float(np.abs(code).max()) for code in codes.values())),),
-            (("x", triple(x[0].cpu().numpy())), ("numbers", " + ".join(str(len(code)) for code in codes.values()))),
-        )
-
-    @property
-    def towards(self) -> str:
-        """The words that say for whom the network's colours are."""
-        return "towards the camera" if self.config.view_directions else "to all sides"
 
     def frozen(self) -> Self:
         copy = object.__new__(type(self))

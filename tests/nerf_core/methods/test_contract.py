@@ -15,8 +15,8 @@ from nerf_core.geometry.cameras import camera_rays
 from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import METHODS, Dense, Explainable, Method, Radiant, Traceable
-from nerf_core.methods.guided import method as guided
-from nerf_core.methods.hash import method as hash_method
+from nerf_core.methods.guided import model as guided_model
+from nerf_core.methods.hash import model as hash_model
 from nerf_core.methods.stages import BarCode, Stems, Transfer
 from nerf_core.methods.voxels import model as voxel_model
 from nerf_core.training.settings import RunSettings
@@ -258,7 +258,7 @@ def test_a_pixel_does_not_depend_on_its_neighbours_in_either_precision(scene: Sc
 @pytest.mark.parametrize("name", METHODS.names())
 def test_an_abandoned_step_leaves_the_state_as_it_was(name: str, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """The step is abandoned in each call of the yield callback in turn."""
-    for module, piece in ((voxel_model, 30), (guided, 100), (hash_method, 2000)):
+    for module, piece in ((voxel_model, 30), (guided_model, 100), (hash_model, 2000)):
         monkeypatch.setattr(module, "PIECE", piece)
     monkeypatch.setattr(voxel_model, "BRICKS", 20)
     changes = SMALL.get(name, {}) | FEW_RAYS.get(name, {})

@@ -1,0 +1,38 @@
+"""What the methods with the paper's networks explain alike."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from nerf_core.geometry.rays import Rays, Samples
+from nerf_core.methods.mlp.model import MlpModel
+from nerf_core.methods.stages import BarCode, Stage, triple
+
+
+@torch.no_grad()
+def code_stage(model: MlpModel, rays: Rays, samples: Samples) -> Stage:
+    """Return the stage with the encoding γ of the first ray's heaviest sample, which is the input of the network."""
+    strongest = int(samples.weights[0].argmax())
+    point = (rays.origins + samples.t[:1, strongest, None].to(rays.origins) * rays.directions).to(model.device)
+    x, field = model.network_points(point), model.final
+    position = field.encode_positions(x)[0].float().cpu().numpy()
+    direction = model.parametrise(rays.to(model.device)).encoded[0].float().cpu().numpy()
+    codes = {"γ(x)": position, "γ(d)": direction} if model.config.view_directions else {"γ(x)": position}
+    what = "The network gets bare coordinates, without sines and cosines: near points look alike to it. "
+    if model.config.position_frequencies:
+        what = ("The network does not get bare coordinates: γ adds sines and cosines of doubling frequency, so "
+                "that near points look different to it. ")  # fmt: skip
+    return Stage(
+        "Encoding",
+        what
+        + "Here the heaviest sample's place x"
+        + (", and the direction d." if model.config.view_directions else "; it gets no direction."),
+        (BarCode(tuple(codes), tuple(codes.values()), max(float(np.abs(code).max()) for code in codes.values())),),
+        (("x", triple(x[0].cpu().numpy())), ("numbers", " + ".join(str(len(code)) for code in codes.values()))),
+    )
+
+
+def towards(model: MlpModel) -> str:
+    """Return the words that say for whom the network's colours are."""
+    return "towards the camera" if model.config.view_directions else "to all sides"
