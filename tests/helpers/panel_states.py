@@ -231,7 +231,7 @@ def states() -> dict[str, AppState]:
         found[f"export {kind}"] = make_state(replace(full, export=export))
     failed = found["failed"]
     failed.notices += [
-        ShownNotice(Notice("info", "saved run/last.safetensors", Path("run/last.safetensors")), 99),
+        ShownNotice(Notice("info", "saved step 12,400 to run/last.safetensors", Path("run/last.safetensors")), 99),
         ShownNotice(Notice("warning", "the loss is not a number: went back to step 12,000"), 40),
         ShownNotice(Notice("error", "out of memory", detail="Traceback …\n  line 1"), 0),
     ]

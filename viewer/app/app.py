@@ -225,7 +225,7 @@ class App:
             except UserError as error:
                 self._actions.tell(Notice("error", str(error)))
             else:
-                self._actions.tell(Notice("info", f"saved {path}", path))
+                self._actions.tell(Notice("info", f"saved a screenshot to {path}", path))
 
     def _wishes(self) -> None:
         """Do what commands and panels ask of the window itself."""

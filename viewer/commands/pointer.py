@@ -35,7 +35,7 @@ GESTURES = (
     Gesture("Camera", "Fly", "W A S D"),
     Gesture("Camera", "Fly down, up", "Q, E"),
     Gesture("Camera", "Fly faster", "Shift"),
-    Gesture("Ray", "Inspect a ray", "click"),
+    Gesture("Ray", "Open a ray", "click"),
     Gesture("Ray", "Pin a ray", "Ctrl+click"),
     Gesture("Ray", "Move the radiance point", "drag its line in the ray panel"),
     Gesture("Plots", "Fit", "double click"),
@@ -128,7 +128,7 @@ class ViewportInput:
 
 
 def point_under(state: AppState, x: int, y: int) -> np.ndarray | None:
-    """Return the world point (3,) at pixel (x, y) of the viewport, from the picture's depth or the inspected ray."""
+    """Return the world point (3,) at pixel (x, y) of the viewport, from the picture's depth or the opened ray."""
     camera = state.camera.camera(*state.viewport)
     preview = state.snapshot.preview
     if preview is not None and same_view(preview.camera, camera):

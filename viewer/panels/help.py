@@ -25,7 +25,7 @@ FLAGS = (
 
 @PANELS.register("help")
 class HelpOverlay:
-    title = "Keys"
+    title = "Help"
     dock: Literal["overlay"] = "overlay"
     order = 1
 
@@ -35,7 +35,7 @@ class HelpOverlay:
         screen = imgui.get_main_viewport()
         imgui.set_next_window_pos(screen.get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
         imgui.set_next_window_size_constraints(ImVec2(0, 0), ImVec2(0.95 * screen.size.x, 0.95 * screen.size.y))
-        imgui.begin("Keys##help", None, FLAGS)
+        imgui.begin("Help##help", None, FLAGS)
         keep_in_front()
         sections = overview()
         columns = _columns(sections) if screen.size.x > WIDE_EM * ui.em else (sections,)

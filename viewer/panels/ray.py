@@ -56,10 +56,14 @@ class RayPanel:
         imgui.end_child()
         if beside:
             imgui.same_line(0, ui.em)
-            imgui.begin_child("figures")
+            imgui.begin_group()
+            imgui.begin_child("figures", ImVec2(0, -imgui.get_frame_height_with_spacing()))
         self._draw_figures(ui, state, ray)
         if beside:
             imgui.end_child()
+        self._draw_log_choice(ui)  # below the figures, which scroll under a long verdict
+        if beside:
+            imgui.end_group()
         if self.plots.hovered is not None:
             steps, index = self.plots.hovered
             state.pointed_at = SampleRef(next(k for k, p in enumerate(ray.passes) if p is steps.probe), index)
@@ -132,9 +136,11 @@ class RayPanel:
         ]
         for label, name, glyph in DEPTHS:
             rows.append((label, number(getattr(ray, name), 5), partial(_glyph, ui, glyph)))
-        rows.append(("samples", " + ".join(f"{len(p.t):,}" for p in ray.passes)))
-        rows.append(("at step", f"{ray.step:,}"))
+        counts = " + ".join(f"{len(p.t):,}" for p in ray.passes)
+        rows.append(("samples", f"{counts} at step {ray.step:,}"))
         figures(ui, "ray figures", rows)
+
+    def _draw_log_choice(self, ui: Ui) -> None:
         imgui.align_text_to_frame_padding()
         imgui.text_colored(ui.theme.muted, "log σ")
         for choice, tip in LOG_CHOICES:

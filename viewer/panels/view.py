@@ -10,15 +10,14 @@ from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.rendering.modes import COLOR, MODES, mode_names
 
-from ..commands.registry import run, with_keys
+from ..commands.registry import COMMANDS, run, with_keys
 from ..draw.viewport import same_view
 from ..model.state import Action, AppState, FocusOn
 from ..ui.contract import PANELS, Ui
 from ..ui.text import number, vector
 from ..ui.widgets import Row, button, field_width, figures, hint, same_line_if_fits
 
-FRAME, HOME = f"{icons.ICON_FA_EXPAND}  Frame", f"{icons.ICON_FA_HOUSE}  Home"
-FOCUS, HELP = f"{icons.ICON_FA_CROSSHAIRS}  Focus", f"{icons.ICON_FA_KEYBOARD}  Keys"
+FRAME, FOCUS = f"{icons.ICON_FA_EXPAND}  Frame", f"{icons.ICON_FA_CROSSHAIRS}  Focus"
 
 
 @PANELS.register("view")
@@ -42,23 +41,31 @@ class ViewPanel:
         opened = state.snapshot.scene is not None
         if button(ui, FRAME, "view.frame", enabled=opened, tip=with_keys("see the whole scene", "camera.frame")):
             yield from run("camera.frame", state)
-        same_line_if_fits(HOME)
+        reset = _titled(icons.ICON_FA_HOUSE, "camera.reset")
+        same_line_if_fits(reset)
         tip = with_keys("back to where the scene was first seen from", "camera.reset")
-        if button(ui, HOME, "view.reset", enabled=opened, tip=tip):
+        if button(ui, reset, "view.reset", enabled=opened, tip=tip):
             yield from run("camera.reset", state)
         same_line_if_fits(FOCUS)
-        tip = "orbit the inspected point; in the viewport: double click"
+        tip = "orbit the point of the opened ray; in the viewport: double click"
         if button(ui, FOCUS, "view.focus", enabled=radiance is not None, tip=tip) and radiance is not None:
             yield FocusOn(radiance.point)
         _modes(ui, state)
-        _, state.show_samples = imgui.checkbox("Opened rays", state.show_samples)
+        rays, cameras = COMMANDS.get("show.ray").title, COMMANDS.get("show.cameras").title
+        _, state.show_samples = imgui.checkbox(rays, state.show_samples)
         ui.mark("view.samples")
-        same_line_if_fits("     Cameras")
-        _, state.show_cameras = imgui.checkbox("Cameras", state.show_cameras)
+        same_line_if_fits(f"     {cameras}")
+        _, state.show_cameras = imgui.checkbox(cameras, state.show_cameras)
         ui.mark("view.cameras")
-        same_line_if_fits(HELP)
-        if button(ui, HELP, "view.help", tip=with_keys("what mouse and keys do", "show.help")):
+        help_ = _titled(icons.ICON_FA_KEYBOARD, "show.help")
+        same_line_if_fits(help_)
+        if button(ui, help_, "view.help", tip=with_keys("what mouse and keys do", "show.help")):
             yield from run("show.help", state)
+
+
+def _titled(icon: str, command: str) -> str:
+    """A button's label: an icon, and the name that the menus and the palette have for this command."""
+    return f"{icon}  {COMMANDS.get(command).title}"
 
 
 def _modes(ui: Ui, state: AppState) -> None:

@@ -46,16 +46,8 @@ class DarkTheme:
     density = _rgb("2fb890")  # Okabe and Ito's green, lightened to read on a dark surface
     transmittance = PURPLE
     ray = YELLOW
-    pins = (
-        ORANGE,
-        SKY,
-        GREEN,
-        YELLOW,
-        BLUE,
-        VERMILION,
-        PURPLE,
-        _rgb("b0b4ba"),
-    )  # grey instead of their black, because the background is dark
+    # Their blue, lightened to read on a dark surface and under dark text; grey instead of their black.
+    pins = (ORANGE, SKY, GREEN, YELLOW, _rgb("5f7dff"), VERMILION, PURPLE, _rgb("b0b4ba"))
     alpha = VERMILION
     point = _rgb("ffffff")
 

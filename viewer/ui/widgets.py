@@ -191,12 +191,16 @@ LEVELS = {
 
 
 def notice_text(ui: Ui, notice: Notice) -> None:
-    """Draw the level's sign and the text, which wraps. A path at its end is left out, because it has its own line."""
+    """Draw the level's sign and the text, which wraps. A path at its end is left out, because it has its own line.
+
+    "saved step 5 to run.safetensors" becomes "saved step 5:", with the path below.
+    """
     color = {"info": ui.theme.good, "warning": ui.theme.warning, "error": ui.theme.error}[notice.level]
     imgui.text_colored(color, LEVELS[notice.level])
     imgui.same_line()
     imgui.push_text_wrap_pos(0.0)
-    imgui.text_unformatted(notice.text if notice.path is None else notice.text.removesuffix(f" {notice.path}"))
+    before = notice.text.removesuffix(f" {notice.path}")
+    imgui.text_unformatted(notice.text if before == notice.text else f"{before.removesuffix(' to')}:")
     imgui.pop_text_wrap_pos()
 
 

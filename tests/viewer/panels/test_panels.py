@@ -52,6 +52,7 @@ from nerf_core.methods.nerf.config import NerfConfig
 from nerf_core.probe import RayHistory, TrainingViews
 from nerf_core.rendering.export.models import EXPORTS
 from nerf_core.training.settings import RunSettings
+from viewer.commands.registry import COMMANDS
 from viewer.model.state import (
     Action,
     AppState,
@@ -564,6 +565,7 @@ def test_pins_are_opened_hidden_removed_and_written(screen: Screen) -> None:
     assert screen.click(panel, state, "rays.hide 2") == [EditPin(2, hidden=False)]
     assert screen.click(panel, state, "rays.hide 1") == [EditPin(1, hidden=True)]
     assert screen.click(panel, state, "rays.write") == [ExportRays(Path("rays.json"))]
+    assert screen.widgets["rays.name 2"][1] < screen.widgets["rays.name 1"][1]  # the newest is at the top
     state.snapshot = replace(state.snapshot, pins=())
     assert state.inspect is not None
     assert screen.click(panel, state, "rays.pin") == [PinRay.of(state.inspect)]
@@ -973,6 +975,18 @@ def test_the_history_tooltip_describes_the_hovered_record(screen: Screen, monkey
         assert shown_texts[-1].startswith(expected)
 
 
+def test_the_view_panel_uses_the_names_of_the_commands(screen: Screen, monkeypatch: pytest.MonkeyPatch) -> None:
+    labels: list[str] = []
+    for function in ("button", "checkbox"):
+        draw = getattr(imgui, function)
+        monkeypatch.setattr(
+            imgui, function, lambda label, *rest, draw=draw: (labels.append(label), draw(label, *rest))[1]
+        )
+    screen.frame(PANELS.get("view")(), make_state(make_snapshot()))
+    for command in ("camera.reset", "show.ray", "show.cameras", "show.help"):
+        assert sum(COMMANDS.get(command).title in label for label in labels) == 1
+
+
 # ---- notices ----------------------------------------------------------------------------------------------------
 
 
@@ -994,7 +1008,7 @@ def test_a_path_is_shown_once(screen: Screen, name: str, monkeypatch: pytest.Mon
     for function in ("text_unformatted", "text_wrapped"):
         monkeypatch.setattr(imgui, function, shown_texts.append)
     screen.frame(PANELS.get(name)(), states()["failed"])
-    assert shown_texts.count("saved") == 1
+    assert shown_texts.count("saved step 12,400:") == 1
     assert sum("run/last.safetensors" in text for text in shown_texts) == 1
     assert "out of memory" in shown_texts
 

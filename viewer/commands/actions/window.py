@@ -6,13 +6,13 @@ from ...model.state import Action, AppState
 from ..registry import command
 
 
-@command("show.cameras", "Training cameras", "Show or hide", 1, menu="View", checked=lambda s: s.show_cameras)
+@command("show.cameras", "Cameras", "Show or hide", 1, menu="View", checked=lambda s: s.show_cameras)
 def cameras(state: AppState) -> list[Action]:
     state.show_cameras = not state.show_cameras
     return []
 
 
-@command("show.ray", "Inspected ray", "Show or hide", 2, menu="View", checked=lambda s: s.show_samples)
+@command("show.ray", "Opened rays", "Show or hide", 2, menu="View", checked=lambda s: s.show_samples)
 def ray(state: AppState) -> list[Action]:
     state.show_samples = not state.show_samples
     return []
