@@ -57,10 +57,6 @@ class RayPlots:
         self._fresh_density = True
         self._dragged: float | None = None
 
-    @property
-    def t_limits(self) -> tuple[float, float]:
-        return self._t_min.value, self._t_max.value
-
     def open(self, ray: RayProbe, passes: tuple[Steps, ...]) -> None:
         """Choose limits and scale for a newly opened ray."""
         span = max(ray.far - ray.near, 1e-6)  # a ray without length still needs an axis

@@ -86,9 +86,6 @@ class EglWindow:
         self._came = self._closing = True
         self.wake()
 
-    def set_title(self, title: str) -> None:
-        pass  # nothing shows it
-
     def set_cursor(self, cursor: int) -> None:
         pass  # nothing shows it
 

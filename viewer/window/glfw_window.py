@@ -196,9 +196,6 @@ class GlfwWindow:
         glfw.set_window_should_close(self._handle, True)
         self.wake()
 
-    def set_title(self, title: str) -> None:
-        glfw.set_window_title(self._handle, title)
-
     def set_cursor(self, cursor: int) -> None:
         shape = CURSORS.get(cursor, CURSORS[imgui.MouseCursor_.arrow])
         if shape not in self._cursors:

@@ -50,10 +50,6 @@ class HashConfig:
                 f"{self.levels * self.features << self.log2_rows:,} numbers; at most {MOST_FEATURES:,}"
             )
 
-    @property
-    def rays(self) -> int:
-        return self.most_rays
-
     @staticmethod
     def configure(scene: Scene, preset: str, changes: Mapping[str, str], device: torch.device) -> HashConfig:
         """Return the paper's constants on CUDA; on a CPU, fewer levels, a smaller table and smaller batches."""

@@ -509,7 +509,7 @@ def test_axes_stay_while_the_same_ray_is_trained_on(screen: Screen) -> None:
         state.snapshot = replace(state.snapshot, opened=opened, step=ray.step)
         for _ in range(2):
             screen.frame(panel, state)
-        low, high = panel.plots.t_limits
+        low, high = panel.plots._t_min.value, panel.plots._t_max.value
         assert (low < 1.5) == changes
         assert (high > 6.5) == changes
 

@@ -84,11 +84,10 @@ def test_the_clipboard_keeps_text(window: Window) -> None:
     assert window.clipboard() == "σ = 1.5 → 日本"
 
 
-def test_scale_title_and_cursor(window: Window) -> None:
+def test_scale_and_cursor(window: Window) -> None:
     from imgui_bundle import imgui
 
     assert window.scale() >= 1
-    window.set_title("step 12,400")
     for cursor in imgui.MouseCursor_:
         window.set_cursor(cursor)
 
