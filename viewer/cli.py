@@ -21,6 +21,13 @@ from nerf_core.training.settings import RunSettings
 WORKER_THREAD = "nerf-worker"  # as in `nerf_core.live.worker`, whose import would delay --help by a second
 
 
+def _modes(default: str) -> str:
+    """The hint after the help of --mode. The modes are imported when it is made, so that only --help waits for them."""
+    from nerf_core.rendering.modes import mode_names
+
+    return f"(default: {default}; one of {', '.join(mode_names())})"
+
+
 @dataclass(frozen=True)
 class ViewerOptions:
     """Watch a neural radiance field learn, fly through it, and open any pixel.
@@ -47,8 +54,8 @@ class ViewerOptions:
     camera: str = ""
     """Look from where this photo was taken (its name, as test/r_3.png, or its end), or from the camera in a .json file,
     as an opened ray's has."""
-    mode: str = "colour"
-    """What the picture shows of each pixel: colour, or view-dependence."""
+    mode: Annotated[str, tyro.conf.arg(metavar="NAME", help_behavior_hint=_modes)] = "colour"
+    """What the picture shows of each pixel."""
     screenshot: Path | None = None
     """Write the whole interface as a PNG."""
     render: Path | None = None

@@ -20,7 +20,7 @@ class TrainOptions:
     """Dataset, method and training."""
 
     format: str = "auto"
-    """What the data is: blender, transforms, llff, colmap or demo; auto recognises it by content."""
+    """The dataset format; auto recognises it by content. A wrong name is answered with the list of formats."""
     downscale: int = 1
     """Average photos over blocks of so many pixels a side."""
     max_size: int = 0

@@ -13,15 +13,8 @@ from functools import lru_cache
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[2]
-# Every file with compiled loops, relative to the package. A test compares this list with the files that use @jit.
-SOURCES = (
-    "common/jit/vectors.py",
-    "geometry/lens.py",
-    "geometry/numba_rays.py",
-    "kernels/numba_march.py",
-    "kernels/numba_packed.py",
-    "kernels/numba_voxels.py",
-)
+IMPORTS_JIT = b"common.jit.vectors import"  # in every file that compiles loops
+ALSO_COMPILED = ("common/jit/vectors.py", "geometry/lens.py")  # by such a file, or themselves
 KEPT_SECONDS = 30 * 24 * 3600.0  # since a version last used its loops
 
 
@@ -33,6 +26,12 @@ def numba_obstacle() -> str:
     except ImportError as error:
         return f"numba cannot be imported ({error})"
     return ""
+
+
+def sources() -> list[Path]:
+    """Return every file with compiled loops."""
+    importing = [file for file in PACKAGE.rglob("*.py") if IMPORTS_JIT in file.read_bytes()]
+    return sorted({*importing, *(PACKAGE / name for name in ALSO_COMPILED)})
 
 
 @lru_cache
@@ -48,8 +47,8 @@ def _own_folder() -> Path:
     when a file changes whose functions it inlines.
     """
     digest = hashlib.sha256()
-    for file in SOURCES:
-        digest.update((PACKAGE / file).read_bytes())
+    for file in sources():
+        digest.update(file.read_bytes())
     name = f"numba-{digest.hexdigest()[:12]}"
     try:
         import platformdirs

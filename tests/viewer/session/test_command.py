@@ -29,6 +29,7 @@ from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.cameras import camera_rays
 from nerf_core.live.messages import MOST_PINS
 from nerf_core.rendering.images import to_bytes
+from nerf_core.rendering.modes import COLOR, mode_names
 from viewer.cli import main
 from viewer.session.script import Script
 from viewer.session.session import autosave_path
@@ -78,6 +79,13 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert done.returncode == 0, done.stderr
     assert "Traceback" not in done.stderr
     return out
+
+
+def test_help_lists_the_render_modes() -> None:
+    with redirect_stdout(io.StringIO()) as out, pytest.raises(SystemExit):
+        main(["--help"])
+    shown = " ".join(out.getvalue().replace("│", " ").split())
+    assert f"(default: {COLOR}; one of {', '.join(mode_names())})" in shown
 
 
 def test_everything_asked_for_is_written(written: Path) -> None:
