@@ -1,4 +1,4 @@
-"""Which pixels a training step sees."""
+"""Draw the pixels of a training step."""
 
 from __future__ import annotations
 
@@ -20,7 +20,13 @@ from nerf_core.methods import Draw
 
 
 class _Level:
-    """The training photos at one size."""
+    """The training photos at one size.
+
+    cameras: N cameras.
+    sizes: (N, 2) int64, width and height.
+    offsets: (N + 1,) int64; photo i has the pixels offsets[i] … offsets[i + 1] − 1, counted over all photos.
+    pixels, starts: see `Photos.flat` and `Photos.starts`.
+    """
 
     def __init__(self, photos: Photos, cameras: list[Camera], scene: Scene) -> None:
         self.cameras = Cameras(cameras, scene.near, scene.far)
@@ -31,14 +37,24 @@ class _Level:
 
 
 class PixelSampler:
-    """Random rays of the training photos with their colours; draws from a generator of its own.
+    """Draws random pixels of the training photos, as rays with their colours. It has a generator of its own.
 
-    Pixels are drawn with replacement (the official code draws without; a batch that repeats one of its 1,024 among
-    640,000 pixels is rare). Photos may differ in size: a photo is drawn in proportion to its pixels.
-    train_images: only so many photos, evenly spread (0: all).
+    Pixels are drawn with replacement. NeRF's official code draws without, but among 640,000 pixels a batch of 1,024
+    rarely repeats one. Photos may differ in size: a photo is drawn in proportion to its number of pixels.
     """
 
     def __init__(self, scene: Scene, train_images: int, device: torch.device, seed: int) -> None:
+        """Choose the photos.
+
+        Args:
+            scene: the scene; its split "train" is used.
+            train_images: how many of these photos, evenly spread; 0: all.
+            device: where the rays and colours go.
+            seed: of the generator.
+
+        Raises:
+            UserError: the scene has no training photos.
+        """
         views = list(scene.split("train"))
         if not views:
             raise UserError(f"{scene.name}: no training photos: every photo is held out")
@@ -50,7 +66,14 @@ class PixelSampler:
         self._photos: dict[int, _Level] = {}
 
     def draw(self, wanted: Draw) -> tuple[Rays, Tensor]:
-        """Rays and their true colours (R, 3) float32."""
+        """Draw the pixels of one training step.
+
+        Args:
+            wanted: how many, and from which part of the photos.
+
+        Returns:
+            R rays, and the photos' colours (R, 3) float32 in [0, 1], sRGB-encoded.
+        """
         count, photos = wanted.rays, self._at(wanted.shrink)
         if wanted.one_image:
             index = self._integers(len(photos.sizes), 1).expand(count)
@@ -61,15 +84,15 @@ class PixelSampler:
         if wanted.crop < 1:
             window = (size * wanted.crop).long().clamp(min=1)
         where = torch.rand(count, 2, generator=self.generator, dtype=torch.float64)
-        # a product of a float below 1 and an integer can still round up to the integer
+        # the minimum, because a product of a float below 1 and an integer can round up to the integer
         pixel = (size - window) // 2 + torch.minimum((where * window).long(), window - 1)
         colors = photo_colors(index, pixel, photos.sizes[:, 0], photos.starts, photos.pixels)
         return photos.cameras.rays(index, pixel + 0.5).to(self.device), colors.to(self.device)
 
     def _at(self, shrink: int) -> _Level:
-        """The photos at 1/shrink of their size. Those of one size are kept; a later level has no use for an earlier."""
+        """Return the photos at 1/shrink of their size. Only the last size is kept: schedules do not go back to one."""
         if shrink not in self._photos:
-            self._photos = {}  # its memory first
+            self._photos = {}  # frees the memory first
             photos = self.scene.photos.at(self.views)
             cameras = [self.scene.views[i].camera for i in self.views]
             if shrink > 1:
@@ -82,16 +105,19 @@ class PixelSampler:
         return torch.randint(below, (count,), generator=self.generator)
 
     def state(self) -> dict[str, Tensor]:
+        """Return the state of the generator by name, for a checkpoint."""
         return {"generator": self.generator.get_state()}
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
+        """Continue from `state`. Raises KeyError, RuntimeError or TypeError if it is not a generator's state."""
         self.generator.set_state(state["generator"])
 
 
 def shrunk_camera(camera: Camera, factor: int) -> Camera:
-    """Of a photo averaged over blocks of factor × factor pixels; what is left over at the far edges is dropped.
+    """Return the camera of a photo that is averaged over blocks of factor × factor pixels.
 
-    A photo with less than one block a side is averaged less.
+    Pixels at the right and lower edges that fill no block are dropped. A photo smaller than `factor` on a side is
+    averaged over smaller blocks.
     """
     factor = min(factor, camera.width, camera.height)
     width, height = camera.width // factor, camera.height // factor
@@ -99,7 +125,13 @@ def shrunk_camera(camera: Camera, factor: int) -> Camera:
 
 
 def shrunk(photos: Photos, sizes: Sequence[tuple[int, int]], factor: int) -> Photos:
-    """Photos averaged over blocks of factor × factor pixels to `sizes` (width, height), as `shrunk_camera` has them."""
+    """Average photos over blocks of factor × factor pixels.
+
+    Args:
+        photos: N photos.
+        sizes: their new sizes (width, height), those of `shrunk_camera`.
+        factor: the side of a block, in pixels.
+    """
     small = Photos.empty(sizes)
     for image, room in zip(photos.images, small.images, strict=True):
         height, width = room.shape[:2]

@@ -1,4 +1,7 @@
-"""A run on disk: one safetensors file with JSON inside, written whole or not at all, nothing in it can execute."""
+"""Checkpoints: one safetensors file with a JSON description inside.
+
+A file is written completely or not at all, and nothing in it can be executed.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ from nerf_core.common.files import write_atomically
 
 VERSION = 1
 SUFFIX = ".safetensors"
-# The description's fields, their types, and for numbers the largest (the least is 0).
+# The fields of the description with their types and, for numbers, the largest value; the smallest is 0.
 REQUIRED: dict[str, tuple[type, float]] = {
     "method": (str, 0), "config": (dict, 0), "steps": (int, 2**53), "seed": (int, 2**63 - 1), "threads": (int, 1024),
     "step": (int, 2**53), "seconds": (float, 1e12), "scene": (str, 0), "scene_name": (str, 0),
@@ -25,7 +28,16 @@ REQUIRED: dict[str, tuple[type, float]] = {
 
 
 def save(path: Path, description: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
-    """Write `Trainer.describe()` and `.state()` to `path`, atomically. Raises UserError; the old file then stands."""
+    """Write a checkpoint, atomically.
+
+    Args:
+        path: the file.
+        description: JSON values, those of `Trainer.describe()`.
+        tensors: by name, those of `Trainer.state()`.
+
+    Raises:
+        UserError: the file cannot be written; an old file of this name stays as it was.
+    """
     from safetensors.torch import save as serialise
 
     arrays = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
@@ -35,7 +47,17 @@ def save(path: Path, description: Mapping[str, Any], tensors: Mapping[str, Tenso
 
 
 def load(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
-    """The description and tensors of a checkpoint. Raises UserError: missing, foreign, damaged, newer."""
+    """Read a checkpoint.
+
+    Args:
+        path: the file.
+
+    Returns:
+        The description and the tensors that `save` wrote.
+
+    Raises:
+        UserError: the file is missing, is no checkpoint, is damaged, or was written by a newer version.
+    """
     metadata, arrays = _read(path, tensors=True)
     if metadata["sha256"] != _digest(metadata["version"], metadata["nerf"], arrays):
         raise UserError(f"{path}: damaged: its checksum does not match; use an earlier checkpoint")
@@ -43,7 +65,7 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
 
 
 def describe(path: Path) -> dict[str, Any]:
-    """The description alone, which is quickly read. Raises UserError as `load` does, for all but damaged tensors."""
+    """Read the description alone, which is fast. Raises UserError as `load` does, except for damaged tensors."""
     return _described(path, _read(path, tensors=False)[0]["nerf"])
 
 
@@ -86,7 +108,10 @@ def _described(path: Path, text: str) -> dict[str, Any]:
 
 
 def _digest(version: str, text: str, arrays: Mapping[str, Tensor]) -> str:
-    """SHA-256 over version, JSON and every tensor's name, type, shape and bytes: safetensors itself has no checksum."""
+    """Return the SHA-256 of version, JSON and every tensor's name, type, shape and bytes.
+
+    It is needed because safetensors itself has no checksum.
+    """
     digest = hashlib.sha256(f"{version} {text}".encode())
     for name in sorted(arrays):
         value = arrays[name]
@@ -97,7 +122,17 @@ def _digest(version: str, text: str, arrays: Mapping[str, Tensor]) -> str:
 
 
 def newest(folder: Path) -> tuple[Path, dict[str, Any], dict[str, Tensor], tuple[str, ...]]:
-    """The newest intact checkpoint of a run folder: its path, contents, and what was said of damaged newer ones."""
+    """Read the newest intact checkpoint of a run folder.
+
+    Args:
+        folder: the run folder.
+
+    Returns:
+        Its path, description and tensors, and the errors of newer checkpoints that cannot be read.
+
+    Raises:
+        UserError: the folder has no checkpoint that can be read.
+    """
     rejected: list[str] = []
     for path in reversed(checkpoints(folder)):
         try:
@@ -110,21 +145,25 @@ def newest(folder: Path) -> tuple[Path, dict[str, Any], dict[str, Tensor], tuple
 
 
 def step_path(folder: Path, step: int) -> Path:
+    """Return the file of the checkpoint of a step in a run folder."""
     return folder / "checkpoints" / f"step_{step:08d}{SUFFIX}"
 
 
 def step_of(path: Path) -> int:
-    """The step in the name of a checkpoint; -1 if the name is another than `step_path` gives."""
+    """Return the step in the name of a checkpoint; −1 if the name is not one of `step_path`."""
     digits = path.stem.removeprefix("step_")
     return int(digits) if digits.isdecimal() else -1
 
 
 def checkpoints(folder: Path) -> list[Path]:
-    """The checkpoints of a run folder, oldest first."""
+    """Return the checkpoints of a run folder, oldest first."""
     return sorted(folder.glob(f"checkpoints/*{SUFFIX}"), key=lambda path: (step_of(path), path.name))
 
 
 def keep_newest(folder: Path, count: int = 2) -> None:
-    """Delete all but the newest `count` checkpoints of a run folder: one intact predecessor is enough."""
+    """Delete all but the newest `count` checkpoints of a run folder.
+
+    Two are kept by default: if the newest is damaged, its predecessor is used.
+    """
     for path in checkpoints(folder)[:-count]:
         path.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""How close a trained model comes to photos that it has not seen."""
+"""Measure how close a trained model comes to photos that it was not trained on."""
 
 from __future__ import annotations
 
@@ -16,13 +16,18 @@ from nerf_core.rendering.video import write_png
 from nerf_core.training.metrics import Lpips, psnr, ssim
 from nerf_core.training.trainer import Trainer
 
-EVERY = 8  # a capture without held-out photos is measured on every 8th of those it was trained on
-PERFECT_PSNR = 100.0  # dB of an identical picture: JSON has no infinity
+EVERY = 8  # a capture without held-out photos is measured on every 8th training photo
+PERFECT_PSNR = 100.0  # dB: stands for an identical picture, because JSON has no infinity
 
 
 @dataclass(frozen=True)
 class Selection:
-    """Photos to compare with, as indices into `Scene.views`. subset: how they were chosen, if not the whole split."""
+    """The photos to compare with.
+
+    split: the split that they belong to.
+    views: indices into `Scene.views`.
+    subset: how they were chosen, in words; None if they are the whole split.
+    """
 
     split: str
     views: tuple[int, ...]
@@ -30,9 +35,15 @@ class Selection:
 
 
 def select(scene: Scene, split: str | None = None, count: int | None = None) -> Selection:
-    """The photos of `split` (None: test, else val, else every 8th of train), at most `count` evenly spread ones.
+    """Choose the photos to compare with.
 
-    Raises UserError for a split that the capture has not.
+    Args:
+        scene: the scene.
+        split: "train", "val" or "test"; None takes test, else val, else every 8th photo of train.
+        count: at most so many of them, evenly spread; None takes all.
+
+    Raises:
+        UserError: the capture does not have the split, or `count` is under 1.
     """
     name, views = (split, scene.split(split)) if split else scene.held_out()
     notes = []
@@ -60,12 +71,24 @@ def evaluate(
     pictures: Path | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> dict[str, Any]:
-    """Render the selected views and compare: what `nerf-core eval` writes to metrics.json, finite JSON values only.
+    """Render the selected views and compare them with their photos.
 
-    Metrics are taken on float colours in [0, 1] and averaged over the images; lpips is null without weights.
-    pictures: a folder for each rendering, left, beside the photo, right. progress: called after every tile with
-    the number of finished images and the fraction of all work; it may raise to cancel.
-    Raises UserError: images too small for a metric, an unwritable folder.
+    Metrics are computed from float colours in [0, 1] and averaged over the images.
+
+    Args:
+        trainer: the trained model with its scene.
+        selection: the photos.
+        lpips: computes LPIPS; without it, "lpips" is null.
+        pictures: a folder for pictures that show the rendering at the left and the photo at the right.
+        progress: called after every tile with the number of finished images and the fraction of all work; it may raise
+            to cancel.
+
+    Returns:
+        What `nerf-core eval` writes to metrics.json, as finite JSON values: "mean" and "images" with psnr (dB), ssim
+        and lpips, and "split", "method", "step", "seconds" and "subset".
+
+    Raises:
+        UserError: the images are too small for a metric, or the folder cannot be written.
     """
     images: list[dict[str, Any]] = []
     count = len(selection.views)
@@ -100,7 +123,7 @@ def evaluate(
 
 
 def picture_path(folder: Path, name: str) -> Path:
-    """Where the picture of the view `name` lies: its own name, with .png appended to other kinds of photo."""
+    """Return the file of a view's picture: the view's name, with ".png" appended if it has another suffix."""
     return folder / (name if name.lower().endswith(".png") else f"{name}.png")
 
 

@@ -1,4 +1,4 @@
-"""Training a run folder to its goal: steps, log lines, checkpoints, and a way out that loses nothing."""
+"""Train a run folder to its goal: steps, log lines, checkpoints, and a stop that loses nothing."""
 
 from __future__ import annotations
 
@@ -15,25 +15,38 @@ from nerf_core.training.last_good import LastGood
 from nerf_core.training.run_folder import RunFolder
 from nerf_core.training.trainer import Diverged, Report, Trainer, psnr_of
 
-LOG_SECONDS = 1.0
-SHOW_SECONDS = 0.1
-MEMORY = 0.98  # the share of the average that a step leaves: figures on show are means over some 50 steps
+LOG_SECONDS = 1.0  # between two lines of the log
+SHOW_SECONDS = 0.1  # between two calls of `show`
+MEMORY = 0.98  # decay of the EMA of what is shown, per step: it averages some 50 steps
 
 
 @dataclass(frozen=True)
 class Goal:
-    """Until step `steps` or `seconds` of training, whichever comes first; both counted from the run's beginning."""
+    """When training ends: at a step or after a time, whichever comes first. Both count from the run's beginning.
+
+    steps: the step.
+    seconds: seconds of training steps alone.
+    """
 
     steps: int
     seconds: float = math.inf
 
     def reached(self, trainer: Trainer) -> bool:
+        """Return whether the trainer is at the goal."""
         return trainer.step_count >= self.steps or trainer.seconds >= self.seconds
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Training so far: psnr in dB of the last batches' mean loss, seconds of training alone, fraction of the goal."""
+    """The progress of training.
+
+    step: the number of steps done.
+    psnr: in dB, of the mean loss of the last some 50 batches.
+    rays_per_second: over the same steps.
+    seconds: seconds of training steps alone, since the run's beginning.
+    seconds_left: an estimate of the seconds to the goal.
+    fraction: the share of the goal that is done, in [0, 1].
+    """
 
     step: int
     psnr: float
@@ -44,7 +57,7 @@ class Progress:
 
 
 class _StoppedError(Exception):
-    """Somebody asked to stop between two gradient chunks."""
+    """`stop` returned True between two gradient chunks."""
 
 
 def train_run(
@@ -57,13 +70,27 @@ def train_run(
     show: Callable[[Progress], None] = lambda progress: None,
     warn: Callable[[str], None] = lambda text: None,
 ) -> bool:
-    """Train and save into a claimed `run`; whether the goal was reached, or else `stop()` was true.
+    """Train to a goal, and write checkpoints and log lines into a run folder.
 
-    save_every: seconds of training between checkpoints; one is written at the end in any case. `stop` is asked
-    between gradient chunks; the step under way is then given up and the run saved as it was before it. A periodic
-    checkpoint or log line that cannot be written is told to `warn`, and training goes on.
-    Raises Diverged or whatever else broke a step, after saving the last good state; `trainer` is then of no use.
-    Raises UserError when the last checkpoint cannot be written.
+    Args:
+        run: the folder. The caller holds it with `claimed()`.
+        trainer: what to train.
+        goal: when training ends.
+        save_every: seconds of training between checkpoints. One is written at the end in any case.
+        stop: asked between gradient chunks. If it returns True, the step under way is abandoned and the run is saved
+            as it was before that step.
+        show: called with the progress, about ten times a second.
+        warn: called with a text for the user, and training continues: a checkpoint or log line cannot be written, or a
+            step has a note.
+
+    Returns:
+        True if the goal was reached, False if `stop` ended training.
+
+    Raises:
+        Diverged: loss or weights are not finite.
+        UserError: device memory ran out, or the last checkpoint cannot be written.
+        Other errors of a step are passed on. In all these cases the last good state is saved before, if that is
+        possible, and `trainer` cannot be used any more.
     """
     return _Session(run, trainer, goal, save_every, stop, show, warn).run()
 
@@ -163,7 +190,7 @@ class _Session:
 
 
 class _Meter:
-    """Figures for the eye (averages that forget) and for the log (plain means since its last line)."""
+    """Averages over steps: an EMA for what is shown, and for the log the mean since its last line."""
 
     def __init__(self) -> None:
         self._weight = self._loss = self._rays = self._seconds = 0.0
@@ -189,7 +216,7 @@ class _Meter:
         return self._seconds / self._weight
 
     def line(self, trainer: Trainer) -> dict[str, float] | None:
-        """The next line of the log, or None if there was no step since the last."""
+        """Return the next line of the log; None if there was no step since the last line."""
         reports, self._since = self._since, []
         if not reports:
             return None

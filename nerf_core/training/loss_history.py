@@ -1,4 +1,4 @@
-"""Loss over steps, thinned so that a plot of a whole training stays small."""
+"""Record the loss over the steps, thinned so that the plot of a whole training stays small."""
 
 from __future__ import annotations
 
@@ -7,14 +7,19 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-LIMIT = 2000
-EVERY = {2**k for k in range(40)}  # steps a point, as they double
-MOST = 1e30  # of a loss: what is shown of it has 32 bits
+LIMIT = 2000  # points; when there are so many, they are thinned to half
+EVERY = {2**k for k in range(40)}  # possible numbers of steps per point
+MOST = 1e30  # a loss must be smaller, because the plot has 32 bits
 
 
 @dataclass(frozen=True)
 class History:
-    """Training so far, thinned to at most about 2,000 points: step, loss, PSNR of the training batch in dB."""
+    """The loss of the training so far, as N < LIMIT points.
+
+    step: (N,) int64, the last step of each point.
+    loss: (N,) float32, the mean squared error, a mean over the steps of the point.
+    psnr: (N,) float32, −10 log₁₀ of that loss, in dB.
+    """
 
     step: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     loss: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
@@ -22,7 +27,10 @@ class History:
 
 
 class HistoryLog:
-    """Means over runs of `every` steps; when there are LIMIT of them, neighbours are joined and `every` doubles."""
+    """Collects the loss as means over `every` steps.
+
+    When there are LIMIT points, each two neighbours are averaged and `every` doubles.
+    """
 
     def __init__(self) -> None:
         self.every = 1
@@ -33,6 +41,7 @@ class HistoryLog:
         self._changed = False
 
     def add(self, step: int, loss: float) -> None:
+        """Add the loss of a step."""
         self._pending.append(loss)
         if len(self._pending) < self.every:
             return
@@ -46,15 +55,20 @@ class HistoryLog:
             self.every *= 2
 
     def state(self) -> dict[str, np.ndarray]:
-        """What a log that goes on from here needs, by name."""
+        """Return what a log needs to continue from here, by name, for a checkpoint."""
         every, steps = (np.array(v, np.int64) for v in (self.every, self._steps))
         losses, pending = (np.array(v, np.float64) for v in (self._losses, self._pending))
         return {"every": every, "steps": steps, "losses": losses, "pending": pending}
 
     def load_state(self, state: Mapping[str, np.ndarray], step: int) -> None:
-        """Be where `state()` was taken, after so many steps; empty, where a checkpoint of before has none.
+        """Continue from `state`.
 
-        Raises KeyError, ValueError for what `state()` never gave.
+        Args:
+            state: that of `state()`. It may be empty, because checkpoints of old versions have no history.
+            step: the training step at which it was taken.
+
+        Raises:
+            KeyError, ValueError: `state()` cannot have returned this.
         """
         if not state:
             state = HistoryLog().state()
@@ -73,9 +87,10 @@ class HistoryLog:
         self._losses, self._pending, self._changed = losses.tolist(), pending.tolist(), True
 
     def view(self) -> History:
+        """Return the points so far. The same object is returned until there is a new point."""
         if self._changed:
             loss = np.array(self._losses, np.float32)
-            # 1e-10, the loss of 100 dB, stands in for zero, whose logarithm has no value
+            # 1e-10, the loss of 100 dB, takes the place of 0, which has no logarithm
             psnr = (-10 * np.log10(np.maximum(loss, 1e-10))).astype(np.float32)
             self._view, self._changed = History(np.array(self._steps, np.int64), loss, psnr), False
         return self._view

@@ -1,4 +1,4 @@
-"""How close a rendered image comes to the photo. Images are float (H, W, 3), sRGB-encoded, in [0, 1]."""
+"""Metrics of a rendered image against its photo. Images are float (H, W, 3) in [0, 1], sRGB-encoded."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from nerf_core.common.errors import UserError, shorten
 SSIM_TAPS, SSIM_SIGMA = 11, 1.5
 SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2  # (K L)² with K = 0.01, 0.03 and L = 1
 
-# VGG16's convolutions (torchvision's `features.N`, its output channels), a pooling between the five blocks.
+# VGG16's convolutions in five blocks, as N of torchvision's `features.N` and output channels. Poolings lie between the
+# blocks.
 VGG_BLOCKS = (
     ((0, 64), (2, 64)),
     ((5, 128), (7, 128)),
@@ -27,13 +28,20 @@ VGG_SMALLEST = 16  # pixels: four poolings halve the image
 # LPIPS' own input scaling: ImageNet's mean and deviation for images in [−1, 1].
 LPIPS_SHIFT = (-0.030, -0.088, -0.188)
 LPIPS_SCALE = (0.458, 0.448, 0.450)
-LPIPS_EPS = 1e-10  # the official one: a pixel whose features are all zero has no direction
+LPIPS_EPS = 1e-10  # the official code's; it keeps the division defined for a pixel whose features are all 0
 
 
 def psnr(image: np.ndarray, truth: np.ndarray) -> float:
-    """20 log10(MAX / √MSE) in dB with MAX = 1, the mean over pixels and channels; math.inf for identical images.
+    """Return the peak signal-to-noise ratio in dB: 20 log₁₀(MAX / √MSE) with MAX = 1.
 
-    Raises ValueError when the shapes differ.
+    Args:
+        image, truth: (H, W, 3). The squared error is averaged over pixels and channels.
+
+    Returns:
+        The PSNR; math.inf for identical images.
+
+    Raises:
+        ValueError: the shapes differ, or are not (H, W, 3).
     """
     _check(image, truth)
     error = float(np.mean((image.astype(np.float64) - truth.astype(np.float64)) ** 2))
@@ -41,11 +49,19 @@ def psnr(image: np.ndarray, truth: np.ndarray) -> float:
 
 
 def ssim(image: np.ndarray, truth: np.ndarray) -> float:
-    """Structural similarity (Wang et al. 2004, Eq. 13), in [−1, 1].
+    """Return the structural similarity (Wang et al. 2004, Eq. 13), in [−1, 1].
 
-    (2 μx μy + C1)(2 σxy + C2) / ((μx² + μy² + C1)(σx² + σy² + C2)) under an 11-tap Gaussian of σ = 1.5 with biased
-    variances, averaged over the pixels whose window lies inside the image, and over channels.
-    Raises UserError for images smaller than the window, ValueError when the shapes differ.
+        (2 μx μy + C1)(2 σxy + C2) / ((μx² + μy² + C1)(σx² + σy² + C2))
+
+    Means and biased variances are taken under a Gaussian of 11 × 11 taps and σ = 1.5. The result is averaged over
+    channels and over the pixels whose window lies inside the image.
+
+    Args:
+        image, truth: (H, W, 3).
+
+    Raises:
+        UserError: the images are smaller than the window.
+        ValueError: the shapes differ, or are not (H, W, 3).
     """
     _check(image, truth)
     height, width = image.shape[:2]
@@ -53,7 +69,7 @@ def ssim(image: np.ndarray, truth: np.ndarray) -> float:
         raise UserError(f"SSIM needs images of at least {SSIM_TAPS} pixels a side, not {width} × {height}")
     x, y = (torch.from_numpy(v.astype(np.float64)).permute(2, 0, 1) for v in (image, truth))
     offsets = torch.arange(SSIM_TAPS, dtype=torch.float64) - SSIM_TAPS // 2
-    window = torch.softmax(-(offsets**2) / (2 * SSIM_SIGMA**2), 0)  # a Gaussian whose taps sum to 1
+    window = torch.softmax(-(offsets**2) / (2 * SSIM_SIGMA**2), 0)  # a Gaussian with the sum 1
     maps = torch.stack([x, y, x * x, y * y, x * y])
     flat = maps.reshape(-1, 1, height, width)
     flat = functional.conv2d(functional.conv2d(flat, window.view(1, 1, -1, 1)), window.view(1, 1, 1, -1))
@@ -64,23 +80,40 @@ def ssim(image: np.ndarray, truth: np.ndarray) -> float:
 
 
 class Lpips:
-    """Learned perceptual image patch similarity, version 0.1 with VGG16 (Zhang et al. 2018, Eq. 1).
+    """Learned perceptual image patch similarity, version 0.1 with VGG16 (Zhang et al. 2018, Eq. 1, arXiv:1801.03924).
 
-    The weights come from the user as one .safetensors file with torchvision's vgg16 keys `features.N.weight` and
-    `features.N.bias` (N = 0, 2, 5, … 28) and the learned heads `lin0.weight` … `lin4.weight`, (1, C, 1, 1) each.
-    Raises UserError for a file that is not that; a pickle is never loaded, since loading one can run code.
+    The user supplies the weights as one .safetensors file. It has torchvision's vgg16 keys `features.N.weight` and
+    `features.N.bias` (N = 0, 2, 5, … 28) and the learned heads `lin0.weight` … `lin4.weight`, (1, C, 1, 1) each. A
+    pickle is never loaded, because loading one can run code.
     """
 
     def __init__(self, path: Path, device: torch.device | None = None) -> None:
+        """Load the weights.
+
+        Args:
+            path: the file.
+            device: where to compute; None: the CPU.
+
+        Raises:
+            UserError: the file cannot be read, or lacks a tensor.
+        """
         self._weights = {name: value.to(device) for name, value in _load(path).items()}
         self._shift = torch.tensor(LPIPS_SHIFT, device=device).view(1, 3, 1, 1)
         self._scale = torch.tensor(LPIPS_SCALE, device=device).view(1, 3, 1, 1)
 
     @torch.no_grad()
     def __call__(self, image: np.ndarray, truth: np.ndarray) -> float:
-        """Σ over blocks of the spatial mean of Σ_c lin_c (x̂_c − ŷ_c)², x̂ being features of unit length; 0 is equal.
+        """Return the distance of two images; 0 for equal ones.
 
-        Raises UserError for images under 16 pixels, ValueError when the shapes differ.
+        It is Σ over blocks of the spatial mean of Σ_c lin_c (x̂_c − ŷ_c)², where x̂ and ŷ are the features of a pixel,
+        normalised to unit length over the channels c.
+
+        Args:
+            image, truth: (H, W, 3).
+
+        Raises:
+            UserError: the images are smaller than 16 pixels on a side.
+            ValueError: the shapes differ, or are not (H, W, 3).
         """
         _check(image, truth)
         height, width = image.shape[:2]
@@ -106,7 +139,7 @@ def _check(image: np.ndarray, truth: np.ndarray) -> None:
 
 
 def _shapes() -> dict[str, tuple[int, ...]]:
-    """Name → shape of every tensor that an LPIPS file holds."""
+    """Return the shape of every tensor of an LPIPS file, by name."""
     shapes: dict[str, tuple[int, ...]] = {}
     inputs = 3
     for block, convolutions in enumerate(VGG_BLOCKS):

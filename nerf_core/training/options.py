@@ -1,4 +1,4 @@
-"""The options of training, the same on every command line; plain dataclasses, so that any parser can fill them."""
+"""The options of training, the same on every command line. They are plain dataclasses that any parser can fill."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class TrainOptions:
     """Of a CPU, fixed for the whole run; 0: all usable cores."""
 
     def settings(self) -> RunSettings:
-        """Raises UserError naming the option that is wrong."""
+        """Check the options and return the settings of the run. Raises UserError, which names the wrong option."""
         if self.steps is not None and self.steps < 1:
             raise UserError(f"--steps {self.steps}: give a whole number from 1 up")
         if self.seconds is not None and not 0 < self.seconds < math.inf:
@@ -81,7 +81,7 @@ class TrainOptions:
         )
 
     def goal(self, total_steps: int) -> Goal:
-        """When training ends, for a method whose schedule has `total_steps`."""
+        """Return when training ends. total_steps: the length of the method's schedule, used without --steps."""
         return Goal(self.steps or total_steps, self.seconds or math.inf)
 
     def _changes(self) -> dict[str, str]:
@@ -97,7 +97,7 @@ class TrainOptions:
 
 
 def run_name(data: Path | None, method: str) -> str:
-    """What a run is called when it is not told: scene-method."""
+    """Return the default name of a run: the scene's folder and the method, joined by a hyphen."""
     if data is None:
         return f"demo-{method}"
     folder = data.parent if data.is_file() else data

@@ -1,4 +1,4 @@
-"""A run folder: config.json, log.jsonl and checkpoints/; `nerf-core eval` adds metrics.json and eval/."""
+"""Run folders: config.json, log.jsonl and checkpoints/. `nerf-core eval` adds metrics.json and eval/."""
 
 from __future__ import annotations
 
@@ -26,23 +26,31 @@ from nerf_core.training.trainer import Trainer
 
 T = TypeVar("T")
 CONFIG = "the object that `nerf-core train` wrote"
-OPTION_NAMES = {"changes": "set"}  # where a setting is not called like its option
+OPTION_NAMES = {"changes": "set"}  # options that have another name than their setting
 
 
 class RunFolder:
-    """One training on disk. Whoever writes to it holds it with `claimed()`; anyone may read at any time."""
+    """One training on disk. Hold it with `claimed()` to write to it; reading is possible at any time.
+
+    path: the folder.
+    config_file: its config.json.
+    log_file: its log.jsonl.
+    """
 
     def __init__(self, path: Path) -> None:
+        """Name the folder. Nothing is read or written yet, and the folder need not exist."""
         self.path = path
         self.config_file = path / "config.json"
         self.log_file = path / "log.jsonl"
 
     @contextmanager
     def claimed(self) -> Iterator[None]:
-        """Make the folder if need be and keep other processes from training in it.
+        """Lock the folder during the block, so that no other process trains in it. Create it if necessary.
 
-        A folder that was made for this and comes to nothing is removed. Raises UserError: another process has it, or
-        it cannot be written.
+        A new folder is removed again if the block does not write config.json.
+
+        Raises:
+            UserError: another process holds the folder, or it cannot be written.
         """
         existed = self.path.exists()
         try:
@@ -67,14 +75,25 @@ class RunFolder:
     # ---- writing --------------------------------------------------------------------------------------------------
 
     def must_be_new(self) -> None:
-        """Raises UserError where a run is to begin but the folder holds one, or somebody else's config.json."""
+        """Raise UserError if the folder has a run already, or a config.json that is not a run's."""
         if self.checkpoints():
             raise UserError(f"{self.path}: holds a run already: continue it with --resume or choose another --out")
         if self.config_file.exists() and "settings" not in read_json(self.config_file, CONFIG):
             raise UserError(f"{self.config_file}: not written by a training: choose another --out")
 
     def begin(self, data: Path | None, settings: RunSettings, trainer: Trainer) -> None:
-        """Write config.json for a new run and empty the log of one that never came to a checkpoint."""
+        """Write config.json for a new run, and an empty log.
+
+        A log that exists is emptied: it belongs to a run that ended before its first checkpoint.
+
+        Args:
+            data: the dataset; None is the demo scene.
+            settings: the settings that the trainer was made from.
+            trainer: the trainer of the run.
+
+        Raises:
+            UserError: the folder cannot be written.
+        """
         settings = replace(settings, method=trainer.method_name)
         config = {
             "data": None if data is None else str(data.resolve()),
@@ -87,7 +106,7 @@ class RunFolder:
         write_atomically(self.log_file, "")
 
     def log(self, line: Mapping[str, float]) -> None:
-        """Append one JSON object to log.jsonl. Raises UserError."""
+        """Append one JSON object to log.jsonl. Raises UserError if it cannot be written."""
         try:
             with self.log_file.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(line) + "\n")
@@ -95,7 +114,18 @@ class RunFolder:
             raise self._unwritable(error) from None
 
     def save(self, description: Mapping[str, Any], state: Mapping[str, Tensor]) -> Path:
-        """Write a checkpoint of `Trainer.describe()` and `.state()` unless that step has one; keep the newest two."""
+        """Write a checkpoint unless its step has one, and delete all but the newest two.
+
+        Args:
+            description: that of `Trainer.describe()`.
+            state: that of `Trainer.state()`.
+
+        Returns:
+            The file of the checkpoint.
+
+        Raises:
+            UserError: the file cannot be written.
+        """
         path = checkpoint.step_path(self.path, description["step"])
         if not path.exists():
             checkpoint.save(path, description, state)
@@ -105,11 +135,18 @@ class RunFolder:
     # ---- reading --------------------------------------------------------------------------------------------------
 
     def checkpoints(self) -> list[Path]:
-        """The checkpoints, oldest first."""
+        """Return the files of the checkpoints, oldest first."""
         return checkpoint.checkpoints(self.path)
 
     def config(self) -> tuple[Path | None, RunSettings]:
-        """The dataset (None: the demo scene) and the settings. Raises UserError for a folder without sound ones."""
+        """Read config.json.
+
+        Returns:
+            The dataset (None is the demo scene), and the settings.
+
+        Raises:
+            UserError: the folder is not a run, or config.json is not valid.
+        """
         if not self.config_file.is_file():
             raise UserError(
                 f"{self.path}: not a run: it has no config.json; give the folder that `nerf-core train` wrote"
@@ -129,9 +166,19 @@ class RunFolder:
     def restore(
         self, data: Path | None = None, on: str = "auto", progress: Callable[[int, int], None] | None = None
     ) -> tuple[Trainer, tuple[str, ...]]:
-        """The trainer of the newest intact checkpoint, with its scene, on device `on`; also what is to be told.
+        """Load the newest intact checkpoint with its scene.
 
-        data: where the dataset is now, if it moved. Raises UserError: no checkpoint, another scene, another version.
+        Args:
+            data: where the dataset is now, if it has moved; None: where config.json says.
+            on: the device, such as "cpu"; "auto" picks one.
+            progress: called as (photos done, photos in all) while photos load; it may raise to cancel.
+
+        Returns:
+            The trainer, which has the scene, and warnings for the user, a line each.
+
+        Raises:
+            UserError: there is no checkpoint that can be read, the scene is another than the checkpoint's, or another
+                version wrote it.
         """
         stored, settings = self.config()
         path, description, state, rejected = checkpoint.newest(self.path)
@@ -142,10 +189,13 @@ class RunFolder:
         return trainer, (*rejected, *scene.notes, *trainer.notes(description))
 
     def rewind(self, step: int) -> None:
-        """Before a run continues from `step`: set aside what was written after it. Raises UserError."""
+        """Prepare the folder for a run that continues from `step`.
+
+        Later checkpoints are renamed and later lines of the log are removed. Raises UserError if this fails.
+        """
         try:
             for path in self.checkpoints():
-                if checkpoint.step_of(path) > step:  # damaged, or it would have been taken
+                if checkpoint.step_of(path) > step:  # it is damaged, or it would have been loaded
                     path.replace(path.with_name(f"{path.name}.damaged"))
             lines = self.log_file.read_text(encoding="utf-8").splitlines(True) if self.log_file.exists() else []
         except OSError as error:
@@ -158,9 +208,17 @@ class RunFolder:
 
 
 def must_agree(given: RunSettings, run: RunFolder) -> None:
-    """Raises UserError where an option given to continue a run is not what the run was begun with.
+    """Check that the options to continue a run agree with those that it was begun with.
 
-    What was left at its default is taken from the run. The goal and the device may change; the schedule does not.
+    An option that is left at its default is taken from the run. The number of steps and the device may change; the
+    learning schedule does not change with them.
+
+    Args:
+        given: the options now.
+        run: the run.
+
+    Raises:
+        UserError: an option differs.
     """
     stored, plain = run.config()[1], RunSettings()
     pairs = [(f.name, given, stored, plain) for f in fields(RunSettings) if f.name not in ("load", "steps", "device")]
@@ -176,7 +234,7 @@ def must_agree(given: RunSettings, run: RunFolder) -> None:
 
 
 def _step_of(line: str) -> float:
-    """The step of a log line; of one that a crash cut short, infinity."""
+    """Return the step of a log line; infinity for a line that a crash cut short."""
     try:
         return json.loads(line)["step"]
     except (ValueError, KeyError, TypeError):
@@ -184,7 +242,7 @@ def _step_of(line: str) -> float:
 
 
 def _filled(kind: type[T], values: Fields) -> T:
-    """A settings dataclass from a JSON object whose values are of the types of its defaults. Raises UserError."""
+    """Make a settings dataclass from a JSON object. Raises UserError for a value of another type than its default."""
     defaults = kind()
     for f in fields(kind):  # pyright: ignore[reportArgumentType]: T is one of two dataclasses
         default, value = getattr(defaults, f.name), values.values.get(f.name)
@@ -205,7 +263,7 @@ def _versions() -> dict[str, str]:
 
 
 def _locked(file: BinaryIO) -> bool:
-    """Take the lock that the system drops when the process ends, however it ends; False if another has it."""
+    """Lock an open file. The system drops the lock when the process ends. Returns False if another process has it."""
     try:
         if sys.platform == "win32":
             import msvcrt

@@ -1,4 +1,4 @@
-"""What a run is made of: the same words on both command lines, in the window and in config.json."""
+"""The settings of a run. They have the same names on both command lines, in the window and in config.json."""
 
 from __future__ import annotations
 
@@ -11,9 +11,15 @@ from nerf_core.datasets import LoadOptions
 class RunSettings:
     """How to load a capture and what to train on it.
 
-    method: auto picks the default of the device. preset, changes: the method's configuration; see `Method.configure`.
-    steps: length of the learning schedule; 0: the method's own fixed number.
-    threads: of torch on a CPU; 0: the cores this process may use. Fixed after the start, since sums depend on it.
+    load: the options of loading.
+    method: a name of `METHODS`; "auto" picks the default of the device.
+    preset: a named set of the method's constants; see `Method.configure`.
+    changes: constants that differ from the preset, as text by name.
+    steps: the length of the learning schedule; 0: the method's own.
+    seed: of everything random, 0 … 2⁶³ − 1.
+    device: "cpu", "cuda" or "cuda:N"; "auto" picks one.
+    threads: torch's threads on a CPU; 0: the cores that this process may use. They stay the same for the whole run,
+        because the rounding of sums depends on them.
     """
 
     load: LoadOptions = field(default_factory=LoadOptions)

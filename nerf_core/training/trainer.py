@@ -1,4 +1,4 @@
-"""One scene, one model, one step at a time: no input or output, no threads, no clock that decides anything."""
+"""Train one model of one scene, step by step. Nothing here does input or output, or depends on the clock."""
 
 from __future__ import annotations
 
@@ -27,9 +27,14 @@ def nothing() -> None:
 
 @dataclass(frozen=True)
 class Report:
-    """What a step did. loss: mean squared error of the batch; psnr: −10 log₁₀ of it, in dB; seconds: its duration.
+    """The outcome of one training step.
 
-    note: what the user should know of it; mostly nothing.
+    step: the number of steps done, with this one.
+    loss: the mean squared error of the batch.
+    psnr: −10 log₁₀ of the loss, in dB.
+    rays: the number of rays in the batch.
+    seconds: the duration of the step, without the yield callback.
+    note: a message for the user; mostly empty.
     """
 
     step: int
@@ -41,17 +46,39 @@ class Report:
 
 
 class Diverged(UserError):
-    """The loss stopped being a number."""
+    """The loss or the weights are not finite any more."""
 
 
 class Trainer:
-    """Owns the method and draws its batches.
+    """Owns the method and draws its batches. One thread uses it.
 
-    Everything that decides the weights (configuration, seed, thread count, chunk size, schedule) is fixed here and
-    travels in `describe()`; a run is then bit-identical on one CPU, watched or not, saved and resumed or not.
+    Everything that decides the weights (configuration, seed, thread count, chunk size, schedule) is fixed here and is
+    in `describe()`. So a run is bit-identical on one CPU, whether it is watched or not, resumed or not.
+
+    scene: the scene.
+    method: the model with its optimiser.
+    method_name: its name in `METHODS`.
+    device: where the method really runs.
+    reason: why "auto" chose this method; empty if the method was named.
+    steps: the length of the schedule as it was asked for; 0: the method's own.
+    total_steps: the length of the schedule.
+    step_count: the number of steps done.
+    seconds: seconds of training steps, without yield callbacks.
+    history: the loss so far.
     """
 
     def __init__(self, scene: Scene, settings: RunSettings) -> None:
+        """Make a new model of a scene. This also sets torch's number of threads, for the whole process.
+
+        Args:
+            scene: the scene.
+            settings: method, preset, changes of constants, steps, seed, device and threads. `settings.load` is not
+                used.
+
+        Raises:
+            UserError: the device, the method, the preset or a constant does not exist, a constant's value is wrong, or
+                the scene has no training photos.
+        """
         self.device = pick_device(settings.device)
         name, self.reason = choose_method(settings.method, self.device)
         config = METHODS.get(name).configure(scene, settings.preset, settings.changes, self.device)
@@ -61,11 +88,21 @@ class Trainer:
     def resume(
         cls, scene: Scene, description: Mapping[str, Any], state: Mapping[str, Tensor], device: str = "auto"
     ) -> Trainer:
-        """The trainer that `describe()` and `state()` came from. Raises UserError when it cannot be rebuilt here."""
+        """Rebuild the trainer of a checkpoint.
+
+        Args:
+            scene: the scene that it was trained on; compare `Scene.identity()` before.
+            description: that of `describe()`.
+            state: that of `state()`.
+            device: "cpu", "cuda" or "cuda:N"; "auto" picks one. It may differ from the device before.
+
+        Raises:
+            UserError: the checkpoint does not fit this version, or the device does not exist.
+        """
         trainer = cls.__new__(cls)
         trainer.device, trainer.reason = pick_device(device), ""
         config = METHODS.get(description["method"]).restore(description["config"])
-        # more threads than cores, as a checkpoint of a larger machine asks for, would spin against each other
+        # A larger machine's checkpoint may ask for more threads than there are cores; they would slow each other down.
         threads = min(description["threads"], usable_cores())
         trainer._build(scene, description["method"], config, description["steps"], description["seed"], threads)
         try:
@@ -80,7 +117,7 @@ class Trainer:
         return trainer
 
     def restarted(self) -> Trainer:
-        """The same run from its beginning."""
+        """Return a new trainer of the same run, at step 0."""
         trainer = Trainer.__new__(Trainer)
         trainer.device, trainer.reason = self.device, self.reason
         trainer._build(self.scene, self.method_name, self.config, self.steps, self.seed, self.threads)
@@ -100,18 +137,27 @@ class Trainer:
 
     @property
     def config(self) -> Config:
-        """The method's configuration, as it now is."""
+        """The method's configuration as it is now: the chunk size may have been halved."""
         return self.method.config
 
     def step(self, yield_callback: Callable[[], None] = nothing) -> Report:
-        """One optimiser step. `yield_callback` runs between gradient chunks; its time is not counted as training.
+        """Do one optimiser step.
 
-        What `yield_callback` raises abandons the step: the state is what it was before. The notes on which cells were
-        seen are an exception, since the same step takes them again later.
-        Out of device memory, the step is tried again in chunks of half the size, as often as they can be halved.
-        Raises Diverged when the loss is not finite, torch.OutOfMemoryError when chunks cannot be smaller.
+        If device memory runs out, the step is tried again with chunks of half the size, as often as they can be halved.
+
+        Args:
+            yield_callback: called between gradient chunks. Its time does not count as training. If it raises, the step
+                is abandoned and the state is what it was before. Only the notes on which cells were seen remain; the
+                same step takes them again later.
+
+        Returns:
+            Loss, PSNR and duration of the step.
+
+        Raises:
+            Diverged: the loss is not finite.
+            torch.OutOfMemoryError: memory runs out and chunks cannot be smaller.
         """
-        waited, yielded = 0.0, False  # yielded: the callback is running, or has raised
+        waited, yielded = 0.0, False  # yielded: whether the callback runs or has raised
 
         def timed_yield() -> None:
             nonlocal waited, yielded
@@ -129,7 +175,7 @@ class Trainer:
             except torch.OutOfMemoryError:
                 if yielded or not self.method.halve():  # smaller chunks do not help the callback
                     raise
-            torch.cuda.empty_cache()  # outside the handler: its traceback holds the tensors that did not fit
+            torch.cuda.empty_cache()  # not in the handler, where the traceback keeps the tensors alive
         seconds = time.perf_counter() - start - waited
         self.seconds += seconds
         self.step_count += 1
@@ -158,11 +204,14 @@ class Trainer:
             raise
 
     def frozen_method(self) -> Method:
-        """The model as it is now, with weights of its own: training on does not change it."""
+        """Return a copy of the model for pictures. Further training does not change it."""
         return self.method.frozen()
 
     def describe(self) -> dict[str, Any]:
-        """What a checkpoint stores beside the tensors, as JSON values."""
+        """Return what a checkpoint stores beside the tensors, as JSON values by name.
+
+        These are the configuration, the progress, and what identifies the scene.
+        """
         return {
             "method": self.method_name,
             "config": self.config.to_json(),
@@ -177,13 +226,13 @@ class Trainer:
         }
 
     def state(self) -> dict[str, Tensor]:
-        """All tensors that a resumed run needs, by name."""
+        """Return all tensors that a resumed run needs, by name: weights, optimiser, random state and loss history."""
         history = {name: torch.from_numpy(value) for name, value in self.history.state().items()}
         parts = {"method": self.method.state(), "batches": self.batches.state(), "history": history}
         return {f"{part}.{key}": value for part, tensors in parts.items() for key, value in tensors.items()}
 
     def notes(self, description: Mapping[str, Any]) -> tuple[str, ...]:
-        """Warnings about a run that was resumed from `describe()`."""
+        """Return warnings about a run that was resumed from a description, a line each."""
         if self.threads == description["threads"] or self.device.type != "cpu":
             return ()
         return (
@@ -192,7 +241,15 @@ class Trainer:
         )
 
     def go_to(self, description: Mapping[str, Any], state: Mapping[str, Tensor]) -> None:
-        """Return to the step at which `describe()` and `state()` were taken."""
+        """Return to the step at which a description and state were taken.
+
+        Args:
+            description: that of `describe()`, from a trainer of the same configuration.
+            state: that of `state()`.
+
+        Raises:
+            KeyError, RuntimeError, ValueError, TypeError, IndexError, OverflowError: the state does not fit the method.
+        """
         parts = {
             part: {key.removeprefix(part): v for key, v in state.items() if key.startswith(part)}
             for part in ("method.", "batches.", "history.")
@@ -204,7 +261,15 @@ class Trainer:
 
 
 def choose_method(asked: str, device: torch.device) -> tuple[str, str]:
-    """The name in METHODS of what an option asks for; "auto" takes what is fast on the device, and says why."""
+    """Choose the method that an option asks for.
+
+    Args:
+        asked: a name of `METHODS`; "auto" takes the fast method of the device.
+        device: where the method will run.
+
+    Returns:
+        The method's name, and the reason for the choice if it was "auto", else empty.
+    """
     if asked != "auto":
         return asked, ""
     if device.type == "cpu":
@@ -213,5 +278,5 @@ def choose_method(asked: str, device: torch.device) -> tuple[str, str]:
 
 
 def psnr_of(mse: float) -> float:
-    """20 log₁₀(1/√MSE) in dB; 100 stands for a perfect picture, whose logarithm has no value."""
+    """Return the PSNR of a mean squared error in dB: −10 log₁₀ MSE, at most 100, because 0 has no logarithm."""
     return -10 * math.log10(mse) if mse > 1e-10 else 100.0
