@@ -1,4 +1,4 @@
-"""Whole pictures: every pixel of a camera, row by row, in the method's tiles."""
+"""Render whole pictures: every pixel of a camera, row by row, in tiles of the method's size."""
 
 from __future__ import annotations
 
@@ -14,13 +14,19 @@ from nerf_core.methods import Method
 
 
 def tiles(method: Method, camera: Camera, scene: Scene) -> Iterator[Rays]:
-    """The camera's rays in row order, `method.tile` at a time: the full-resolution renderer's own division."""
+    """Yield a camera's rays row by row, `method.tile` at a time, as `render_camera` divides them.
+
+    Args:
+        method: the model.
+        camera: any camera.
+        scene: the scene, for its bounds.
+    """
     for start in range(0, camera.width * camera.height, method.tile):
         yield tile_rays(camera, scene, start, method.tile)
 
 
 def tile_rays(camera: Camera, scene: Scene, start: int, count: int) -> Rays:
-    """The rays of `count` pixels from `start` on, counted row by row."""
+    """Return the rays of `count` pixels from pixel `start` on, counted row by row; fewer at the end of the picture."""
     flat = np.arange(start, min(start + count, camera.width * camera.height))
     return camera_rays(camera, scene.near, scene.far, np.stack([flat % camera.width, flat // camera.width], -1))
 
@@ -28,9 +34,17 @@ def tile_rays(camera: Camera, scene: Scene, start: int, count: int) -> Rays:
 def render_camera(
     method: Method, camera: Camera, scene: Scene, progress: Callable[[int, int], None] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Colour (H, W, 3) float32 in [0, 1] and expected distance along the ray (H, W), NaN where nothing was hit.
+    """Render a whole picture.
 
-    `progress(done, total)` is called after each tile, in pixels; what it raises cancels the picture.
+    Args:
+        method: the model.
+        camera: any camera; its width and height are those of the picture.
+        scene: the model's scene, for its bounds.
+        progress: called after each tile as (pixels done, pixels in all); it may raise to cancel.
+
+    Returns:
+        Colour (H, W, 3) float32 in [0, 1], sRGB-encoded, over the scene's background. Expected distance along the ray
+        (H, W) float32 in world units, NaN where the ray hits nothing.
     """
     total, parts = camera.width * camera.height, []
     for rays in tiles(method, camera, scene):
@@ -43,5 +57,5 @@ def render_camera(
 
 
 def to_bytes(color: np.ndarray) -> np.ndarray:
-    """sRGB-encoded [0, 1] → uint8, rounded to the nearest of the 256 levels."""
+    """Convert sRGB-encoded colours in [0, 1], of any shape, to uint8 by rounding. Others are clipped."""
     return (np.clip(color, 0, 1) * 255 + 0.5).astype(np.uint8)

@@ -1,4 +1,7 @@
-"""Videos and pictures that are either whole or not there: written beside the target, then moved into place."""
+"""Write videos and pictures completely or not at all.
+
+A file is written beside the target and then moved into its place.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +18,8 @@ import numpy as np
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.files import claim_part, replacing, unwritable
 
-CRF = 18  # libx264's constant quality; 18 is about where the eye stops telling it from the source
-# ffmpeg would convert with BT.601 and leave the file untagged: players take HD for BT.709, and colours shift.
+CRF = 18  # libx264's constant quality: from about 18 down, the eye cannot tell the video from its source
+# By default, ffmpeg converts with BT.601 and does not tag the file. Players assume BT.709 for HD: colours would shift.
 BT709 = (
     "-vf", "scale=out_color_matrix=bt709:out_range=tv", "-colorspace", "bt709", "-color_primaries", "bt709",
     "-color_trc", "bt709", "-color_range", "tv",
@@ -24,14 +27,23 @@ BT709 = (
 
 
 class VideoWriter:
-    """An H.264 MP4 (yuv420p), frame by frame; `path` changes only when `close` has succeeded.
+    """Writes an H.264 MP4 (yuv420p) frame by frame. `path` changes only when `close` succeeds.
 
-    width, height: of the frames, in pixels; odd sizes get one more pixel at the right or bottom that repeats the
-    edge (yuv420p needs even ones), nothing is ever rescaled. As a context manager it closes on success and aborts
-    on an exception. Raises UserError when the folder cannot be written, ffmpeg is missing, or encoding fails.
+    As a context manager, it closes the video at the end and aborts it if an exception is raised.
     """
 
     def __init__(self, path: Path, fps: float, width: int, height: int) -> None:
+        """Start ffmpeg.
+
+        Args:
+            path: the file to write.
+            fps: frames per second.
+            width, height: size of the frames in pixels. yuv420p needs even sizes: an odd size gets one more pixel at
+                the right or bottom, which repeats the edge. Frames are never rescaled.
+
+        Raises:
+            UserError: `fps` is not positive, the folder cannot be written, or ffmpeg is missing.
+        """
         if not 0 < fps < math.inf:
             raise UserError(f"a video of {fps:g} frames a second cannot be played: take a positive number")
         self.path = path
@@ -39,7 +51,7 @@ class VideoWriter:
         self._padding = ((0, height % 2), (0, width % 2), (0, 0))
         ffmpeg = _ffmpeg()
         self._part = claim_part(path)
-        self._log = tempfile.TemporaryFile()  # noqa: SIM115  a pipe that nobody reads would block ffmpeg
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115  no pipe: a full one would block ffmpeg
         size = f"{width + width % 2}x{height + height % 2}"
         rate = str(Fraction(fps).limit_denominator())
         source = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", rate, "-i", "-")
@@ -51,7 +63,7 @@ class VideoWriter:
                 stdout=subprocess.DEVNULL,
                 stderr=self._log,
                 bufsize=0,
-                start_new_session=True,  # Ctrl-C is for the program, which then closes or aborts the video
+                start_new_session=True,  # Ctrl-C reaches the program alone, which then closes or aborts the video
             )
         except OSError as error:
             self._clean()
@@ -59,7 +71,15 @@ class VideoWriter:
         self._open, self._empty = True, True
 
     def add(self, frame: np.ndarray) -> None:
-        """Append one frame, uint8 (height, width, 3), sRGB; waits while ffmpeg is busy."""
+        """Append a frame. This waits while ffmpeg is busy.
+
+        Args:
+            frame: (height, width, 3) uint8, sRGB-encoded.
+
+        Raises:
+            ValueError: the frame has another shape or type, or the video is closed.
+            UserError: ffmpeg failed.
+        """
         if not self._open:
             raise ValueError(f"the video {self.path} is closed")
         if frame.shape != self._shape or frame.dtype != np.uint8:
@@ -67,14 +87,14 @@ class VideoWriter:
         data = memoryview(np.pad(frame, self._padding, mode="edge").tobytes())
         assert self._process.stdin is not None
         try:
-            while data:  # an unbuffered pipe may take a part only
+            while data:  # an unbuffered pipe may take only a part
                 data = data[self._process.stdin.write(data) :]
         except OSError as error:  # a broken pipe: ffmpeg has ended, and its log says why
             raise self._failure() from error
         self._empty = False
 
     def close(self) -> None:
-        """Finish the file and move it into place. Raises UserError, leaving what was there before."""
+        """Finish the video and move it to `path`. Raises UserError if this fails; an old file then stays."""
         if not self._open:
             return
         if self._empty:
@@ -93,7 +113,7 @@ class VideoWriter:
         self._log.close()
 
     def abort(self) -> None:
-        """Stop and leave nothing behind; does nothing after `close`."""
+        """Stop and delete what was written. Does nothing after `close`."""
         if not self._open:
             return
         self._open = False
@@ -113,7 +133,7 @@ class VideoWriter:
             self.abort()
 
     def _failure(self) -> UserError:
-        """Clean up after an ffmpeg that has failed, and say why."""
+        """Clean up after ffmpeg failed. Returns the error with ffmpeg's reason."""
         status = self._process.wait()
         self._log.seek(0)
         lines = self._log.read().decode(errors="replace").strip().splitlines()
@@ -127,7 +147,16 @@ class VideoWriter:
 
 
 def write_png(path: Path, array: np.ndarray) -> None:
-    """Write uint8 (H, W, 3) or (H, W, 4) as a PNG, whole or not at all. Raises UserError when it cannot be written."""
+    """Write a PNG completely or not at all.
+
+    Args:
+        path: the file.
+        array: (H, W, 3) or (H, W, 4) uint8, sRGB-encoded.
+
+    Raises:
+        UserError: the file cannot be written.
+        ValueError: the array has another shape or type.
+    """
     from PIL import Image
 
     if array.dtype != np.uint8 or array.ndim != 3 or array.shape[2] not in (3, 4):

@@ -1,4 +1,4 @@
-"""How much the colour of a point depends on the direction from which it is seen."""
+"""Measure how much the colour of a point depends on the direction from which it is seen."""
 
 from __future__ import annotations
 
@@ -8,14 +8,23 @@ from torch import Tensor
 
 from nerf_core.methods import Radiant
 
-COMPARED = 64  # directions whose colours are compared
+COMPARED = 64  # directions in a hemisphere
 
 
 def view_dependence(method: Radiant, points: Tensor, towards: Tensor) -> Tensor:
-    """How much the colours differ that points (P, 3) emit over the hemispheres that face `towards` (P, 3): (P,).
+    """Return the standard deviation of the colour that a point emits, over the directions of a hemisphere.
 
-    The root of the mean square by which a channel differs from its mean over the hemisphere's directions, each as
-    often as any other; 0 of a matt point, ½ at most. Directions that nobody has seen count as well.
+        √( mean over channels c and directions v of (c(x, −v) − mean over v of c(x, −v))² )
+
+    The directions are spread evenly over the hemisphere, including those that no photo has seen.
+
+    Args:
+        method: a model that has a radiance at a point.
+        points: (P, 3) the points x, in world units.
+        towards: (P, 3) the directions that the hemispheres face, from the points outwards.
+
+    Returns:
+        (P,) from 0, for a matt point, to ½.
     """
     directions = torch.from_numpy(_spread(2 * COMPARED)).to(points)
     rgb = method.radiance(points, -directions).to(points)
@@ -26,7 +35,10 @@ def view_dependence(method: Radiant, points: Tensor, towards: Tensor) -> Tensor:
 
 
 def _spread(count: int) -> np.ndarray:
-    """Unit directions (count, 3), evenly over the sphere: a spiral of equal areas that turns by the golden angle."""
+    """Return unit directions (count, 3), evenly over the sphere.
+
+    They lie on a spiral: each stands for the same area and is turned by the golden angle from the one before.
+    """
     k = np.arange(count) + 0.5
     z, angle = 1 - 2 * k / count, np.pi * (3 - np.sqrt(5)) * k
     r = np.sqrt(1 - z * z)

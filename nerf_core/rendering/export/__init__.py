@@ -1,1 +1,1 @@
-"""Jobs that write files from a model while training goes on."""
+"""Jobs that write files from a model while training continues."""

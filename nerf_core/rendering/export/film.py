@@ -1,4 +1,4 @@
-"""A camera path as a video."""
+"""Export a camera path as a video."""
 
 from __future__ import annotations
 
@@ -24,6 +24,16 @@ class FilmJob(Job):
     """
 
     def __init__(self, method: Method, scene: Scene, command: ExportPath) -> None:
+        """Start the video.
+
+        Args:
+            method: the model; it must not be trained meanwhile.
+            scene: its scene.
+            command: cameras, frame rate and file.
+
+        Raises:
+            UserError: there are no cameras, the file is not named .mp4 or cannot be written, or ffmpeg is missing.
+        """
         if not command.cameras:
             raise UserError(f"{command.file}: a film needs at least one frame")
         if command.file.suffix.lower() != ".mp4":

@@ -1,4 +1,4 @@
-"""Pictures and films for keeping, a tile at a time, so that training and the window go on meanwhile."""
+"""Export pictures and films tile by tile, so that training and the window continue meanwhile."""
 
 from __future__ import annotations
 
@@ -19,12 +19,20 @@ from nerf_core.rendering.modes import COLOR, shaded
 
 
 class Job(ABC):
-    """Renders with weights of its own, frozen when it began: training on does not change what it shows.
+    """An export that is done in pieces of work.
 
-    total: pieces of work that `_pieces` yields; `progress` counts them.
+    progress: how far the export is.
     """
 
     def __init__(self, method: Method, scene: Scene, file: Path, total: int) -> None:
+        """Prepare the job; `advance` does the work.
+
+        Args:
+            method: the model; it must not be trained meanwhile. Callers pass a frozen copy.
+            scene: its scene.
+            file: the file to write.
+            total: the number of pieces that `_pieces` yields.
+        """
         self._method, self._scene = method, scene
         self.progress = Export(file, 0, total, None)
         self._work = self._pieces()
@@ -32,14 +40,21 @@ class Job(ABC):
 
     @abstractmethod
     def _pieces(self) -> Iterator[bool]:
-        """Yields after every piece of work, and writes what it has made."""
+        """Do the work and write the file. Yields after every piece."""
 
     def abort(self) -> None:
-        """Leave no file behind that is not whole."""
+        """Stop, and delete files that are not complete."""
         self._work = iter(())
 
     def advance(self) -> bool:
-        """Do one piece of work; False when all is written. Raises UserError when it cannot be."""
+        """Do one piece of work.
+
+        Returns:
+            Whether there is more to do; False once the file is written.
+
+        Raises:
+            UserError: the file cannot be written. The job then has failed and is aborted; so it is for other errors.
+        """
         if self.progress.state != "running":
             return False
         self._began = self._began or time.perf_counter()
@@ -55,11 +70,15 @@ class Job(ABC):
         return running
 
     def cancel(self) -> None:
+        """Abort at the user's request."""
         self.progress = replace(self.progress, state="cancelled")
         self.abort()
 
     def _picture(self, camera: Camera, mode: str = COLOR) -> Iterator[np.ndarray | None]:
-        """The camera's picture in a mode, (H, W, 3) float32, as the last item; None before it, once for each tile."""
+        """Render a camera's picture in a mode.
+
+        Yields None after each tile, and at last the picture, (H, W, 3) float32.
+        """
         parts = []
         for rays in tiles(self._method, camera, self._scene):
             if mode == COLOR:
@@ -71,5 +90,5 @@ class Job(ABC):
 
 
 def tile_count(method: Method, *cameras: Camera) -> int:
-    """How many tiles the pictures of `cameras` take."""
+    """Return the number of tiles in the pictures of `cameras`: the pieces of work that a job needs for them."""
     return sum(-(-camera.width * camera.height // method.tile) for camera in cameras)

@@ -1,4 +1,4 @@
-"""What an export job is asked for and how far it is: numpy only, so that messages can carry it."""
+"""Requests for exports, and their progress. They need numpy only, so that messages can carry them."""
 
 from __future__ import annotations
 
@@ -12,18 +12,26 @@ from nerf_core.rendering.modes import COLOR
 
 @dataclass(frozen=True)
 class ExportPath:
-    """Render a camera path to an MP4 (and PNG frames beside it) while training goes on."""
+    """Render a camera path to an MP4.
+
+    cameras: one for each frame.
+    fps: frames per second.
+    file: the .mp4 file.
+    frames: whether to write PNG frames, too: 00000.png, … in a folder beside the file, named after it with "_frames".
+    """
 
     cameras: tuple[Camera, ...]
     fps: float
     file: Path
-    frames: bool = False  # also write FILE's stem + "_frames"/00000.png …
+    frames: bool = False
 
 
 @dataclass(frozen=True)
 class ExportStill:
-    """Render one camera at full resolution to a .png, or a .npy of float32 (H, W, 3) before rounding.
+    """Render one picture at full resolution.
 
+    camera: the camera; its width and height are those of the picture.
+    file: a .png, or a .npy with float32 (H, W, 3) in [0, 1] before rounding.
     mode: what the picture shows of each pixel: colour, or a render mode (`nerf_core.rendering.modes`).
     """
 
@@ -34,7 +42,10 @@ class ExportStill:
 
 @dataclass(frozen=True)
 class ExportModel:
-    """Write the model itself; the suffix of the file gives the kind (`nerf_core.rendering.export.models`)."""
+    """Write the model itself.
+
+    file: its suffix chooses the kind of export (`nerf_core.rendering.export.models`).
+    """
 
     file: Path
 
@@ -44,7 +55,13 @@ ExportRequest = ExportPath | ExportStill | ExportModel
 
 @dataclass(frozen=True)
 class Export:
-    """An export in progress or just over; done and total count pieces of work, such as the renderer's tiles."""
+    """The progress of an export.
+
+    file: the file that is written.
+    done, total: pieces of work, such as tiles of pictures.
+    seconds_left: an estimate; None before the first piece.
+    state: "running", or how it ended.
+    """
 
     file: Path
     done: int

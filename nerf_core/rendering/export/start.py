@@ -1,4 +1,4 @@
-"""From a request to the job that does it."""
+"""Make the job of an export request."""
 
 from __future__ import annotations
 
@@ -12,7 +12,19 @@ from nerf_core.rendering.export.still import StillJob
 
 
 def export_job(request: ExportRequest, method: Method, scene: Scene) -> Job:
-    """The job for `request`; `method` is not trained on meanwhile. Raises UserError for what cannot be written."""
+    """Make the job that does a request.
+
+    Args:
+        request: what to write.
+        method: the model; it must not be trained meanwhile. Pass `method.frozen()` if it is.
+        scene: its scene.
+
+    Returns:
+        A job; call `advance` until it returns False.
+
+    Raises:
+        UserError: the suffix of the file is not known, or the file cannot be written.
+    """
     if isinstance(request, ExportPath):
         return FilmJob(method, scene, request)
     if isinstance(request, ExportModel):

@@ -1,4 +1,4 @@
-"""One picture at full resolution."""
+"""Export one picture at full resolution."""
 
 from __future__ import annotations
 
@@ -19,9 +19,19 @@ from nerf_core.rendering.video import write_png
 
 
 class StillJob(Job):
-    """One picture at full resolution: .png, or .npy with float32 (H, W, 3) before rounding."""
+    """One picture at full resolution, as .png, or as .npy with float32 (H, W, 3) before rounding."""
 
     def __init__(self, method: Method, scene: Scene, command: ExportStill) -> None:
+        """Check the request.
+
+        Args:
+            method: the model; it must not be trained meanwhile.
+            scene: its scene.
+            command: camera, file and mode.
+
+        Raises:
+            UserError: the suffix of the file or the mode is not known.
+        """
         if command.file.suffix.lower() not in (".png", ".npy"):
             raise UserError(f"{command.file}: a picture is written as .png or .npy")
         if command.mode != COLOR:

@@ -1,4 +1,4 @@
-"""What a picture may show of each pixel besides its colour: one file per mode."""
+"""Render modes: what a picture may show of each pixel besides its colour. One file per mode."""
 
 from __future__ import annotations
 
@@ -15,14 +15,17 @@ if TYPE_CHECKING:
     from nerf_core.geometry.rays import Rays, Trace
     from nerf_core.methods import Method
 
-COLOR = "colour"  # the picture itself, which needs no mode
+COLOR = "colour"  # the rendered colour, which needs no `Mode`
 
 
 class Mode(Protocol):
     """A number per pixel, drawn with a colour map.
 
-    order: position in menus and on the number keys, after colour. label: for menus. tip: a sentence on what it shows.
-    low, high: the numbers at which the colour map begins and ends. colors: the map.
+    order: the position in menus and on the number keys, after colour.
+    label: the name in menus.
+    tip: a sentence on what the mode shows.
+    low, high: the numbers at which the colour map begins and ends.
+    colors: the colour map.
     """
 
     order: ClassVar[int]
@@ -34,9 +37,18 @@ class Mode(Protocol):
 
     @staticmethod
     def values(method: Method, rays: Rays, trace: Trace) -> Tensor:
-        """The mode's number for each of R rays, (R,) float; NaN where there is none.
+        """Return the mode's number for each ray.
 
-        trace: what `method` composited along these rays. The preview computes it once, for values and depth alike.
+        Args:
+            method: the model.
+            rays: R rays.
+            trace: what `method` composited along these rays. The preview computes it once, for values and depth.
+
+        Returns:
+            (R,) float; NaN where there is none.
+
+        Raises:
+            UserError: the method lacks what the mode needs.
         """
         ...
 
@@ -45,11 +57,24 @@ MODES: Registry[type[Mode]] = Registry("render mode", "nerf_core.rendering.modes
 
 
 def mode_names() -> tuple[str, ...]:
-    """Colour, then the modes in the order of menus and number keys."""
+    """Return the names of all modes in the order of menus and number keys. Colour is the first."""
     return COLOR, *sorted(MODES.names(), key=lambda name: (MODES.get(name).order, name))
 
 
 def shaded(method: Method, rays: Rays, trace: Trace, name: str) -> np.ndarray:
-    """The colours (R, 3) float32 of a mode; black where it has no number."""
+    """Return what a mode shows of rays.
+
+    Args:
+        method: the model.
+        rays: R rays.
+        trace: what `method` composited along them.
+        name: the mode's name in `MODES`; not colour.
+
+    Returns:
+        Colours (R, 3) float32 in [0, 1]; black where the mode has no number.
+
+    Raises:
+        UserError: the mode is unknown, or the method lacks what it needs.
+    """
     mode = MODES.get(name)
     return colored(mode.values(method, rays, trace).float().cpu().numpy(), mode.low, mode.high, mode.colors)

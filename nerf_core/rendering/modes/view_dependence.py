@@ -1,4 +1,4 @@
-"""How much a point's colour depends on the direction from which it is seen."""
+"""The mode that shows how much a point's colour depends on the direction from which it is seen."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from nerf_core.methods import METHODS, Method, Radiant, lacking
 from nerf_core.rendering.modes import MODES
 from nerf_core.rendering.view_dependence import view_dependence
 
-NOTHING = 0.05  # opacity under which a pixel shows nothing that a number could be told of
+NOTHING = 0.05  # under this opacity a ray has hit nothing visible, and the pixel has no number
 
 
 @MODES.register("view-dependence")
@@ -32,7 +32,10 @@ class ViewDependence:
 
     @staticmethod
     def values(method: Method, rays: Rays, trace: Trace) -> Tensor:
-        """(R,), see `view_dependence`; NaN where the ray hits nothing. Raises UserError without a radiance."""
+        """Return the view-dependence of each ray's point, as `Mode.values` says.
+
+        Raises UserError if the method has no radiance at a point.
+        """
         if not isinstance(method, Radiant):
             raise UserError(f"{lacking(METHODS.name_of(type(method)), 'radiance')}: choose another picture")
         t = depths(trace.passes[-1]).cpu()
@@ -45,7 +48,12 @@ class ViewDependence:
 
 
 def depths(samples: Samples) -> Tensor:
-    """The distance (R,) of each ray's point: the median of its weights, else the strongest sample; NaN: no point."""
+    """Return the world distance (R,) of each ray's point; NaN if the ray hits nothing.
+
+    The point is the first sample at which the accumulated weight reaches 0.5, else the strongest sample.
+
+    samples: those of R rays.
+    """
     weights = samples.weights.double()
     median = (weights.cumsum(-1) < 0.5).sum(-1)
     strongest = weights.argmax(-1)

@@ -1,4 +1,4 @@
-"""Files of the model itself, such as points or a mesh: one file per kind."""
+"""Exports of the model itself, such as points or a mesh. One file per kind."""
 
 from __future__ import annotations
 
@@ -15,9 +15,13 @@ if TYPE_CHECKING:
 
 
 class ModelExport(Protocol):
-    """A kind of file. It is a `Job`: its pieces of work take some 10 ms each, and the last one writes the file.
+    """A kind of model file. Calling it makes the `Job` that writes one.
 
-    suffix: of its files, with the dot, in lower case. label: for menus. summary: a few words for the command line.
+    The job's pieces of work take some 10 ms each, and the last one writes the file.
+
+    suffix: the suffix of its files, with the dot, in lower case.
+    label: the name in menus.
+    summary: a few words for the command line.
     """
 
     suffix: ClassVar[str]
@@ -25,7 +29,16 @@ class ModelExport(Protocol):
     summary: ClassVar[str]
 
     def __call__(self, method: Method, scene: Scene, file: Path) -> Job:
-        """The job that writes `file`. Raises UserError if the method lacks what the export needs."""
+        """Make the job that writes a file.
+
+        Args:
+            method: the model; it is not trained meanwhile.
+            scene: its scene.
+            file: the file to write.
+
+        Raises:
+            UserError: the method lacks what the export needs.
+        """
         ...
 
 
@@ -33,7 +46,7 @@ EXPORTS: Registry[ModelExport] = Registry("model export", "nerf_core.rendering.e
 
 
 def export_for(file: Path) -> ModelExport:
-    """The kind of export that writes files of this suffix. Raises UserError that lists the suffixes."""
+    """Return the kind of export that writes files of this suffix. Raises UserError, which lists the known suffixes."""
     kinds = [EXPORTS.get(name) for name in EXPORTS.names()]
     for kind in kinds:
         if kind.suffix == file.suffix.lower():
