@@ -14,10 +14,9 @@ and the others are divided for the next, finer level. So the time is spent where
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 import torch
@@ -26,35 +25,21 @@ from torch.nn import functional
 
 from nerf_core.geometry.rays import Rays, Rendering, Trace
 from nerf_core.geometry.scene import Scene
-from nerf_core.geometry.spaces import Space, pixel_size
+from nerf_core.geometry.spaces import Space
 from nerf_core.kernels.choice import voxel_kernels
 from nerf_core.kernels.voxel_kernels import Adam, March, Traced
 from nerf_core.methods import Defaults, Draw
+from nerf_core.methods.voxels.coarse_to_fine import Schedule, finer_grid, first_grid, resample
 from nerf_core.methods.voxels.config import VoxelConfig
 from nerf_core.volume.cells import grow
 from nerf_core.volume.packed import to_trace
-from nerf_core.volume.voxel_grid import BRICK, DENSITY, ROWS, VoxelGrid, bricks_of
+from nerf_core.volume.voxel_grid import DENSITY, VoxelGrid
 
 PIECE = 4096  # rays between two calls of the yield callback: about 5 ms on two cores
-BRICKS = 2048  # bricks of a new grid between two calls of the yield callback: about 10 ms on two cores
 TILE = 8192
-SHORTEST_LEVEL = 1.25  # the last level must be finer than the one before by at least this factor
 SMALLEST = 1e-5  # a cell's side as a share of the box: no configuration allows smaller ones
 YOUNG = 4.0  # early in a level, at its step k, average only the last k/YOUNG steps: older rows are outdated
 SH = (0.28209479, 0.48860251)  # 1/√4π, √(3/4π): real spherical harmonics of degree 0 and 1
-
-
-class Level(NamedTuple):
-    """A level of the grid.
-
-    scale: how many times larger its cells are than the finest.
-    begin: its first step.
-    shrink: photos are averaged over shrink × shrink pixels.
-    """
-
-    scale: float
-    begin: int
-    shrink: int
 
 
 class VoxelModel(Defaults):
@@ -69,18 +54,9 @@ class VoxelModel(Defaults):
         self.generators = (self.generator,)
         self.kernels = voxel_kernels(self.device)
         self.tile = TILE
-        self.finest = finest_cells(scene, self.space, config)
-        self.levels = planned(scene, self.space, config, self.finest)
+        self.schedule = Schedule.of(scene, self.space, config)
         self.level = 0
-        low, high = self.space.low, self.space.high
-        voxel = self.finest * self.levels[0].scale
-        while True:
-            size = np.ceil((high - low) / voxel - 1e-6).astype(int)
-            if ROWS * math.prod(size // BRICK + 1) <= config.most_rows:
-                break
-            voxel = 1.05 * voxel
-        everything = torch.ones(*size.tolist(), dtype=torch.bool)
-        self.grid = VoxelGrid.over(low, voxel, everything, self.space.kind == "contracted")
+        self.grid = first_grid(self.space, self.schedule.voxel(self.level), config.most_rows)
         self.moments = torch.zeros_like(self.grid.rows)
         self.ema_rows = self.grid.rows.clone()
         self.updates = 0  # Adam's updates since the level began
@@ -90,7 +66,7 @@ class VoxelModel(Defaults):
     def undo(self, step: int) -> Callable[[], None]:
         """Return a function that drops gradients, and restores the coarser grid if the step began a new level."""
         before = self.grid, self.moments, self.ema_rows, self.level, self.updates
-        seen = self.kernels.seen(self.grid) if self.level < self._level_at(step) else None
+        seen = self.kernels.seen(self.grid) if self.level < self.schedule.level_at(step) else None
 
         def back() -> None:
             self.kernels.forget()
@@ -101,11 +77,9 @@ class VoxelModel(Defaults):
         return back
 
     def draw(self, step: int) -> Draw:
-        level = self._level_at(step)
-        return Draw(self.config.first_rays if level == 0 else self.config.rays, shrink=self.levels[level].shrink)
-
-    def _level_at(self, step: int) -> int:
-        return max(i for i, level in enumerate(self.levels) if level.begin <= step)
+        level = self.schedule.level_at(step)
+        rays = self.config.first_rays if level == 0 else self.config.rays
+        return Draw(rays, shrink=self.schedule.levels[level].shrink)
 
     def train(
         self, rays: Rays, truth: Tensor, step: int, steps: int | None, yield_callback: Callable[[], None]
@@ -116,7 +90,7 @@ class VoxelModel(Defaults):
         """
         rays, truth = rays.to(self.device), truth.to(self.device)
         c, error = self.config, 0.0
-        while self.level < self._level_at(step):
+        while self.level < self.schedule.level_at(step):
             self._refine(yield_callback)
         offsets = torch.rand(len(rays), generator=self.generator)
         for start in range(0, len(rays), PIECE):
@@ -126,7 +100,7 @@ class VoxelModel(Defaults):
             error += self.kernels.accumulate(self.grid, boxed, truth[part], march)[0]
             yield_callback()
         self.updates += 1
-        since = max(0, step - self.levels[self.level].begin)
+        since = max(0, step - self.schedule.levels[self.level].begin)
         slower = 1 / (1 + since / c.slowdown)
         correction1, correction2 = (1 / (1 - beta**self.updates) for beta in (c.keep, c.keep_square))
         ema_rate = max(1 - c.average, YOUNG / (YOUNG + self.updates - 1))
@@ -145,9 +119,9 @@ class VoxelModel(Defaults):
 
         No yield callback is called here, so that it is never abandoned half way.
         """
-        if self._is_half_way(since):
-            self._reset_seen()  # the first half of a level is mostly fog, so that it does not count
-        elif self.level == len(self.levels) - 1 and since % self.config.prune_every == 0:
+        if self.schedule.forgets(self.level, since):
+            self._reset_seen()
+        elif self.schedule.prunes(self.level, since):
             cells = self._seen_cells() & self.grid.occupied
             if cells.any():  # a picture of pure background must keep cells that can learn
                 self.grid = self.grid.with_cells(cells)
@@ -163,11 +137,6 @@ class VoxelModel(Defaults):
 
     # ---- coarse to fine ---------------------------------------------------------------------------------------------
 
-    def _is_half_way(self, since: int) -> bool:
-        last = self.level == len(self.levels) - 1
-        end = self.config.prune_every if last else self.levels[self.level + 1].begin - self.levels[self.level].begin
-        return since == end // 2
-
     def _reset_seen(self) -> None:
         self.kernels.see(self.grid, torch.zeros(len(self.grid.rows), dtype=torch.bool, device=self.device))
 
@@ -178,34 +147,11 @@ class VoxelModel(Defaults):
 
     def _refine(self, yield_callback: Callable[[], None]) -> None:
         """Begin the next level: a smaller box around the seen cells, divided into smaller cells."""
-        old, level = self.grid, self.levels[self.level + 1]
-        cells = self._seen_cells() & old.occupied
+        cells = self._seen_cells() & self.grid.occupied
         if not cells.any():  # nothing has been learnt yet: keep all cells
-            cells = old.occupied
-        found = cells.nonzero()
-        low, high = found.amin(0).numpy(), found.amax(0).numpy() + 1
-        origin, far = old.origin + low * old.voxel, old.origin + high * old.voxel
-        voxel = self.finest * level.scale
-        while True:
-            size = np.ceil((far - origin) / voxel - 1e-6).astype(int)
-            centres = [torch.from_numpy(((np.arange(n) + 0.5) * voxel[a] + origin[a] - old.origin[a]) / old.voxel[a])
-                       for a, n in enumerate(size)]  # fmt: skip
-            x, y, z = (v.floor().long().clamp(0, n - 1) for v, n in zip(centres, old.size, strict=True))
-            occupied = cells[x][:, y][:, :, z]
-            rows = ROWS * int(bricks_of(occupied).sum())
-            if rows <= self.config.most_rows:
-                break
-            voxel = voxel * max(1.05, (rows / self.config.most_rows) ** (1 / 3))
-        grid, shown = VoxelGrid.over(origin, voxel, occupied, old.contracted), self.ema_grid
-        ratio = float(np.prod(voxel / old.voxel) ** (1 / 3))
-        for first in range(0, grid.bricks, BRICKS):
-            yield_callback()
-            last = min(first + BRICKS, grid.bricks)
-            self.kernels.resample(shown, grid, first, last)
-            raw = grid.rows[ROWS * first : ROWS * last, DENSITY]
-            # density is per cell, so that a smaller cell has less of it; 1e-30 keeps the logarithm finite
-            sigma = (functional.softplus(raw + self.config.bias) * ratio).clamp(min=1e-30)
-            raw.copy_(sigma + torch.log(-torch.expm1(-sigma)) - self.config.bias)  # the inverse of softplus
+            cells = self.grid.occupied
+        grid = finer_grid(self.grid, cells, self.schedule.voxel(self.level + 1), self.config.most_rows)
+        resample(self.kernels, self.ema_grid, grid, self.config.bias, yield_callback)
         self.level += 1
         self.grid, self.moments, self.ema_rows, self.updates = grid, torch.zeros_like(grid.rows), grid.rows.clone(), 0
 
@@ -309,34 +255,9 @@ class VoxelModel(Defaults):
             raise ValueError("the optimiser's moments or the rows' average do not fit the voxel grid")
         if state["seen"].shape != moments.shape[:1] or state["seen"].dtype != torch.bool:
             raise ValueError("what was seen does not fit the voxel grid")
-        if not 0 <= level < len(self.levels) or int(state["updates"]) < 0:
-            raise ValueError(f"level {level} of {len(self.levels)}, {int(state['updates'])} updates")
+        if not 0 <= level < len(self.schedule.levels) or int(state["updates"]) < 0:
+            raise ValueError(f"level {level} of {len(self.schedule.levels)}, {int(state['updates'])} updates")
         self.grid, self.moments, self.ema_rows = grid, *(torch.empty_like(v).copy_(v) for v in (moments, average))
         self.kernels.see(self.grid, state["seen"])
         self.level, self.updates = level, int(state["updates"])
         self.generator.set_state(state["generator"])
-
-
-def finest_cells(scene: Scene, space: Space, c: VoxelConfig) -> np.ndarray:
-    """Return the sides (3,) of the finest cells in box coordinates: `pixels` photo pixels at the scene's centre."""
-    cameras = [scene.views[i].camera for i in scene.split("train")]
-    if space.kind == "ndc":
-        width, height = (max(getattr(v, side) for v in cameras) for side in ("width", "height"))
-        voxel = np.array([2 * c.pixels / width, 2 * c.pixels / height, 2 / c.planes])
-    else:
-        voxel = np.full(3, c.pixels * pixel_size(scene, space))
-    return np.maximum(voxel, (space.high - space.low).max() / c.resolution)
-
-
-def planned(scene: Scene, space: Space, c: VoxelConfig, finest: np.ndarray) -> list[Level]:
-    """Return the levels: from `start` cells to the finest ones in steps of `growth`, and the last step as needed."""
-    coarsest = (space.high - space.low).max() / c.start / finest.min()
-    count = max(0, math.ceil(math.log(max(coarsest, 1) / SHORTEST_LEVEL) / math.log(c.growth)))
-    levels, begin, steps = [], 0, float(c.level_steps)
-    for i in range(count + 1):
-        scale = max(coarsest, 1.0) ** (1 - i / count) if count else 1.0
-        shrink = 2 ** max(0, int(math.log2(max(scale * c.pixels, 1))))
-        levels.append(Level(scale, begin, shrink))
-        begin += round(steps)
-        steps *= c.growth
-    return levels

@@ -18,6 +18,7 @@ from nerf_core.methods import METHODS, Dense, Explainable, Method, Radiant, Trac
 from nerf_core.methods.guided import model as guided_model
 from nerf_core.methods.hash import model as hash_model
 from nerf_core.methods.stages import BarCode, Stems, Transfer
+from nerf_core.methods.voxels import coarse_to_fine
 from nerf_core.methods.voxels import model as voxel_model
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
@@ -260,7 +261,7 @@ def test_an_abandoned_step_leaves_the_state_as_it_was(name: str, scene: Scene, m
     """The step is abandoned in each call of the yield callback in turn."""
     for module, piece in ((voxel_model, 30), (guided_model, 100), (hash_model, 2000)):
         monkeypatch.setattr(module, "PIECE", piece)
-    monkeypatch.setattr(voxel_model, "BRICKS", 20)
+    monkeypatch.setattr(coarse_to_fine, "BRICKS", 20)
     changes = SMALL.get(name, {}) | FEW_RAYS.get(name, {})
     trainer = Trainer(scene, RunSettings(method=name, changes=changes, device="cpu", threads=1))
     calls = 0  # of the yield callback before the step is abandoned

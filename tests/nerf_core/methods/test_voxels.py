@@ -186,7 +186,7 @@ def test_rates_fall_within_a_level_and_adam_begins_anew_with_it(scene: Scene, mo
     method, numbers = voxels_of(trainer), []
     update = method.kernels.update
     monkeypatch.setattr(method.kernels, "update", lambda *given: (numbers.append(given[-1]), update(*given)))
-    steps = method.levels[1].begin
+    steps = method.schedule.levels[1].begin
     for _ in range(steps + 2):
         trainer.step()
     c = method.config
@@ -201,11 +201,11 @@ def test_rates_fall_within_a_level_and_adam_begins_anew_with_it(scene: Scene, mo
 def test_seen_cells_are_forgotten_halfway_through_a_level_and_after_pruning(scene: Scene) -> None:
     trainer = run(scene, 0, prune_every=8)
     method, forgotten = voxels_of(trainer), []
-    while trainer.step_count < method.levels[-1].begin + 20:
+    while trainer.step_count < method.schedule.levels[-1].begin + 20:
         trainer.step()
         if not method.kernels.seen(method.grid).any():
             forgotten.append(trainer.step_count)
-    begins = [level.begin for level in method.levels]
+    begins = [level.begin for level in method.schedule.levels]
     halves = [a + (b - a) // 2 for a, b in itertools.pairwise(begins)]
     later = [step for step in forgotten if step >= halves[0]]
     assert later == [*halves, *(begins[-1] + after for after in (4, 8, 16))]
@@ -224,13 +224,13 @@ def test_levels_grow_finer_and_empty_space_is_dropped(scene: Scene) -> None:
     trainer = run(scene, 0)
     method = trainer.method
     assert isinstance(method, Voxels)
-    scales = [level.scale for level in method.levels]
+    scales = [level.scale for level in method.schedule.levels]
     assert len(scales) >= 3
     assert scales == sorted(scales, reverse=True)
     assert scales[-1] == 1
     before = method.grid
     report = None
-    while method.level < len(method.levels) - 1 or trainer.step_count < 120:
+    while method.level < len(method.schedule.levels) - 1 or trainer.step_count < 120:
         report = trainer.step()
     assert report is not None
     assert report.psnr > 20
@@ -296,7 +296,7 @@ def test_rows_never_pass_their_limit(scene: Scene) -> None:
     trainer = run(scene, 60, most_rows=4096)
     method = trainer.method
     assert isinstance(method, Voxels)
-    assert method.level == len(method.levels) - 1
+    assert method.level == len(method.schedule.levels) - 1
     assert len(method.grid.rows) <= 4096
 
 
