@@ -1,4 +1,4 @@
-"""What passes between the worker thread and whoever started it; no method here ever waits for the other side."""
+"""Messages between the worker thread and the window. No method here waits for the other side, except `wait`."""
 
 from __future__ import annotations
 
@@ -12,12 +12,19 @@ from nerf_core.live.messages import FIRST_RUN, Command, Notice, Quit, Snapshot, 
 
 
 class Mailbox:
-    """In go commands in order, and the newest view of each run. Out come its newest snapshot, and notices in order.
+    """Carries messages both ways between two threads.
 
-    wake: called from the worker's thread whenever there is something new to show.
+    To the worker go commands, in order, and the newest view request of each run. To the window go the newest snapshot
+    of each run, and notices, in order.
     """
 
     def __init__(self, wake: Callable[[], None], share: float) -> None:
+        """Begin without messages. The first run has an empty snapshot.
+
+        Args:
+            wake: called from the worker's thread whenever there is something new to show.
+            share: the share of training that the empty snapshot states.
+        """
         self._wake = wake
         self._numbers = itertools.count(1)
         self._commands: deque[tuple[int, Command]] = deque()
@@ -31,7 +38,11 @@ class Mailbox:
     # ---- the window's side ------------------------------------------------------------------------------------------
 
     def send(self, command: Command) -> int:
-        """Queue a command; the number that notices which answer it carry as `Notice.command`."""
+        """Queue a command.
+
+        Returns:
+            The command's number. Notices that answer it have it as `Notice.command`.
+        """
         number = next(self._numbers)
         self._commands.append((number, command))
         if isinstance(command, Quit):
@@ -40,20 +51,25 @@ class Mailbox:
         return number
 
     def request_view(self, request: ViewRequest | None, run: int = FIRST_RUN) -> None:
-        """What to draw of a run from now on; None: nothing."""
+        """Set what to draw of a run from now on.
+
+        Args:
+            request: the view; None draws nothing.
+            run: the run's number if `request` is None; otherwise `request.run` counts.
+        """
         self._views[run if request is None else request.run] = request
         self._arrived.set()
 
     def snapshot(self, run: int = FIRST_RUN) -> Snapshot:
-        """The newest state of a run. Raises KeyError for one that does not exist."""
+        """Return the newest state of a run. Raises KeyError if the run does not exist."""
         return self._snapshots[run]
 
     def snapshots(self) -> Mapping[int, Snapshot]:
-        """The newest state of every run, by its number."""
+        """Return the newest state of every run, by number."""
         return self._snapshots
 
     def notices(self) -> list[Notice]:
-        """What happened since this was last called, in order."""
+        """Return the notices since this was last called, in order."""
         found = []
         while True:
             try:
@@ -62,45 +78,51 @@ class Mailbox:
                 return found
 
     def painted(self, seconds: float) -> None:
-        """The window drew a frame in so many seconds: they are part of what pictures take."""
+        """Note that the window drew a frame in `seconds`. This time counts as pictures'."""
         self._painted.append(seconds)
 
     @property
     def quitting(self) -> bool:
-        """Whether Quit was sent; what was sent before it is still done."""
+        """Whether Quit was sent. Commands before it are still done, but a scene that is loading is abandoned."""
         return self._quit.is_set()
 
     # ---- the worker's side ------------------------------------------------------------------------------------------
 
     def next_command(self) -> tuple[int, Command] | None:
-        """The command that is next in order, left in the queue."""
+        """Return the next command with its number, and leave it in the queue; None if there is none."""
         return self._commands[0] if self._commands else None
 
     def take(self) -> tuple[int, Command]:
+        """Remove the next command from the queue, and return it with its number."""
         return self._commands.popleft()
 
     def view(self, run: int) -> ViewRequest | None:
+        """Return what to draw of a run; None for nothing."""
         return self._views.get(run)
 
     def paint_seconds(self) -> float:
-        """Seconds of the window's frames since this was last called."""
+        """Return the seconds of the window's frames since this was last called."""
         total = 0.0
         while self._painted:
             total += self._painted.popleft()
         return total
 
     def deliver(self, snapshots: Mapping[int, Snapshot]) -> None:
+        """Publish the state of every run, by number. Runs that are not in it no longer exist."""
         self._snapshots = snapshots
 
     def tell(self, notice: Notice) -> None:
+        """Send a notice to the window."""
         self._notices.put(notice)
 
     def wake(self) -> None:
+        """Tell the window that there is something new to show."""
         self._wake()
 
     def begin_turn(self) -> None:
-        """From here on `wait` returns at once if anything arrives."""
+        """Begin a turn of the worker: `wait` returns at once if anything arrives after this call."""
         self._arrived.clear()
 
     def wait(self, seconds: float) -> None:
+        """Wait until something arrives, at most `seconds`."""
         self._arrived.wait(seconds)

@@ -1,4 +1,7 @@
-"""Who works next: training and pictures share the time by one budget, runs share training equally."""
+"""Decide who works next.
+
+Training and pictures share the time by one budget. Runs share the training time equally.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,11 @@ from nerf_core.live.shares import DEFAULT_SHARE, SHARES, Situation
 
 
 class Trainee(Protocol):
-    """What the scheduler needs to know of a run."""
+    """What the scheduler needs to know about a run.
+
+    number: the run's number.
+    training: whether it trains now.
+    """
 
     number: int
 
@@ -20,28 +27,54 @@ class Trainee(Protocol):
 
 
 class Scheduler:
-    """One for the worker thread. share: what training keeps of the time while pictures are wanted."""
+    """Divides the worker thread's time. The worker has one scheduler.
+
+    wanted: the share of training that the user asked for.
+    rule: the name in `SHARES` of the rule that adapts it.
+    budget: the budget of training and pictures.
+    """
 
     def __init__(self, share: float, clock: Callable[[], float] = time.monotonic) -> None:
+        """Begin with the default rule.
+
+        Args:
+            share: the share of the time that training keeps while pictures are wanted, 0.05 … 0.95.
+            clock: returns the time in seconds.
+        """
         self.wanted, self.rule = share, DEFAULT_SHARE
         self.budget = Budget(share, clock)
         self._clock = clock
-        self._accounts: dict[int, Account] = {}  # of the runs that train
+        self._accounts: dict[int, Account] = {}  # of the runs that train, by number
 
     def set_share(self, wanted: float, rule: str) -> None:
-        """Raises UserError for an unknown rule."""
+        """Set the user's choice.
+
+        Args:
+            wanted: the share of training; it is limited to 0.05 … 0.95.
+            rule: a name of `SHARES`.
+
+        Raises:
+            UserError: the rule is unknown.
+        """
         SHARES.get(rule)
         self.wanted, self.rule = min(max(wanted, 0.05), 0.95), rule
         self.budget.share = self.wanted
 
     def adapt(self, now: Situation) -> None:
-        """Let the rule look at the situation."""
+        """Set the budget's share to what the rule gives in this situation."""
         self.budget.share = SHARES.get(self.rule).share(self.wanted, now)
 
     def next_run(self, runs: Sequence[Trainee]) -> int | None:
-        """The number of the training run that had the least training time lately; None: no run trains.
+        """Choose the run that trains next: the one that had the least training time lately.
 
-        A run that begins to train stands level with the one that had the least: it neither waits nor catches up.
+        A run that begins to train starts with the time of the run that had the least. So it neither waits nor catches
+        up.
+
+        Args:
+            runs: all runs.
+
+        Returns:
+            The run's number; None if no run trains.
         """
         training = [run.number for run in runs if run.training]
         self._accounts = {number: account for number, account in self._accounts.items() if number in training}
@@ -54,13 +87,13 @@ class Scheduler:
         return min(training, key=lambda number: (self._accounts[number].seconds, number), default=None)
 
     def trained(self, number: int, seconds: float, rays: int) -> None:
-        """Run `number` trained for `seconds` on so many rays."""
+        """Note that run `number` trained on `rays` rays for `seconds`."""
         self.budget.trained(seconds)
         if number in self._accounts:
             self._accounts[number].add(seconds, rays)
 
     def rays_per_second(self, number: int) -> float:
-        """Rays that a run was trained on per second of wall time, pictures and other runs included."""
+        """Return the rays per second that a run is trained on. The time of pictures and of other runs counts, too."""
         account, total = self._accounts.get(number), self.budget.total()
         if account is None or total <= 0:
             return 0.0

@@ -1,4 +1,4 @@
-"""Rules for the share of time that training keeps while pictures are drawn: one file per rule."""
+"""Rules for the share of time that training keeps while pictures are drawn. One file per rule."""
 
 from __future__ import annotations
 
@@ -10,21 +10,34 @@ from nerf_core.common.registry import Registry
 
 @dataclass(frozen=True)
 class Situation:
-    """What a rule may look at. moving: the camera moves. exporting: a file is being rendered."""
+    """What a rule may look at.
+
+    moving: whether a camera moves.
+    exporting: whether a file is being rendered.
+    """
 
     moving: bool
     exporting: bool
 
 
 class ShareRule(Protocol):
-    """label, tip: for menus."""
+    """A rule for the share.
+
+    label: the name in menus.
+    tip: a sentence on what the rule does.
+    """
 
     label: ClassVar[str]
     tip: ClassVar[str]
 
     @staticmethod
     def share(wanted: float, now: Situation) -> float:
-        """The share of the time, 0.05 … 0.95, that training gets now. wanted: what the user asked for."""
+        """Return the share of the time that training gets now, 0.05 … 0.95.
+
+        Args:
+            wanted: the share that the user asked for.
+            now: the situation.
+        """
         ...
 
 
