@@ -29,14 +29,19 @@ class View:
 class Scene:
     """Posed photos in the trainer's frame. It is frozen, so that threads can share it.
 
+    name: the name of the capture's folder; "demo" for the demo scene.
+    format: a name of `DATASETS`.
+    views: names and cameras of the photos.
     photos: one per view, sRGB-encoded, 65535 = 1, composited over `background`. 16 bits hold 8-bit and 16-bit photos
-    exactly, and averaged ones without visible error.
+        exactly, and averaged ones without visible error.
+    splits: indices into `views` for each name of SPLITS that the capture has.
     near, far: the z-depths (along the optical axis, not the ray) that enclose the content, in scene units.
-    synthetic: an object rendered on a plain background (Blender's format), not photos of a place.
-    disparity: whether samples are spaced linearly in 1/z (real captures without NDC).
-    ndc: the reference frustum if the scene is trained in normalised device coordinates, else None.
-    center, radius, up: the centre, radius and axis of an orbit, in scene units.
+    background: the colour behind the content, in [0, 1], sRGB-encoded.
+    center, radius, up: the centre (3,), radius and axis (3,) of an orbit, in scene units.
     to_input: (4, 4) similarity from scene points to the frame of the input files.
+    disparity: whether samples are spaced linearly in 1/z (real captures without NDC).
+    synthetic: whether it is an object on a plain background (Blender's format), not photos of a place.
+    ndc: the reference frustum if the scene is trained in normalised device coordinates, else None.
     notes: the reader's warnings, one line each.
     landmarks: rays worth watching from the first step: a name, and a position (x, y) in the first training photo, as
         shares of its width and height.

@@ -27,7 +27,10 @@ HORIZON = 1e6  # in units of the inner cube: no cell of a grid can tell this dis
 class BoxRays:
     """R rays x = origins + t · directions in the coordinates of a `Space` before contraction.
 
+    origins: (R, 3) in box coordinates.
+    directions: (R, 3) in box coordinates per unit of t, in general not of unit length.
     views: (R, 3) unit view directions in the world.
+    near, far: (R,) the interval of t that may hold content; empty (far < near) for a ray that NDC cannot represent.
     """
 
     origins: Tensor
@@ -42,17 +45,29 @@ class BoxRays:
 
 @dataclass(frozen=True)
 class Space:
-    """The box coordinates of a scene. t is the world distance under "world" and "contracted", and t′ under "ndc"."""
+    """The box coordinates of a scene. t is the world distance under "world" and "contracted", and t′ under "ndc".
+
+    kind: how world points are mapped.
+    center: the world point at the centre of the box; unused under "ndc".
+    extent: half the side of the (inner) cube, in world units; 1 under "ndc".
+    low, high: (3,) corners of the box, in box coordinates.
+    ndc: the frustum under "ndc", else None.
+    """
 
     kind: Literal["world", "ndc", "contracted"]
     center: tuple[float, float, float]
-    extent: float  # half the side of the (inner) cube, in scene units
-    low: np.ndarray  # (3,) corners of the box, in box coordinates
+    extent: float
+    low: np.ndarray
     high: np.ndarray
     ndc: Ndc | None = None
 
     @staticmethod
     def of(scene: Scene) -> Space:
+        """Return the space in which grids represent a scene.
+
+        It is "ndc" for a scene that is trained in NDC, "world" for an object on a plain background, and "contracted"
+        for everything else.
+        """
         center = (float(scene.center[0]), float(scene.center[1]), float(scene.center[2]))
         one = np.ones(3)
         if scene.ndc is not None:
@@ -62,6 +77,12 @@ class Space:
         return Space("contracted", center, scene.radius, -2 * one, 2 * one)
 
     def rays(self, rays: Rays) -> BoxRays:
+        """Convert R world rays to box coordinates.
+
+        Under "world" and "contracted", t stays the world distance; under "contracted", far moves to the horizon. Under
+        "ndc", t becomes t′, which is 0 on the near plane and 1 at infinity. There a ray that does not look towards −z
+        gets far = −1, so that it has no samples.
+        """
         if self.ndc is not None:
             origins, directions, exists = self.ndc.rays(rays.origins, rays.directions)
             near = self.ndc.first(rays.origins)

@@ -220,7 +220,16 @@ class Method(Renderable, Trainable, Protocol):
         """Rebuild the configuration that a checkpoint stores as a JSON object. Raises UserError."""
         ...
 
-    def __init__(self, scene: Scene, config: Any, device: torch.device, seed: int) -> None: ...
+    def __init__(self, scene: Scene, config: Any, device: torch.device, seed: int) -> None:
+        """Make a new model of a scene, at training step 0.
+
+        Args:
+            scene: the scene.
+            config: what `configure` or `restore` returned.
+            device: the device that was asked for; `Renderable.device` says which one is used.
+            seed: of everything random. The same seed gives the same weights on one CPU.
+        """
+        ...
 
 
 class Defaults:

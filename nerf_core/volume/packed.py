@@ -17,7 +17,7 @@ OPAQUE = 800.0  # optical depth from which e^−τ is 0 in 64 bits
 class Packed:
     """M samples of R rays, ray after ray, each ray's from front to back.
 
-    ends: (R + 1,) int64, the row offsets: ray r has the samples ends[r] … ends[r + 1] − 1.
+    row_offsets: (R + 1,) int64; ray r has the samples row_offsets[r] … row_offsets[r + 1] − 1.
     t, width: (M,), position and length of each sample, in the parameter of the box rays.
     """
 
