@@ -11,10 +11,11 @@ import tyro
 
 from nerf_core.commands import COMMANDS
 from nerf_core.commands.shared import loading, restored, tell, warn
-from nerf_core.common.console import Display, duration
+from nerf_core.common.console import Display
 from nerf_core.common.device import describe, pick_device
 from nerf_core.common.errors import UserError
 from nerf_core.common.signals import Signals
+from nerf_core.common.text import duration
 from nerf_core.datasets import load_scene
 from nerf_core.kernels import choice as kernels
 from nerf_core.training.loop import Progress, train_run

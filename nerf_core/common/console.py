@@ -6,6 +6,8 @@ import sys
 import time
 from types import TracebackType
 
+from nerf_core.common.text import duration
+
 LINE_SECONDS, LINES_GROW, LONGEST_SECONDS = (
     5.0,
     1.3,
@@ -59,13 +61,3 @@ class Display:
         else:
             self._bar.update(self._task, completed=fraction, text=text)
             self._bar.refresh()
-
-
-def duration(seconds: float) -> str:
-    """Write a duration for people: 3 s, 4 min 05 s, 2 h 07 min."""
-    whole = max(0, round(seconds))
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60:02} s"
-    return f"{whole // 3600} h {whole % 3600 // 60:02} min"

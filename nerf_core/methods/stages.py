@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from nerf_core.common.text import number, triple
+
 if TYPE_CHECKING:
     from nerf_core.geometry.rays import Samples
     from nerf_core.volume.cells import Cells
@@ -62,14 +64,6 @@ class Stage:
     sentence: str
     charts: tuple[Chart, ...] = ()
     rows: tuple[tuple[str, str], ...] = ()
-
-
-def number(value: float, digits: int = 4) -> str:
-    return f"{value:.{digits}g}"
-
-
-def triple(values: np.ndarray) -> str:
-    return "  ".join(f"{float(v):.3f}" for v in values)
 
 
 def nothing_stage() -> Stage:

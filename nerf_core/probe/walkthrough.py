@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from nerf_core.common.text import number, triple
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import METHODS, Explainable, Method, lacking
-from nerf_core.methods.stages import Colors, Stage, number, triple
+from nerf_core.methods.stages import Colors, Stage
 from nerf_core.probe.records import PassProbe, RayProbe, Truth
 
 SAME_POSE = 1e-9  # relative: a camera that flies to a photo ends at its pose, except for rounding

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from imgui_bundle import ImVec2, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
+from nerf_core.common.text import duration, rate
 from nerf_core.live.messages import Reset
 
 from ..commands.registry import COMMANDS, MENUS, Menu, UserCommand, commands, invoke, run, with_keys
 from ..model.state import Action, AppState
-from ..ui.text import duration, rate
 from ..ui.theme import CLEAR
 from .panel_host import PanelUi
 

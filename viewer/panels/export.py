@@ -11,6 +11,7 @@ from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.common.errors import UserError
+from nerf_core.common.text import duration, number
 from nerf_core.geometry.paths import PATHS, CameraPath, Option
 from nerf_core.geometry.paths.steps import training_size
 from nerf_core.geometry.scene import Scene
@@ -21,7 +22,6 @@ from nerf_core.rendering.export.requests import ExportModel
 from ..commands.registry import with_keys
 from ..model.state import Action, AppState, FilmForm, StartFilmExport
 from ..ui.contract import PANELS, Ui
-from ..ui.text import duration, number
 from ..ui.widgets import button, field_beside, field_width, hint, path_line, same_line_if_fits
 
 CANCEL = f"{icons.ICON_FA_XMARK}  Cancel"

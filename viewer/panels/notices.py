@@ -8,9 +8,10 @@ from typing import Literal
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
+from nerf_core.common.text import duration
+
 from ..model.state import Action, AppState, ShownNotice
 from ..ui.contract import PANELS, Ui
-from ..ui.text import duration
 from ..ui.widgets import button, hint, mono, notice_text, path_line
 
 

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
 
+from nerf_core.common.text import number, triple, vector
 from nerf_core.probe import (
     DISC_SIZE,
     SPHERE_COLUMNS,
@@ -24,7 +25,6 @@ from nerf_core.probe import (
 
 from ..model.state import Action, AppState, SetDisc, SetPointDepth
 from ..ui.contract import PANELS, Ui
-from ..ui.text import number, triple, vector
 from ..ui.widgets import Row, button, figures, hint, mono, nothing_yet, packed, swatch
 
 CAPTIONS = {"viewer": "facing its camera", "normal": "around the normal"}

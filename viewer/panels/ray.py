@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from imgui_bundle import ImVec2, imgui
 
+from nerf_core.common.text import number, triple
 from nerf_core.probe import RayProbe
 
 from ..draw.plot_marks import DEPTHS, Glyph
@@ -16,7 +17,6 @@ from ..draw.ray_plots import LogChoice, Opened, RayPlots
 from ..draw.ray_steps import Steps, steps_of
 from ..model.state import Action, AppState, SampleRef, SetPointDepth
 from ..ui.contract import PANELS, Ui
-from ..ui.text import number, triple
 from ..ui.widgets import Row, faded, figures, hint, nothing_yet, packed, same_line_if_fits, sample_tooltip, swatch
 
 AXIS = "over t (world units)"

@@ -10,11 +10,11 @@ from typing import Literal
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
+from nerf_core.common.text import number, triple
 from nerf_core.live.messages import MOST_PINS, PIN_NAME_LENGTH, EditPin, ExportRays, Pin, PinRay, UnpinRay
 
 from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
-from ..ui.text import number, triple
 from ..ui.widgets import Row, button, field_beside, figures, nothing_yet, packed, swatch
 
 WRITE = f"{icons.ICON_FA_FILE_EXPORT}  Write"

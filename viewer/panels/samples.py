@@ -8,11 +8,11 @@ from typing import Literal
 
 from imgui_bundle import ImVec2, imgui
 
+from nerf_core.common.text import number, triple
 from nerf_core.probe import PassProbe
 
 from ..model.state import Action, AppState, SampleRef
 from ..ui.contract import PANELS, Ui
-from ..ui.text import number, triple
 from ..ui.theme import CLEAR
 from ..ui.widgets import faded, mono, nothing_yet, packed, swatch
 

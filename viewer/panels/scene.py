@@ -12,6 +12,7 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
 from nerf_core.common.configs import Constant, constants
+from nerf_core.common.text import number
 from nerf_core.geometry.scene import SPLITS, Scene
 from nerf_core.live.messages import OpenScene, UseMethod
 from nerf_core.methods import METHODS
@@ -19,7 +20,6 @@ from nerf_core.methods import METHODS
 from ..commands.registry import COMMANDS, run, with_keys
 from ..model.state import Action, AppState, unsaved_steps
 from ..ui.contract import PANELS, Ui
-from ..ui.text import number
 from ..ui.widgets import Confirmation, Row, button, exists, field_beside, field_width, figures, hint, same_line_if_fits
 
 DOWNSCALE, MOST = "downscale", 64

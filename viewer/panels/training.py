@@ -9,6 +9,7 @@ from typing import Literal
 from imgui_bundle import ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
+from nerf_core.common.text import duration, rate
 from nerf_core.live.messages import LoadCheckpoint, Pause, Reset, SetShare, Snapshot, Train
 from nerf_core.live.shares import SHARES
 
@@ -16,7 +17,6 @@ from ..commands.registry import run, with_keys
 from ..draw.history_plots import HistoryPlots
 from ..model.state import Action, AppState, unsaved_steps
 from ..ui.contract import PANELS, Ui
-from ..ui.text import duration, rate
 from ..ui.widgets import Confirmation, Row, button, exists, field_beside, field_width, figures, hint, same_line_if_fits
 
 START, PAUSE = f"{icons.ICON_FA_PLAY}  Train", f"{icons.ICON_FA_PAUSE}  Pause"

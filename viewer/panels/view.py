@@ -8,13 +8,13 @@ from typing import Literal
 from imgui_bundle import ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
+from nerf_core.common.text import number, vector
 from nerf_core.rendering.modes import COLOR, MODES, mode_names
 
 from ..commands.registry import COMMANDS, run, with_keys
 from ..draw.viewport import same_view
 from ..model.state import Action, AppState, FocusOn
 from ..ui.contract import PANELS, Ui
-from ..ui.text import number, vector
 from ..ui.widgets import Row, button, field_width, figures, hint, same_line_if_fits
 
 FRAME, FOCUS = f"{icons.ICON_FA_EXPAND}  Frame", f"{icons.ICON_FA_CROSSHAIRS}  Focus"

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from nerf_core.common.console import Display, duration
+from nerf_core.common.console import Display
 from nerf_core.common.errors import UserError
+from nerf_core.common.text import duration
 from nerf_core.geometry.camera_files import picked_camera
 from nerf_core.geometry.paths.steps import training_size
 from nerf_core.live.messages import (

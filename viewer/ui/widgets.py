@@ -15,9 +15,8 @@ from imgui_bundle import ImVec2, ImVec4, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.common.colormaps import Name, colored
+from nerf_core.common.text import number, triple
 from nerf_core.methods import lacking
-
-from .text import number, triple
 
 if TYPE_CHECKING:
     from nerf_core.live.messages import Notice

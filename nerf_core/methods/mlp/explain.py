@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from nerf_core.common.text import triple
 from nerf_core.geometry.rays import Rays, Samples
 from nerf_core.methods.mlp.model import MlpModel
-from nerf_core.methods.stages import BarCode, Stage, triple
+from nerf_core.methods.stages import BarCode, Stage
 
 
 @torch.no_grad()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from nerf_core.common.text import number
 from nerf_core.geometry.rays import Rays
 from nerf_core.methods.stages import (
     BarCode,
@@ -13,7 +14,6 @@ from nerf_core.methods.stages import (
     absorption_stage,
     field_stage,
     nothing_stage,
-    number,
     skipped_stage,
 )
 from nerf_core.methods.voxels.model import VoxelModel

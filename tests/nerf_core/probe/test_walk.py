@@ -36,6 +36,7 @@ def test_the_camera_says_which_way_the_pixel_looks(scene: Scene, k1: float) -> N
     ray = open_ray(method, scene, camera, (3, 35), 0)
     rows = dict(walk(method, scene, camera, ray)[0].rows)
     assert ("with the lens undone" in rows) == (k1 != 0)
+    assert "−1.000" in rows["before the camera"]  # the same minus sign as the window's
     local = numbers(list(rows.values())[-1])
     direction = camera.c2w[:, :3] @ local / np.linalg.norm(local)
     np.testing.assert_allclose(direction, ray.direction, atol=2e-3)  # the row has three decimals

@@ -23,6 +23,7 @@ from panel_states import (
 )
 
 from nerf_core.common.configs import constants
+from nerf_core.common.text import triple
 from nerf_core.datasets import LoadOptions
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.lens import Lens
@@ -67,7 +68,6 @@ from viewer.model.state import (
     StartFilmExport,
 )
 from viewer.ui.contract import PANELS, Panel
-from viewer.ui.text import duration, number, rate, triple, vector
 from viewer.ui.theme import DarkTheme
 
 SCREEN = (1280, 800)
@@ -1019,15 +1019,6 @@ def test_the_path_of_a_result_is_copied(screen: Screen) -> None:
 
 
 # ---- texts ------------------------------------------------------------------------------------------------------
-
-
-def test_texts_of_figures() -> None:
-    spans = {0.44: "0.4 s", 59.6: "1 min 0 s", 70.2: "1 min 10 s", 7500: "2 h 5 min", None: "–", float("nan"): "–"}
-    for seconds, text in spans.items():
-        assert duration(seconds) == text
-    assert [rate(v) for v in (0.0, 512.0, 640_123.0, 1.254e6)] == ["–", "512", "640k", "1.25M"]
-    assert [number(v) for v in (None, float("inf"), -0.00012345, 3.0)] == ["–", "–", "−0.0001234", "3"]
-    assert vector(np.array([0.5, -1.25])) == " 0.500 −1.250"
 
 
 def test_hatched_pictures_are_the_colours_with_stripes_where_no_photo_looked() -> None:
