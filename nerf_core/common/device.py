@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import torch
 
@@ -64,3 +66,17 @@ def memory_held(device: torch.device) -> int:
 
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         return peak if sys.platform == "darwin" else peak * 1024
+
+
+@contextmanager
+def enough_memory() -> Iterator[None]:
+    """Raise UserError if a picture does not fit on the device.
+
+    Pictures are drawn in the middle of training steps. torch's own error would look like one of the step.
+    """
+    try:
+        yield
+    except torch.OutOfMemoryError as error:
+        raise UserError(
+            f"out of device memory for a picture ({error}): close other programs that use the device"
+        ) from None

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,8 @@ from nerf_core.geometry.ndc import Ndc
 from nerf_core.geometry.photos import Photos
 
 SPLITS = ("train", "val", "test")
+IDENTITY = 2  # how `Scene.identity` is made; 1: of exact numbers
+DECIMALS = 6  # poses and bounds are some units: far more than rounding errors, far less than any real difference
 
 
 @dataclass(frozen=True)
@@ -100,14 +102,45 @@ class Scene:
         return f"trained on {shorten(name)}, {shorten(there, 160)}; open now is {self.name}, {here!r}: {advice}"
 
     def identity(self) -> str:
-        """Return a hash of poses, intrinsics, bounds, names, splits and a few pixels of each photo, for checkpoints."""
-        digest = hashlib.sha256()
-        digest.update(repr((self.near, self.far, self.background, self.disparity, self.ndc)).encode())
+        """Return a hash of poses, intrinsics, bounds, names, splits and a few pixels of each photo, for checkpoints.
+
+        Numbers are rounded to DECIMALS: processors differ in the last digits of a matrix product.
+        """
+        return self._hash(lambda number: round(float(number), DECIMALS) + 0.0)  # −0 becomes 0
+
+    def is_of(self, description: Mapping[str, Any]) -> bool:
+        """Return whether a checkpoint was trained on this scene, as far as can be known.
+
+        A checkpoint from before IDENTITY 2 has a hash of exact numbers. Where it differs, the processor may be the
+        reason, and the name and the summary decide; see `doubt`.
+        """
+        if description["scene"] == self.identity():
+            return True
+        if description.get("scene_identity", 1) == IDENTITY:
+            return False
+        alike = (description["scene_name"], description["scene_summary"]) == (self.name, self.summary())
+        return alike or not self.doubt(description)
+
+    def doubt(self, description: Mapping[str, Any]) -> str:
+        """Return a warning if it cannot be known whether a checkpoint for which `is_of` holds is of this scene."""
+        if description.get("scene_identity", 1) == IDENTITY or description["scene"] == self._hash(
+            lambda number: number
+        ):
+            return ""
+        return "an earlier version wrote the checkpoint, perhaps on another processor: its poses are not compared"
+
+    def _hash(self, number: Callable[[float], float]) -> str:
+        digest, ndc = hashlib.sha256(), self.ndc
+        bounds = number(self.near), number(self.far), tuple(number(channel) for channel in self.background)
+        if ndc is not None:
+            ndc = replace(ndc, focal=number(ndc.focal), near=number(ndc.near), far=number(ndc.far))
+        digest.update(repr((*bounds, self.disparity, ndc)).encode())
         digest.update(repr(sorted((k, tuple(v)) for k, v in self.splits.items())).encode())
         for view, image in zip(self.views, self.images, strict=True):
             digest.update(view.name.encode())
-            digest.update(repr(view.camera.intrinsics()).encode())
-            digest.update(np.ascontiguousarray(view.camera.c2w, dtype="<f8").tobytes())
+            digest.update(repr(tuple(number(v) for v in view.camera.intrinsics())).encode())
+            c2w = [[number(v) for v in row] for row in view.camera.c2w.tolist()]
+            digest.update(np.array(c2w, dtype="<f8").tobytes())
             digest.update(
                 np.ascontiguousarray(image[:: max(1, image.shape[0] // 16), :: max(1, image.shape[1] // 16)]).tobytes()
             )

@@ -10,7 +10,7 @@ import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -34,8 +34,14 @@ _fresh = itertools.count(1).__next__  # ids are unique within a process
 
 @dataclass(frozen=True, kw_only=True)
 class OfRun:
-    """A message about one run: a scene with one model. run: its number."""
+    """A message about one run: a scene with one model.
 
+    run: its number.
+    quick: whether the worker obeys it in the middle of a training step. Such a command touches neither the weights nor
+        whose they are. Any other command abandons the step.
+    """
+
+    quick: ClassVar[bool] = False
     run: int = FIRST_RUN
 
 
@@ -112,6 +118,7 @@ class SetShare:
     train: 0.05 … 0.95. rule: one of `nerf_core.live.shares.SHARES`, which may vary it with the situation.
     """
 
+    quick: ClassVar[bool] = True
     train: float
     rule: str = "steady"
 
@@ -137,6 +144,7 @@ class Inspect(OfRun):
     id: of the ray; a pin of the same ray has the same. look: of this request; answers carry it back.
     """
 
+    quick: ClassVar[bool] = True
     camera: Camera
     pixel: tuple[int, int]
     point_t: float | None = None
@@ -151,7 +159,7 @@ class Inspect(OfRun):
 
 @dataclass(frozen=True)
 class StopInspecting(OfRun):
-    pass
+    quick: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
@@ -161,6 +169,7 @@ class PinRay(OfRun):
     name: empty for "ray N". hidden: not drawn in the viewport. id: see `Inspect`.
     """
 
+    quick: ClassVar[bool] = True
     camera: Camera
     pixel: tuple[int, int]
     name: str = ""
@@ -176,6 +185,7 @@ class PinRay(OfRun):
 class EditPin(OfRun):
     """Rename, hide or show a pinned ray; None: as it is."""
 
+    quick: ClassVar[bool] = True
     id: int
     name: str | None = None
     hidden: bool | None = None
@@ -183,6 +193,7 @@ class EditPin(OfRun):
 
 @dataclass(frozen=True)
 class UnpinRay(OfRun):
+    quick: ClassVar[bool] = True
     id: int
 
 
@@ -200,17 +211,18 @@ class ExportRays(OfRun):
 class StartExport(OfRun):
     """Write a film, a picture or the model itself as it is now, while training goes on."""
 
+    quick: ClassVar[bool] = True
     request: ExportRequest
 
 
 @dataclass(frozen=True)
 class CancelExport(OfRun):
-    pass
+    quick: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
 class Quit:
-    pass
+    quick: ClassVar[bool] = False
 
 
 Command = (

@@ -10,16 +10,16 @@ from pathlib import Path
 
 import torch
 
+from nerf_core.common.device import enough_memory
 from nerf_core.common.errors import UserError
 from nerf_core.datasets import load_scene
 from nerf_core.geometry.scene import Scene
 from nerf_core.kernels import choice as kernels
 from nerf_core.live import messages, pin_files
 from nerf_core.live.artist import Artist
+from nerf_core.live.exports import Exports
 from nerf_core.live.messages import Notice, ViewRequest
 from nerf_core.probe import check_format, write_inspection
-from nerf_core.rendering.export.jobs import Job
-from nerf_core.rendering.export.start import export_job
 from nerf_core.training import checkpoint
 from nerf_core.training.last_good import LastGood
 from nerf_core.training.settings import RunSettings
@@ -44,11 +44,9 @@ class Run:
         self.scene: Scene | None = None
         self.trainer: Trainer | None = None
         self.artist = Artist()
-        self.job: Job | None = None  # the export under way
         self.skipped: ViewRequest | None = None  # a view that could not be drawn: tried again when asked anew
-        self.export: messages.Export | None = None  # the newest export
-        self._export_command = 0  # the number of the command that began it, and
-        self._ray_command = 0  # of the one that opened the ray
+        self.exports = Exports(self._tell)
+        self._ray_command = 0  # the number of the command that opened the ray
         self.failed = False
         self.loading = ""
         self.loaded = 0
@@ -99,10 +97,11 @@ class Run:
             case messages.ExportRays(path):
                 self._export_rays(path)
             case messages.StartExport(request):
-                self._start_export(request)
-                self._export_command = number
+                self.exports.start(request, self.need_trainer(), number)
             case messages.CancelExport():
-                self._cancel_export()
+                self.exports.cancel()
+            case _:
+                raise AssertionError(f"no run obeys {command}")
 
     def need_scene(self) -> Scene:
         """Raises UserError where nothing is open."""
@@ -165,7 +164,7 @@ class Run:
     def _load(self, path: Path) -> None:
         description, state = checkpoint.load(path)
         scene = self.need_scene()
-        if description["scene"] != scene.identity():
+        if not scene.is_of(description):
             raise UserError(f"{path}: {scene.difference(description)}")
         trainer = Trainer.resume(scene, description, state, self.settings.device)
         self._adopt(trainer)
@@ -279,43 +278,13 @@ class Run:
         self.artist.forget_pictures()
         self._tell("error", f"{error}; back at step {trainer.step_count:,}, paused", kind="failed")
 
-    # ---- files in the making ----------------------------------------------------------------------------------------
-
-    def _start_export(self, request: messages.ExportRequest) -> None:
-        trainer = self.need_trainer()
-        if self.job is not None:
-            raise UserError(f"an export to {self.job.progress.file} is running: cancel it or wait for it")
-        self.job = export_job(request, trainer.frozen_method(), trainer.scene)
-        self.export = self.job.progress
-
-    def _cancel_export(self) -> None:
-        if self.job is not None:
-            self.job.cancel()
-            self.job, self.export = None, self.job.progress
-
-    def draw_export(self) -> bool:
-        """One tile of the export under way; whether there was one."""
-        job = self.job
-        if job is None:
-            return False
-        try:
-            with _enough_memory():
-                job.advance()
-        except UserError as error:
-            self._tell("error", f"export failed: {error}", kind="failed", command=self._export_command)
-        self.export = job.progress
-        if job.progress.state != "running":
-            self.job = None  # with its copy of the model
-        if job.progress.state == "done":
-            file = job.progress.file
-            self._tell("info", f"exported {file}", file, kind="exported", command=self._export_command)
-        return True
+    # ---- pictures ---------------------------------------------------------------------------------------------------
 
     def draw(self, view: ViewRequest | None) -> bool:
         """One piece of a ray or of the picture, of at most some 15 ms; whether there was any to do."""
         trainer, asked = self.need_trainer(), self.artist.ray.asked
         try:
-            with _enough_memory():
+            with enough_memory():
                 if self.artist.draw_rays(trainer, view, self.training):
                     return True
         except UserError as error:
@@ -326,7 +295,7 @@ class Run:
         if view is None:
             return False
         try:
-            with _enough_memory():
+            with enough_memory():
                 return self.artist.draw_view(trainer, view, self.training)
         except UserError:  # a mode that the method cannot draw, say: reported once, not at every turn
             self.skipped = view
@@ -359,19 +328,4 @@ class Run:
 
     def close(self) -> None:
         """Leave no half-written file behind."""
-        if self.job is not None:
-            self.job.abort()
-
-
-@contextmanager
-def _enough_memory() -> Iterator[None]:
-    """Raise UserError if a picture does not fit on the device.
-
-    Pictures are drawn in the middle of training steps. torch's own error would look like one of the step.
-    """
-    try:
-        yield
-    except torch.OutOfMemoryError as error:
-        raise UserError(
-            f"out of device memory for a picture ({error}): close other programs that use the device"
-        ) from None
+        self.exports.abort()

@@ -11,12 +11,14 @@ from nerf_core.live.scheduler import Scheduler
 
 
 def snapshot_of(run: Run, before: Snapshot, scheduler: Scheduler) -> Snapshot:
-    """The state to publish. before: the one that was published last; its picture stays until there is another."""
+    """The state to publish. before: the one that was published last; its picture stays until the scene has another."""
+    if before.loaded != run.loaded:
+        before = replace(before, preview=None)
     status, trainer, budget = status_of(run), run.trainer, scheduler.budget
     shown = replace(
         before, run=run.number, status=status, loading=run.loading, loaded=run.loaded, scene=run.scene,
         wanted_share=scheduler.wanted, share_rule=scheduler.rule,
-        frame_share=budget.frame_share(), export=run.export,
+        frame_share=budget.frame_share(), export=run.exports.newest,
     )  # fmt: skip
     if trainer is None:
         return shown

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 from nerf_core.common.errors import UserError
 from nerf_core.live import messages
+from nerf_core.live.drawing import Drawing
 from nerf_core.live.mailbox import Mailbox
 from nerf_core.live.messages import FIRST_RUN, Command, Notice, Snapshot, ViewRequest
 from nerf_core.live.run import Run
@@ -23,13 +24,6 @@ from nerf_core.training.settings import RunSettings
 PUBLISH_SECONDS = 1 / 10  # between snapshots nobody waits for: a full picture takes some 5 ms to hand over
 IDLE_SECONDS = 0.25  # how long an idle worker sleeps before it looks again
 NICENESS = 10  # the window's thread goes first when both want a core
-
-
-# What can be obeyed in the middle of a training step: it touches neither the weights nor whose they are.
-QUICK = (
-    messages.SetShare, messages.Inspect, messages.StopInspecting, messages.PinRay, messages.EditPin,
-    messages.UnpinRay, messages.StartExport, messages.CancelExport,
-)  # fmt: skip
 
 
 class _Abandoned(Exception):
@@ -54,7 +48,8 @@ class Worker:
         self._untold: list[Notice] = []  # until the state that they tell of is published
         self._published = 0.0
         self._command = 0  # the number of the command that is being obeyed
-        self._at_work: Run | None = None  # whose fault it is if something fails
+        self._drawing = Drawing(self._runs, self._mailbox, self._scheduler.budget)
+        self._trained: Run | None = None  # the run whose step is under way
         self._accounted = 0.0  # up to when the step under way is in the budget
 
     # ---- called from other threads --------------------------------------------------------------------------------
@@ -109,8 +104,9 @@ class Worker:
                 except _Abandoned:
                     pass  # the command is taken next
                 except Exception as error:
-                    self._fail(error, self._at_work.number if self._at_work else FIRST_RUN)
-                self._at_work = None
+                    at_work = self._drawing.at_work or self._trained
+                    self._fail(error, at_work.number if at_work else FIRST_RUN)
+                self._drawing.at_work = self._trained = None
         finally:
             for run in self._runs.values():
                 run.close()
@@ -129,11 +125,11 @@ class Worker:
         if number is not None:
             self._train_step(self._runs[number])
         else:
-            awaited = self._ray_awaited()
-            if not self._draw():
+            awaited = self._drawing.ray_awaited()
+            if not self._drawing.piece():
                 self._publish(force=any(run.artist.fresh for run in self._runs.values()))
                 self._mailbox.wait(IDLE_SECONDS)
-            elif awaited and not self._ray_awaited():
+            elif awaited and not self._drawing.ray_awaited():
                 self._publish(force=True)
         self._publish()
 
@@ -197,17 +193,17 @@ class Worker:
     # ---- training ---------------------------------------------------------------------------------------------------
 
     def _train_step(self, run: Run) -> None:
-        self._at_work, self._accounted = run, time.perf_counter()
+        self._trained, self._accounted = run, time.perf_counter()
         self._mailbox.paint_seconds()  # before this step they took nothing from training
         report = run.step(lambda: self._between_chunks(run))
         if report is None:
-            self._at_work = None
+            self._trained = None
             return
         self._account_for_training(run, report.rays)
         begin = time.perf_counter()
         if run.artist.pins.record(run.need_trainer()):
             self._scheduler.budget.drew(time.perf_counter() - begin)
-        self._at_work = None
+        self._trained = None
 
     def _account_for_training(self, run: Run, rays: int) -> None:
         """Since `_accounted`, less the window's frames: without a graphics card they take the cores away meanwhile."""
@@ -218,35 +214,37 @@ class Worker:
     def _between_chunks(self, trained: Run) -> None:
         """Between two gradient chunks: obey, and serve the windows for as long as the budget allows.
 
-        A step can take long. Commands that need it to end, to close the window or to pause, say, abandon it: it has
-        then not happened.
-        A ray that was asked for is opened at once, and a new view gets its first pixels, but only one of each a time,
-        and a hand that keeps moving only as many as the budget allows: it must not stop the training.
+        A step can take long. A command that needs it to end, to close the window or to pause, say, abandons it: the
+        step has then not happened. At each call, one requested ray is opened and one new view gets its first pixels.
+        For rays, and while the camera moves, the budget limits how often, so that training goes on.
         """
         while (waiting := self._mailbox.next_command()) is not None:
-            if not isinstance(waiting[1], QUICK):
+            if not waiting[1].quick:
                 raise _Abandoned
             self._obey_next()
         self._account_for_training(trained, 0)
         self._adapt()
         budget = self._scheduler.budget
         for run in list(self._runs.values()):
-            view = self._view(run)
+            view = self._drawing.view(run)
             if run.artist.ray.urgent and budget.may_follow():
-                self._serve(lambda run=run: run.artist.ray.urgent and self._undisturbed() and self._draw_one(run))
+                self._serve(lambda run=run: self._ray_goes_on(run) and self._drawing.piece_of(run))
             if view is not None and (not view.moving or budget.may_follow()):
-                self._serve(lambda run=run, view=view: self._wants_pixels(run, view) and self._draw_one(run, view))
-        while budget.may_draw() and not self._pixels_awaited() and self._draw():
+                self._serve(lambda r=run, v=view: self._drawing.wants_pixels(r, v) and self._drawing.piece_of(r, v))
+        while budget.may_draw() and not self._drawing.pixels_awaited() and self._drawing.piece():
             self._publish()
         self._publish()
         self._accounted = time.perf_counter()
 
+    def _ray_goes_on(self, run: Run) -> bool:
+        return run.artist.ray.urgent and self._mailbox.next_command() is None
+
     def _adapt(self) -> None:
-        views = [self._view(run) for run in self._runs.values()]
+        views = [self._drawing.view(run) for run in self._runs.values()]
         self._scheduler.adapt(
             Situation(
                 moving=any(view is not None and view.moving for view in views),
-                exporting=any(run.job is not None for run in self._runs.values()),
+                exporting=any(run.exports.running for run in self._runs.values()),
             )
         )
 
@@ -259,50 +257,6 @@ class Worker:
             self._publish()
         self._publish(force=True)
         self._scheduler.budget.followed(time.perf_counter() - begin)
-
-    # ---- pictures ---------------------------------------------------------------------------------------------------
-
-    def _view(self, run: Run) -> ViewRequest | None:
-        """What to draw of a run; not what failed."""
-        view = self._mailbox.view(run.number)
-        return None if view is run.skipped else view
-
-    def _undisturbed(self) -> bool:
-        return self._mailbox.next_command() is None
-
-    def _wants_pixels(self, run: Run, view: ViewRequest) -> bool:
-        """Whether `view` lacks its first pixels and is still wanted; a moving camera's are finished in any case."""
-        return run.artist.urgent(view) and (view is self._mailbox.view(run.number) or view.moving)
-
-    def _ray_awaited(self) -> bool:
-        return any(run.artist.ray.urgent for run in self._runs.values())
-
-    def _pixels_awaited(self) -> bool:
-        return any(run.artist.urgent(self._view(run)) for run in self._runs.values())
-
-    def _draw(self) -> bool:
-        """One piece of drawing of any run; whether there was any to do. Runs that somebody waits for come first."""
-        runs = sorted(self._runs.values(), key=lambda run: not self._awaited(run))
-        return any(self._draw_one(run, self._view(run)) for run in runs)
-
-    def _awaited(self, run: Run) -> bool:
-        return run.artist.ray.urgent or run.artist.urgent(self._view(run))
-
-    def _draw_one(self, run: Run, view: ViewRequest | None = None) -> bool:
-        """One piece of drawing of at most some 15 ms; whether there was any to do."""
-        if run.trainer is None:
-            return False
-        view = view or self._view(run)
-        before, self._at_work = self._at_work, run
-        begin = time.perf_counter()
-        turns = [run.draw_export, lambda: run.draw(view)]
-        if run.artist.urgent(view) or run.artist.ray.urgent or self._scheduler.budget.artist_is_next():
-            turns.reverse()
-        did = any(turn() for turn in turns)
-        if did:
-            self._scheduler.budget.drew(time.perf_counter() - begin)
-        self._at_work = before
-        return did
 
     # ---- messages ---------------------------------------------------------------------------------------------------
 

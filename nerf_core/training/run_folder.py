@@ -183,7 +183,7 @@ class RunFolder:
         stored, settings = self.config()
         path, description, state, rejected = checkpoint.newest(self.path)
         scene = load_scene(data or stored, settings.load, progress)
-        if description["scene"] != scene.identity():
+        if not scene.is_of(description):
             raise UserError(f"{path}: {scene.difference(description)}")
         trainer = Trainer.resume(scene, description, state, on)
         return trainer, (*rejected, *scene.notes, *trainer.notes(description))

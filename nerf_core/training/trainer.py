@@ -14,7 +14,7 @@ from torch import Tensor
 
 from nerf_core.common.device import pick_device, usable_cores
 from nerf_core.common.errors import UserError, shorten
-from nerf_core.geometry.scene import Scene
+from nerf_core.geometry.scene import IDENTITY, Scene
 from nerf_core.methods import METHODS, Config, Method
 from nerf_core.training.batches import PixelSampler
 from nerf_core.training.loss_history import HistoryLog
@@ -221,6 +221,7 @@ class Trainer:
             "step": self.step_count,
             "seconds": self.seconds,
             "scene": self.scene.identity(),
+            "scene_identity": IDENTITY,
             "scene_name": self.scene.name,
             "scene_summary": self.scene.summary(),
         }
@@ -233,12 +234,13 @@ class Trainer:
 
     def notes(self, description: Mapping[str, Any]) -> tuple[str, ...]:
         """Return warnings about a run that was resumed from a description, a line each."""
-        if self.threads == description["threads"] or self.device.type != "cpu":
-            return ()
-        return (
-            f"begun on {description['threads']} threads, continued on the {self.threads} there are here: "
-            "its weights will differ in rounding from an uninterrupted run's",
-        )
+        notes = [self.scene.doubt(description)]
+        if self.threads != description["threads"] and self.device.type == "cpu":
+            notes.append(
+                f"begun on {description['threads']} threads, continued on the {self.threads} there are here: "
+                "its weights will differ in rounding from an uninterrupted run's"
+            )
+        return tuple(filter(None, notes))
 
     def go_to(self, description: Mapping[str, Any], state: Mapping[str, Tensor]) -> None:
         """Return to the step at which a description and state were taken.

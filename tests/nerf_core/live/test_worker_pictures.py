@@ -18,6 +18,7 @@ from nerf_core.live.artist import Artist
 from nerf_core.live.messages import (
     CancelExport,
     Inspect,
+    OpenScene,
     Pause,
     SaveCheckpoint,
     SetShare,
@@ -316,3 +317,12 @@ def test_an_answer_that_comes_later_has_its_commands_number(open_desk: OpenDesk,
     )
     assert desk.until_told("exported").command == film
     assert desk.until_told("pixel 99 0: outside the picture").command == ray
+
+
+def test_another_scene_begins_without_the_picture_of_the_last(open_desk: OpenDesk, capture: Path) -> None:
+    desk = open_desk()
+    desk.worker.request_view(view_of(desk.worker.snapshot().scene, 1))
+    desk.until(lambda s: s.preview is not None)
+    desk.worker.request_view(None)
+    desk.send(OpenScene(capture, desk.settings))
+    assert desk.until(lambda s: s.loaded == 2).preview is None

@@ -1,0 +1,63 @@
+"""What tells one scene from another, for checkpoints."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.ndc import Ndc
+from nerf_core.geometry.photos import Photos
+from nerf_core.geometry.scene import Scene, View
+
+
+@pytest.fixture
+def rounded_scene() -> Scene:
+    c2w = np.hstack([np.linalg.qr(np.arange(9.0).reshape(3, 3) + np.eye(3))[0], [[0.0], [0.3], [4.0]]])
+    camera = Camera(8, 8, 10.0, 10.0, 4.0, 4.0, c2w)
+    photo = np.full((8, 8, 3), 257 * 9, np.uint16)
+    return Scene(
+        "balls", "blender", (View("a", camera),), Photos.of([photo]), {"train": (0,)}, 2.0, 6.0, (1.0, 1.0, 1.0),
+        np.zeros(3), 4.0, np.array([0.0, 0.0, 1.0]), np.eye(4), ndc=Ndc(8, 8, 10.0, 1.0, 6.0),
+    )  # fmt: skip
+
+
+def moved(scene: Scene, by: float) -> Scene:
+    """The scene with every number of its poses and bounds a little greater."""
+    views = tuple(replace(v, camera=replace(v.camera, c2w=v.camera.c2w + by)) for v in scene.views)
+    assert scene.ndc is not None
+    return replace(scene, views=views, near=scene.near + by, ndc=replace(scene.ndc, far=scene.ndc.far - by))
+
+
+def described(scene: Scene) -> dict[str, object]:
+    return {
+        "scene": scene.identity(),
+        "scene_identity": 2,
+        "scene_name": scene.name,
+        "scene_summary": scene.summary(),
+    }
+
+
+def test_a_processors_rounding_makes_no_other_scene(rounded_scene: Scene) -> None:
+    """OpenBLAS takes other kernels with AVX-512 than with AVX2, and the last digits of poses differ."""
+    for by in (1e-15, -1e-15, 1e-12):
+        other = moved(rounded_scene, by)
+        assert other.is_of(described(rounded_scene))
+        assert other.doubt(described(rounded_scene)) == ""
+
+
+def test_another_pose_or_photo_makes_another_scene(rounded_scene: Scene) -> None:
+    darker = replace(rounded_scene, photos=Photos.of([np.zeros((8, 8, 3), np.uint16)]))
+    for other in (moved(rounded_scene, 1e-4), darker, replace(rounded_scene, splits={"test": (0,)})):
+        assert not other.is_of(described(rounded_scene))
+
+
+def test_an_older_checkpoint_is_taken_with_a_warning_where_its_hash_differs(rounded_scene: Scene) -> None:
+    older = described(rounded_scene) | {"scene": "of exact numbers, on another processor"}
+    del older["scene_identity"]
+    assert rounded_scene.is_of(older)
+    assert "its poses are not compared" in rounded_scene.doubt(older)
+    assert not rounded_scene.is_of(older | {"scene_name": "cubes"})
+    assert not rounded_scene.is_of(older | {"scene_summary": "photos of 9×9 pixels"})
