@@ -9,7 +9,7 @@ import io
 import textwrap
 from collections.abc import Sequence
 from dataclasses import fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -99,63 +99,95 @@ class _Row:
         return found.get_text().count("\n") + 1, below
 
 
+class _Axes(NamedTuple):
+    """A ray's axes over t, from the top: depth marks; weights, α and T; density; colours."""
+
+    marks: Any
+    weights: Any
+    density: Any
+    strip: Any
+
+
 def _draw(row: _Row, one: Opened) -> None:
-    ray = one.ray
-    top = row.axes(0.125, 0.44, 0.555, 0.25)
-    marks, middle, strip = (row.axes(0.125, at, 0.555, height, sharex=top)
-                            for at, height in ((0.7, 0.085), (0.21, 0.2), (0.145, 0.038)))  # fmt: skip
-    for axes in (top, middle):
-        axes.tick_params(labelbottom=False)
-    passes = [_finite(p) for p in ray.passes]
-    last = passes[-1]
-    low, high = _shown(one, passes)
+    """Draw an opened ray into its row."""
+    weights = row.axes(0.125, 0.44, 0.555, 0.25)
+    marks, density, strip = (row.axes(0.125, at, 0.555, height, sharex=weights)
+                             for at, height in ((0.7, 0.085), (0.21, 0.2), (0.145, 0.038)))  # fmt: skip
+    axes = _Axes(marks, weights, density, strip)
+    for each in (weights, density):
+        each.tick_params(labelbottom=False)
+    passes = [_finite(p) for p in one.ray.passes]
     for p in passes:
-        if not len(p.t):
-            continue
-        t, until = _stretches(p, ray.far)
-        # Each pass has its own scale, because many narrow samples share the weight of a few wide ones. A pass that hits
-        # nothing is not scaled up.
-        scale = float(p.weights.max()) if p.weights.sum() >= NOTHING else 1.0
-        x, w = _steps(t, until, p.weights / scale)
-        if p is last:
-            top.fill_between(x, w, color=FINE, alpha=0.35, lw=0)
-        color, tint = (FINE, DENSITY) if p is last else (COARSE, COARSE)
-        top.plot(x, w, color=color, lw=1.0, label=f"{p.name} w" + (f" / {scale:.2g}" if scale != 1 else ""))
-        middle.plot(*_steps(t, until, p.sigma), color=tint, lw=1.0)
+        _draw_pass(axes, p, one.ray.far, last=p is passes[-1])
+    _draw_last(axes, passes[-1], one)
+    _draw_marks(marks, one)
+    _draw_point(axes, one)
+    _label(axes, passes, one)
+    row.title(*_words(one))
+    _draw_disc(row.axes(0.73, 0.215, 0.25, 0.5), one)
+
+
+def _draw_pass(axes: _Axes, p: PassProbe, far: float, last: bool) -> None:
+    """Draw the weights and the density of a pass; the area under the last pass's weights is filled."""
+    if not len(p.t):
+        return
+    t, until = _stretches(p, far)
+    # Each pass has its own scale, because many narrow samples share the weight of a few wide ones. A pass that hits
+    # nothing is not scaled up.
+    scale = float(p.weights.max()) if p.weights.sum() >= NOTHING else 1.0
+    x, w = _steps(t, until, p.weights / scale)
+    if last:
+        axes.weights.fill_between(x, w, color=FINE, alpha=0.35, lw=0)
+    color, tint = (FINE, DENSITY) if last else (COARSE, COARSE)
+    axes.weights.plot(x, w, color=color, lw=1.0, label=f"{p.name} w" + (f" / {scale:.2g}" if scale != 1 else ""))
+    axes.density.plot(*_steps(t, until, p.sigma), color=tint, lw=1.0)
+
+
+def _draw_last(axes: _Axes, last: PassProbe, one: Opened) -> None:
+    """Draw α, T and the colours of the last pass, which makes the pixel."""
+    ray = one.ray
     t, until = _stretches(last, ray.far)
     if len(t):
-        top.plot(*_steps(t, until, last.alpha), color=ALPHA, lw=0.8, ls=(0, (3, 1.2)), label="α")
+        axes.weights.plot(*_steps(t, until, last.alpha), color=ALPHA, lw=0.8, ls=(0, (3, 1.2)), label="α")
     passed = np.stack([last.transmittance, last.transmittance * (1 - last.alpha)], 1).ravel()  # before, behind
     light = np.concatenate([[1.0], passed, passed[-1:] if len(t) else [1.0]])
     ends = np.concatenate([[ray.near], np.stack([t, until], 1).ravel(), [max([ray.far, *until[-1:]])]])
-    top.plot(ends, light, color=LIGHT, lw=1.2, label="T")
+    axes.weights.plot(ends, light, color=LIGHT, lw=1.2, label="T")
     # Each bar extends under the next one if they touch; else the paper would shine through where two edges meet.
     under = np.where(_touching(t, until), until[1:], until[:-1])
-    strip.bar(t, 1, np.append(under, until[-1:]) - t, align="edge", color=np.clip(last.rgb, 0, 1), lw=0)
-    _draw_marks(marks, one)
-    if one.radiance is not None:
-        strip.axvline(one.radiance.t, color="white", lw=1.6)
-        for axes in (top, middle, strip):
-            axes.axvline(one.radiance.t, color="black", lw=0.6, label="point" if axes is top else None)
+    axes.strip.bar(t, 1, np.append(under, until[-1:]) - t, align="edge", color=np.clip(last.rgb, 0, 1), lw=0)
     if last.weights.sum() < NOTHING:
         known = np.isfinite(ray.passes[-1].weights).all()
-        _say(top, "the ray met nothing" if known else "the ray's weights are not numbers")
-    top.set(xlim=(low, high), ylim=(0, 1.1), ylabel="w / largest, T, α")
-    top.legend(frameon=False, fontsize=6, loc="lower left", ncols=8, bbox_to_anchor=(0, 1.02), borderaxespad=0,
-               bbox_transform=marks.transAxes, borderpad=0, columnspacing=1.5, handlelength=2)  # fmt: skip
-    middle.set(ylabel="σ (1/unit)" if one.scene.ndc is None else "σ (1/NDC unit)")
-    middle.locator_params(axis="y", nbins=4)
-    middle.set_ylim(0, 1.1 * max((_largest(p, ray.far, low, high) for p in passes), default=0.0) or 1.0)
+        _say(axes.weights, "the ray met nothing" if known else "the ray's weights are not numbers")
+
+
+def _draw_point(axes: _Axes, one: Opened) -> None:
+    """Draw a line at the point whose radiance is shown."""
+    if one.radiance is None:
+        return
+    axes.strip.axvline(one.radiance.t, color="white", lw=1.6)
+    for each in (axes.weights, axes.density, axes.strip):
+        each.axvline(one.radiance.t, color="black", lw=0.6, label="point" if each is axes.weights else None)
+
+
+def _label(axes: _Axes, passes: Sequence[PassProbe], one: Opened) -> None:
+    """Set the limits, labels and the legend, once everything is drawn."""
+    ray, (low, high) = one.ray, _shown(one, passes)
+    axes.weights.set(xlim=(low, high), ylim=(0, 1.1), ylabel="w / largest, T, α")
+    axes.weights.legend(frameon=False, fontsize=6, loc="lower left", ncols=8, bbox_to_anchor=(0, 1.02),
+                        borderaxespad=0, bbox_transform=axes.marks.transAxes, borderpad=0, columnspacing=1.5,
+                        handlelength=2)  # fmt: skip
+    axes.density.set(ylabel="σ (1/unit)" if one.scene.ndc is None else "σ (1/NDC unit)")
+    axes.density.locator_params(axis="y", nbins=4)
+    axes.density.set_ylim(0, 1.1 * max((_largest(p, ray.far, low, high) for p in passes), default=0.0) or 1.0)
     if not any(len(p.t) for p in passes):
-        middle.set_yticks([])
-        _say(middle, "no samples")
+        axes.density.set_yticks([])
+        _say(axes.density, "no samples")
     whole = low <= ray.near and high >= ray.far
     part = "" if whole else f", part of near {ray.near:.3g} … far {ray.far:.3g}"
-    strip.set(yticks=[], ylim=(0, 1), xlabel=f"t (world units){part}", ylabel="colour")
-    strip.yaxis.label.set(rotation=0, ha="right", va="center")
-    top.get_figure().align_ylabels([top, middle])
-    row.title(*_words(one))
-    _draw_disc(row.axes(0.73, 0.215, 0.25, 0.5), one)
+    axes.strip.set(yticks=[], ylim=(0, 1), xlabel=f"t (world units){part}", ylabel="colour")
+    axes.strip.yaxis.label.set(rotation=0, ha="right", va="center")
+    axes.weights.get_figure().align_ylabels([axes.weights, axes.density])
 
 
 def _say(axes: Any, text: str) -> None:

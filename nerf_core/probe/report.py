@@ -16,9 +16,11 @@ from nerf_core.common.errors import UserError
 from nerf_core.common.files import write_atomically
 from nerf_core.common.json_files import finite
 from nerf_core.geometry.camera_files import camera_values
-from nerf_core.probe.records import Opened, PassProbe
+from nerf_core.probe.records import Opened, PassProbe, RayProbe
+from nerf_core.probe.standing import Verdict
 
 SAMPLE = ("t", "until", "delta", "sigma", "alpha", "transmittance", "weights")
+RADIANCE = ("point", "t", "directions", "rgb", "back_rgb", "frozen_rgb", "axes", "normal", "dependence")
 
 
 def inspection(opened: Opened) -> dict[str, Any]:
@@ -35,12 +37,29 @@ def arrays(opened: Opened) -> dict[str, Any]:
     Parts that are not computed yet are left out. The names are those of the records in `nerf_core.probe`, except that
     `Standing.training_views` is called "witnesses", as in files of earlier versions.
     """
-    ray, verdict, radiance = opened.ray, opened.verdict, opened.radiance
-    found: dict[str, Any] = {
+    found = {
         "scene": opened.scene.name,
         "method": opened.method,
-        "step": ray.step,
+        "step": opened.ray.step,
         "camera": camera_values(opened.camera),
+        **_ray_values(opened.ray),
+    }
+    if opened.verdict is not None:
+        found["verdict"] = _verdict_values(opened.verdict)
+    if opened.radiance is not None:
+        found["radiance"] = {name: getattr(opened.radiance, name) for name in RADIANCE}
+    if opened.evidence is not None:
+        photos = np.array([opened.scene.views[k].name for k in opened.evidence.views], str)
+        found["evidence"] = {"photos": photos, **_plain(opened.evidence)}
+    if opened.name:
+        found["name"] = opened.name
+    if opened.history is not None:
+        found["history"] = _plain(opened.history)
+    return found
+
+
+def _ray_values(ray: RayProbe) -> dict[str, Any]:
+    return {
         "pixel": list(ray.pixel),
         "origin": ray.origin,
         "direction": ray.direction,
@@ -55,39 +74,30 @@ def arrays(opened: Opened) -> dict[str, Any]:
         "depth_strongest": ray.depth_strongest,
         "rendered_color": ray.rendered_color,
     }
-    if verdict is not None:
-        found["verdict"] = {
-            "kind": verdict.kind,
-            "reasons": np.array(verdict.reasons, str),
-            "surface_t": verdict.surface_t,
-            "layers": [
-                {
-                    **_plain(s.layer),
-                    "witnesses": s.training_views,
-                    "looked": s.looked,
-                    "voters": s.voters,
-                    "against": s.against,
-                    "missing": s.missing,
-                    "blank": s.blank,
-                    "shown": s.shown,
-                    "error": s.error,
-                    "without": s.without,
-                    "opaque": s.opaque,
-                }
-                for s in verdict.standings
-            ],
-        }
-    if radiance is not None:
-        names = ("point", "t", "directions", "rgb", "back_rgb", "frozen_rgb", "axes", "normal", "dependence")
-        found["radiance"] = {name: getattr(radiance, name) for name in names}
-    if opened.evidence is not None:
-        photos = np.array([opened.scene.views[k].name for k in opened.evidence.views], str)
-        found["evidence"] = {"photos": photos, **_plain(opened.evidence)}
-    if opened.name:
-        found["name"] = opened.name
-    if opened.history is not None:
-        found["history"] = _plain(opened.history)
-    return found
+
+
+def _verdict_values(verdict: Verdict) -> dict[str, Any]:
+    return {
+        "kind": verdict.kind,
+        "reasons": np.array(verdict.reasons, str),
+        "surface_t": verdict.surface_t,
+        "layers": [
+            {
+                **_plain(s.layer),
+                "witnesses": s.training_views,
+                "looked": s.looked,
+                "voters": s.voters,
+                "against": s.against,
+                "missing": s.missing,
+                "blank": s.blank,
+                "shown": s.shown,
+                "error": s.error,
+                "without": s.without,
+                "opaque": s.opaque,
+            }
+            for s in verdict.standings
+        ],
+    }
 
 
 def _plain(value: Any) -> dict[str, Any]:
