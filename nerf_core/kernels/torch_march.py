@@ -57,24 +57,60 @@ def _at(cells: Cells, rays: BoxRays, index: Tensor, t: Tensor) -> _Where:
     return _Where((x - origin) / voxel, velocity / voxel, norm, along < 0)
 
 
+def _ends(cells: Cells, rays: BoxRays) -> tuple[Tensor, Tensor]:
+    """Return where the march of each ray begins and ends, (R,) each. A ray beside the box ends before it begins."""
+    if cells.contracted:  # all of space lies in the box
+        return rays.near.clone(), rays.far.clone()
+    voxel, size = torch.from_numpy(cells.voxel).to(rays.origins), torch.tensor(cells.size, device=rays.origins.device)
+    everyone = torch.arange(len(rays), device=rays.origins.device)
+    start = _at(cells, rays, everyone, torch.zeros_like(rays.near)).position
+    speed = rays.directions / voxel
+    crossing = torch.stack([-start / speed, (size - start) / speed])  # ±∞, or NaN on the border, where parallel
+    parallel = speed == 0
+    low = torch.where(parallel, -torch.inf, crossing.amin(0)).amax(-1)
+    high = torch.where(parallel, torch.inf, crossing.amax(0)).amin(-1)
+    beside = (parallel & ((start < 0) | (start > size))).any(-1)
+    return torch.maximum(rays.near, low), torch.where(beside, -torch.inf, torch.minimum(rays.far, high))
+
+
+class _Cell(NamedTuple):
+    """The cell at one t of each of A rays, and the empty blocks around it.
+
+    cell: (A, 3); 0 outside the box.
+    sampled: (A,) whether a sample is placed in it.
+    leap: (A,) as `Cells.leap`; 0 outside the box.
+    gap: (A,) the length in t up to the end of the empty blocks, if `leap` is not 0.
+    """
+
+    cell: Tensor
+    sampled: Tensor
+    leap: Tensor
+    gap: Tensor
+
+
+def _cell_at(cells: Cells, here: _Where) -> _Cell:
+    size = torch.tensor(cells.size, device=here.position.device)
+    inside = ((here.position >= 0) & (here.position < size)).all(-1)
+    cell = torch.where(inside[:, None], here.position, 0.0).long()
+    block = cell // BLOCK
+    leap = cells.leap[tuple(block.unbind(-1))].long()
+    leap = torch.where(inside, leap, 0)
+    lower = BLOCK * (block - (leap - 1)[:, None])
+    upper = lower + BLOCK * (2 * leap - 1)[:, None]
+    gap = torch.maximum((lower - here.position) / here.velocity, (upper - here.position) / here.velocity)
+    gap = torch.where(here.velocity == 0, torch.inf, gap).amin(-1)
+    sampled = inside & (leap == 0) & cells.occupied[tuple(cell.unbind(-1))]
+    return _Cell(cell, sampled, leap, gap)
+
+
 def march(cells: Cells, rays: BoxRays, step: float, offsets: Tensor) -> Marched:
     """Place samples `step` cells apart in the occupied cells, leaping over empty blocks.
 
     offsets: (R,), where each ray's first sample lies in its step, 0 … 1.
     """
-    voxel, size = torch.from_numpy(cells.voxel).to(rays.origins), torch.tensor(cells.size, device=rays.origins.device)
     everyone = torch.arange(len(rays), device=rays.origins.device)
-    straight = step / (rays.directions / voxel).norm(dim=-1)
-    t, last = rays.near.clone(), rays.far.clone()
-    if not cells.contracted:
-        start = _at(cells, rays, everyone, torch.zeros_like(t)).position
-        speed = rays.directions / voxel
-        crossing = torch.stack([-start / speed, (size - start) / speed])  # ±∞, or NaN on the border, where parallel
-        parallel = speed == 0
-        low = torch.where(parallel, -torch.inf, crossing.amin(0)).amax(-1)
-        high = torch.where(parallel, torch.inf, crossing.amax(0)).amin(-1)
-        beside = (parallel & ((start < 0) | (start > size))).any(-1)
-        t, last = torch.maximum(t, low), torch.where(beside, -torch.inf, torch.minimum(last, high))
+    straight = step / (rays.directions / torch.from_numpy(cells.voxel).to(rays.origins)).norm(dim=-1)
+    t, last = _ends(cells, rays)
     t = t + offsets * straight
     found: list[tuple[Tensor, ...]] = []
     alive = everyone[(straight > 0) & rays.origins.isfinite().all(-1)]  # a ray with NaN or infinity has no samples
@@ -88,19 +124,10 @@ def march(cells: Cells, rays: BoxRays, step: float, offsets: Tensor) -> Marched:
         if cells.contracted:
             dt = torch.where((here.norm > 1) & here.nearing, dt.minimum(NEARING * away), dt)
         dt = dt.maximum(t[alive] * STEPPED)
-        inside = ((here.position >= 0) & (here.position < size)).all(-1)
-        cell = torch.where(inside[:, None], here.position, 0.0).long()
-        block = cell // BLOCK
-        leap = cells.leap[tuple(block.unbind(-1))].long()
-        leap = torch.where(inside, leap, 0)
-        lower = BLOCK * (block - (leap - 1)[:, None])
-        upper = lower + BLOCK * (2 * leap - 1)[:, None]
-        gap = torch.maximum((lower - here.position) / here.velocity, (upper - here.position) / here.velocity)
-        gap = torch.where(here.velocity == 0, torch.inf, gap).amin(-1)
+        cell, sampled, leap, gap = _cell_at(cells, here)
         if cells.contracted:
             gap = torch.where(here.norm > 1, gap.minimum(STRAIGHT * away), gap)
         steps = torch.where(leap > 0, (gap / dt).floor().clamp(min=0) + 1, 1.0)
-        sampled = inside & (leap == 0) & cells.occupied[tuple(cell.unbind(-1))]
         found.append((alive[sampled], t[alive][sampled], dt[sampled], cell[sampled], (here.position - cell)[sampled]))
         t[alive] = t[alive] + steps * dt
     if not found:
