@@ -11,7 +11,7 @@ from nerf_core.probe import open_pixel, write_inspection
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
 
-STEPS = (50, 100, 200, 400, 800)
+STEPS = (5, 10, 20, 50, 200)  # fog becomes a surface
 
 
 def main(out: Path = Path("runs/example"), steps: tuple[int, ...] = STEPS, downscale: int = 1) -> list[Path]:
@@ -19,7 +19,7 @@ def main(out: Path = Path("runs/example"), steps: tuple[int, ...] = STEPS, downs
     scene = load_scene(None, LoadOptions(downscale=downscale))
     trainer = Trainer(scene, RunSettings(method="voxels", seed=0))
     camera = scene.views[scene.split("test")[0]].camera
-    pixel = (camera.width // 2, camera.height // 2)
+    pixel = (int(0.68 * camera.width), int(0.6 * camera.height))  # column, row: on the blue ball
     files, rows = [], []
     for stop in steps:
         while trainer.step_count < stop:

@@ -20,7 +20,7 @@ def main(out: Path = Path("runs/example"), steps: int = 500, downscale: int = 1)
     for _ in range(steps):
         trainer.step()
     camera = scene.views[scene.split("test")[0]].camera
-    pixel = (camera.width // 2, camera.height // 2)  # column, row
+    pixel = (int(0.68 * camera.width), int(0.6 * camera.height))  # column, row: on the blue ball
     opened = open_pixel(trainer.method, scene, camera, pixel, trainer.step_count)
 
     ray, samples = opened.ray, opened.ray.passes[-1]  # the last pass makes the pixel

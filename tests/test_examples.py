@@ -47,17 +47,20 @@ def test_open_a_pixel(tmp_path: Path) -> None:
     opened = script("open_a_pixel")(tmp_path, FEW, SMALL)
     document = json.loads((tmp_path / "ray.json").read_text(encoding="utf-8"))
     assert document["step"] == FEW
+    assert opened.verdict.kind == "surface"
     assert document["verdict"]["kind"] == opened.verdict.kind
     np.testing.assert_allclose(document["color"], opened.ray.color, atol=1e-6)
     assert "<svg" in (tmp_path / "ray.svg").read_text(encoding="utf-8")
 
 
 def test_batch_of_figures(tmp_path: Path) -> None:
-    files = script("batch_of_figures")(tmp_path, (3, 6), SMALL)
-    assert [file.name for file in files] == ["step-00003.svg", "step-00006.svg"]
+    files = script("batch_of_figures")(tmp_path, (3, FEW), SMALL)
+    assert [file.name for file in files] == ["step-00003.svg", "step-00020.svg"]
     assert all(file.is_file() for file in files)
     with (tmp_path / "table.csv").open(newline="", encoding="utf-8") as file:
-        assert [row["step"] for row in csv.DictReader(file)] == ["3", "6"]
+        rows = list(csv.DictReader(file))
+    assert [row["step"] for row in rows] == ["3", "20"]
+    assert rows[-1]["verdict"] == "surface"
 
 
 def test_export(tmp_path: Path) -> None:
@@ -69,7 +72,7 @@ def test_export(tmp_path: Path) -> None:
     assert Trainer.resume(scene, description, state, "cpu").step_count == FEW
 
 
-def test_train_own_field(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_train_own_field(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     METHODS.names()  # load what is registered without the example
     others = {name: method for name, method in METHODS._items.items() if name != "grid"}
     monkeypatch.setattr(METHODS, "_items", others)  # what the example registers is removed after the test
@@ -77,6 +80,7 @@ def test_train_own_field(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     sys.modules.pop(FIELD, None)  # its import registers the method
     trainer = script("train_own_field")(tmp_path, 12, SMALL, cells=12)
     assert trainer.method_name == "grid"
+    assert "layer at" in capsys.readouterr().out  # the verdict's reason: the pixel is not empty
     loss = trainer.history.view().loss
     assert loss[-1] < loss[0]
     assert "<svg" in (tmp_path / "own-field.svg").read_text(encoding="utf-8")
