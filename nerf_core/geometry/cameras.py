@@ -18,6 +18,12 @@ class Cameras:
     """N cameras as tensors, so that one batch can mix rays of all of them."""
 
     def __init__(self, cameras: Sequence[Camera], near: float, far: float) -> None:
+        """Stack the cameras.
+
+        Args:
+            cameras: N cameras, at least one.
+            near, far: z-depths that enclose the content, in world units.
+        """
         table = np.array([c.intrinsics() for c in cameras], dtype=np.float64)
         self.size = torch.from_numpy(table[:, :2]).long()
         self.focal = torch.from_numpy(table[:, 2:4])

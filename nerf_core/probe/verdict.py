@@ -25,7 +25,7 @@ from nerf_core.probe.verdicts import COUNTS, NOTHING, VERDICTS, Facts, outer, to
 
 ASIDE = np.radians(75)  # a photo at a larger angle to the ray does not see this side of a layer
 ASKED = 16  # of the photos that see a layer, so many are asked: those nearest in angle
-REACHES = np.array([1.0, 3.0, 8.0, 20.0])  # grains: how much deeper than it seems a layer may be, if it hides its end
+REACHES = np.array([1.0, 3.0, 8.0, 20.0])  # grains: a layer may hide how far it extends, so several ends are tried
 # The photos are asked about the MOST_LAYERS heaviest layers. The search for a surface behind floaters tries at most
 # MOST_HIDDEN layers.
 MOST_LAYERS, MOST_HIDDEN = 4, 8
@@ -132,7 +132,7 @@ def _hidden_surface(
         behind = stand(method, training_views, ray, heavy[0])
         if not behind.floats and behind.training_views >= FEW:
             return heavy[0].surface
-        begin = heavy[0].end  # not its reach, which spans a whole floater for photos that see it from behind
+        begin = heavy[0].end  # not its reach, which may span a whole floater: some photos see it from behind
     return None
 
 

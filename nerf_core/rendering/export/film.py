@@ -46,6 +46,7 @@ class FilmJob(Job):
         self._writer = VideoWriter(command.file, command.fps, first.width, first.height)
 
     def abort(self) -> None:
+        """Stop, and delete the video and the frames that are not in their place yet."""
         super().abort()
         self._writer.abort()
         if self._part.exists():
