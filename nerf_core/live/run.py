@@ -89,7 +89,8 @@ class Run:
                 self.artist.ray.inspect(None)
             case messages.PinRay():
                 self.artist.pins.add(command, self.need_trainer())
-                self.artist.pins.record(self.need_trainer())
+                with enough_memory():
+                    self.artist.pins.record(self.need_trainer())
             case messages.EditPin():
                 self.artist.pins.edit(command)
             case messages.UnpinRay(number):
@@ -97,7 +98,8 @@ class Run:
             case messages.ExportRays(path):
                 self._export_rays(path)
             case messages.StartExport(request):
-                self.exports.start(request, self.need_trainer(), number)
+                with enough_memory():  # for a copy of the model
+                    self.exports.start(request, self.need_trainer(), number)
             case messages.CancelExport():
                 self.exports.cancel()
             case _:

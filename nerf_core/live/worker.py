@@ -10,6 +10,7 @@ import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
+from nerf_core.common.device import enough_memory
 from nerf_core.common.errors import UserError
 from nerf_core.live import messages
 from nerf_core.live.drawing import Drawing
@@ -201,7 +202,9 @@ class Worker:
             return
         self._account_for_training(run, report.rays)
         begin = time.perf_counter()
-        if run.artist.pins.record(run.need_trainer()):
+        with enough_memory():
+            recorded = run.artist.pins.record(run.need_trainer())
+        if recorded:
             self._scheduler.budget.drew(time.perf_counter() - begin)
         self._trained = None
 
