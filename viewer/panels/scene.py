@@ -94,7 +94,7 @@ class ScenePanel:
         why = f" ({snapshot.method_reason})" if snapshot.method_reason else ""
         imgui.set_item_tooltip(method_sentences().get(snapshot.method, "") + why)
         self._change.asking = self._change.asking or (bool(wanted) and unsaved > 0)
-        question = f"Another method forgets {unsaved:,} unsaved training steps."
+        question = f"Changing to {self._other} forgets {unsaved:,} unsaved training steps."
         agreed = self._change.draw(ui, question, "Forget them and change", "scene.method", needed=unsaved > 0)
         if agreed or (wanted and unsaved == 0):
             state.settings = replace(state.settings, method=self._other, preset="auto", changes={})

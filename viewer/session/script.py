@@ -207,10 +207,8 @@ class Script:
             scale = min(math.sqrt(affordable / (width * height)), 1.0)
             form.width, form.height = (max(round(scale * side), SMALLEST) for side in (width, height))
             takes = duration(form.frames * form.width * form.height / speed)
-            self.say(
-                f"orbit: {form.frames} frames of {form.width}×{form.height}, to take about {takes}; "
-                f"--orbit FILE writes one in the photos' {width}×{height}"
-            )
+            larger = f"; --orbit FILE writes one in the photos' {width}×{height}" if scale < 1 else ""
+            self.say(f"orbit: {form.frames} frames of {form.width}×{form.height}, to take about {takes}{larger}")
         self._export(StartFilmExport(), "orbit")
 
     def _export(self, action: Command | StartFilmExport, label: str) -> None:
