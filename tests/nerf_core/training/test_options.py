@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from nerf_core.common.errors import UserError
-from nerf_core.datasets import LoadOptions
+from nerf_core.datasets import DATASETS, LoadOptions
+from nerf_core.methods import METHODS
 from nerf_core.training.loop import Goal
 from nerf_core.training.options import TrainOptions, run_name
 from nerf_core.training.settings import RunSettings
@@ -38,8 +39,8 @@ def test_every_option_arrives() -> None:
         ({"seconds": math.nan}, "--seconds nan"),
         ({"seed": -1}, "--seed -1"),
         ({"threads": -1}, "--threads -1"),
-        ({"method": "magic"}, "--method 'magic': choose from auto, hash, "),
-        ({"format": "doc"}, "--format 'doc': choose from auto, blender, "),
+        ({"method": "magic"}, f"--method 'magic': choose from auto, {', '.join(METHODS.names())}"),
+        ({"format": "doc"}, f"--format 'doc': choose from auto, {', '.join(DATASETS.names())}"),
         ({"set": ["rays"]}, "--set 'rays': write NAME=VALUE"),
         ({"set": ["=3"]}, "--set '=3': write NAME=VALUE"),
         ({"set": ["rays="]}, "--set 'rays=': write NAME=VALUE"),
