@@ -37,21 +37,22 @@ class Artist:
         self._level = 0, 0.0  # cells of the level under way that are drawn, and the seconds they took
 
     def forget_pictures(self) -> None:
-        """Draw everything again: the model was exchanged."""
+        """Draw everything anew, because the model was exchanged."""
         self._picture = self._model = self._copy = self._ready = self._shown = None
         self.ray.forget()
         self.pins.forget()
 
     def open_rays(self) -> list[Pin | Inspect]:
-        """The pinned rays, then the one under the lens if there is one."""
+        """Return the pinned rays, then the one under the lens if there is one."""
         return [*self.pins, *filter(None, [self.ray.asked])]
 
     @property
     def fresh(self) -> bool:
+        """Whether `preview` would return another picture than the last time."""
         return self._ready is not self._shown or (self._picture is not None and self._picture.fresh)
 
     def preview(self, previous: Preview | None) -> Preview | None:
-        """The newest picture that may be shown; the previous one until a new camera's first level is complete."""
+        """Return the newest picture that may be shown: the previous one until a new camera's first level is complete."""
         picture = self._picture
         if picture is not None and picture.fresh and picture.first_level_done and picture.coherent():
             self._ready = picture.image()
@@ -59,10 +60,11 @@ class Artist:
         return previous if self._ready is None else self._ready
 
     def rays_per_second(self, quality: str) -> float:
+        """Return the measured speed of colour pictures of a quality, "fine" or "coarse"; 0: not measured yet."""
         return self._rates.get((quality, COLOR), 0.0)
 
     def urgent(self, view: ViewRequest | None) -> bool:
-        """Whether drawing comes before training: `view` has no picture, or a level between two steps is half done."""
+        """Whether drawing comes before training: `view` lacks a picture, or a level between two steps is half drawn."""
         picture = self._picture
         if view is None:
             return False
@@ -71,7 +73,7 @@ class Artist:
         return self._whole and not picture.begins and not picture.level_done
 
     def draw_rays(self, trainer: Trainer, view: ViewRequest | None, training: bool) -> bool:
-        """One piece of the opened ray or of a pinned one; whether there was any to do.
+        """Do one piece of the opened ray or of a pinned one; return whether there was any.
 
         The first pixels of a new view come before all rays but one that somebody waits for.
         """
@@ -80,7 +82,7 @@ class Artist:
         return self.ray.draw(trainer, training) or self.pins.draw(trainer, training)
 
     def draw_view(self, trainer: Trainer, view: ViewRequest, training: bool) -> bool:
-        """One piece of the picture; whether there was any to do. training: whether more steps are on their way.
+        """Draw one piece of the picture; return whether there was any. training: whether more steps are to come.
 
         Raises UserError for a mode that the method cannot draw.
         """
@@ -124,13 +126,13 @@ class Artist:
             self._rates[kind] = rate if known is None else 0.5 * known + 0.5 * rate
 
     def _frozen(self, trainer: Trainer) -> Method:
-        """A copy of the current model, which does not change while training goes on."""
+        """Return a copy of the current model, which does not change while training goes on."""
         if self._copy is None or self._copy_step != trainer.step_count:
             self._copy, self._copy_step = trainer.frozen_method(), trainer.step_count
         return self._copy
 
     def _current(self, view: ViewRequest, born: int) -> Refinement:
-        """The picture to work on: that of the newest view.
+        """Return the picture to work on: that of the newest view.
 
         The first level of a moving camera is finished before: otherwise a camera that never rests would show no new
         pixel. Where another network draws the picture by now, everything begins again.

@@ -1,4 +1,4 @@
-"""When a ray that is kept open is looked at anew."""
+"""When a ray that is kept open is opened anew."""
 
 from __future__ import annotations
 
@@ -13,7 +13,12 @@ PART = 0.15  # of the time at most: where a look takes longer, it comes more rar
 
 @dataclass
 class RefreshClock:
-    """step: of the last look. ended: when it ended. took: its seconds."""
+    """Decides when the next look at a ray is due.
+
+    step: the training step of the last look.
+    ended: when it ended, in seconds of the monotonic clock.
+    took: how long it took, in seconds.
+    """
 
     step: int = -1
     ended: float = -1e9

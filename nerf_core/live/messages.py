@@ -241,9 +241,12 @@ Kind = Literal["note", "loaded", "saved", "wrote", "exported", "failed"]
 class Notice:
     """Something that happened.
 
-    path: what the notice leads to (a written file). detail: a traceback.
-    kind: what happened, for programs; `text` is for people and may be reworded. command: the number that
-    `Worker.send` gave to the command that this answers; 0: none was sent. run: the run's number.
+    text: for people; it may be reworded.
+    path: the file that was written or read.
+    detail: a traceback.
+    kind: what happened, for programs.
+    command: the number that `Worker.send` gave to the command that this answers; 0: it answers none.
+    run: the run's number.
     """
 
     level: Level
@@ -259,11 +262,14 @@ class Notice:
 class Preview:
     """A picture of `camera`, computed on a grid that will become every pixel.
 
+    stamp: of the `ViewRequest`.
     rgba: (h, w, 4) uint8; texel (i, j) was computed at pixel (i·stride, j·stride) of a camera.width ×
-    camera.height image, so texel centres lie at (i·stride + 0.5, j·stride + 0.5). Texels of the level in progress
-    that are still missing hold an interpolation of the coarser level. alpha is 255.
+        camera.height image, so texel centres lie at (i·stride + 0.5, j·stride + 0.5). Texels of the level in progress
+        that are still missing hold an interpolation of the coarser level. alpha is 255.
     depth: (h, w) float32 z-depth, NaN where nothing was hit.
-    stride 1 and complete: every pixel has been computed. step: training step of the oldest pixel shown.
+    stride: pixels between two texels.
+    complete: whether every texel of this stride was computed. With stride 1, every pixel was.
+    step: the training step of the oldest pixel shown.
     quality: which network drew it, "fine" or "coarse".
     """
 
@@ -282,8 +288,9 @@ class Preview:
 class Pin:
     """A pinned ray with its place in the lists: the worker owns it, windows show it.
 
-    color: index into the palette of rays; no other pin of the run has it. ray, history: as it was last opened, and
-    how it came to be; None: not yet.
+    color: index into the palette of rays; no other pin of the run has it.
+    ray: as it was last opened; None: not yet.
+    history: its weights since it was pinned; None: no record yet.
     """
 
     id: int
@@ -296,7 +303,7 @@ class Pin:
     history: RayHistory | None = None
 
     def inspect(self, run: int = FIRST_RUN) -> Inspect:
-        """The request that opens this ray."""
+        """Return the request that opens this ray."""
         return Inspect(self.camera, self.pixel, id=self.id, run=run)
 
 
@@ -307,8 +314,22 @@ Status = Literal["empty", "loading", "ready", "training", "paused", "finished", 
 class Snapshot:
     """Everything the window shows of one run at one moment.
 
-    loaded: grows with every scene that was opened; reset or loaded models keep it. train_share: the measured share
-    of the worker's time that went into training over the last seconds. seconds: training time alone.
+    loaded: grows with every scene that was opened; reset or loaded models keep it.
+    method_reason: why this method was chosen.
+    config: the method's constants by name, as a checkpoint stores them.
+    stage: a remark about the progress of training; empty: none.
+    coarse: the name of the method's cheaper picture; empty: it has none.
+    saved_step: of the newest checkpoint that was written or loaded.
+    seconds: training time alone.
+    train_share: the measured share of the worker's time that went into training over the last seconds.
+    wanted_share: the share that was asked for.
+    frame_share: of the time, for frames, previews or exports each, while training goes on.
+    opened: the ray under the lens.
+    opened_id: its id; 0: none is open.
+    opened_look: the `Inspect.look` that is answered whole; 0: not yet.
+    opened_step: the training step of the whole opened ray; −1: some of it is of another step, or not there yet.
+    loading: what is being loaded, with a count, while `status` is "loading".
+    preview_rays_per_second: at full quality, while drawing; 0: not measured yet.
     """
 
     run: int = FIRST_RUN
@@ -316,13 +337,13 @@ class Snapshot:
     loaded: int = 0
     scene: Scene | None = None
     method: str = ""
-    method_reason: str = ""  # why this one
-    config: Mapping[str, Any] = field(default_factory=dict)  # its constants by name, as a checkpoint stores them
-    stage: str = ""  # where training stands, if there is something to tell
-    coarse: str = ""  # what draws its cheaper pictures; empty: it has none
+    method_reason: str = ""
+    config: Mapping[str, Any] = field(default_factory=dict)
+    stage: str = ""
+    coarse: str = ""
     device: str = ""
     step: int = 0
-    saved_step: int = 0  # of the newest checkpoint that was written or loaded
+    saved_step: int = 0
     total_steps: int = 0
     seconds: float = 0.0
     rays_per_second: float = 0.0
@@ -330,18 +351,18 @@ class Snapshot:
     train_share: float = 0.0
     wanted_share: float = 0.5
     share_rule: str = "steady"
-    frame_share: float = 0.25  # of the time, for frames, previews or exports each, while training goes on
+    frame_share: float = 0.25
     memory_bytes: int = 0
     history: History = field(default_factory=History)
     preview: Preview | None = None
-    opened: Opened | None = None  # the ray under the lens,
-    opened_id: int = 0  # its id,
-    opened_look: int = 0  # and the look at it that is answered; 0: not whole yet
-    opened_step: int = -1  # of its ray, the rest is as new; −1: some of it is older, or not there yet
+    opened: Opened | None = None
+    opened_id: int = 0
+    opened_look: int = 0
+    opened_step: int = -1
     pins: tuple[Pin, ...] = ()
     export: Export | None = None
-    loading: str = ""  # what is being loaded, with a count, while status is "loading"
-    preview_rays_per_second: float = 0.0  # at full quality, while drawing; 0: not measured yet
+    loading: str = ""
+    preview_rays_per_second: float = 0.0
 
     @property
     def ray(self) -> RayProbe | None:

@@ -1,4 +1,4 @@
-"""The ray under the lens: kept open for the window while training goes on, a piece of work at a time."""
+"""The ray under the lens: opened again and again while training goes on, a piece of work at a time."""
 
 from __future__ import annotations
 
@@ -16,9 +16,11 @@ from nerf_core.training.trainer import Trainer
 class OpenedRay:
     """Does one piece at a time: a ray, its verdict, its radiance, its walk. Owned by the worker thread.
 
-    `asked` is the ray, None where none is open. `opened` has the newest of each. `opened_step` is the step at which
-    its ray was opened, −1 while the rest is not there or older. `answered` is the `Inspect.look` for which all is
-    there. While training goes on, the rest may be some steps younger than the ray: panels do not wait for that.
+    Attributes:
+        asked: the request for the ray; None: no ray is open.
+        opened: the newest of each piece. While training goes on, the others may be some steps newer than the ray.
+        opened_step: the training step of the ray; −1 until verdict, radiance and walk are of the same look.
+        answered: the `Inspect.look` for which all pieces are there; 0: none yet.
     """
 
     def __init__(self) -> None:
@@ -32,14 +34,14 @@ class OpenedRay:
         self._one_step = False  # whether all of what is opened is of one step
 
     def inspect(self, command: Inspect | None) -> None:
-        """Open this ray; None: none."""
+        """Open this ray; None: close the one that is open."""
         if command is None or command.id != self.id:
             self.opened = None
         self.asked, self.answered = command, 0
         self._begin_anew()
 
     def forget(self) -> None:
-        """The model was exchanged: what is open is opened anew, and nothing of the old one stays."""
+        """Open the ray anew, because the model was exchanged. Nothing of the old model stays."""
         self.opened = None
         self._begin_anew()
 
@@ -49,7 +51,7 @@ class OpenedRay:
 
     @property
     def id(self) -> int:
-        """The ray's id; 0: none is open."""
+        """Return the ray's id; 0: no ray is open."""
         return self.asked.id if self.asked is not None else 0
 
     @property
@@ -58,7 +60,7 @@ class OpenedRay:
         return self.asked is not None and not self.answered
 
     def draw(self, trainer: Trainer, training: bool) -> bool:
-        """One piece; whether there was any to do. What was begun is finished, however old it becomes meanwhile."""
+        """Do one piece; return whether there was any. A look that was begun is finished, however old it becomes."""
         if self._pieces is None and self.asked is not None and self._clock.due(trainer, training):
             self._clock.begin(trainer)
             self._pieces = self._look(self.asked, trainer)
@@ -71,7 +73,7 @@ class OpenedRay:
         return True
 
     def _look(self, asked: Inspect, trainer: Trainer) -> Iterator[None]:
-        """The ray and all that is known of it, a piece at a time; training may go on between two of them."""
+        """Open the ray a piece at a time. Training may go on between two pieces."""
         step, self.opened_step = trainer.step_count, -1
         if self._training_views is None or self._training_views.scene is not trainer.scene:
             self._training_views = TrainingViews(trainer.scene)
@@ -91,9 +93,9 @@ class OpenedRay:
     # ---- files -------------------------------------------------------------------------------------------------------
 
     def whole(self, trainer: Trainer, pins: list[Pin]) -> list[Opened]:
-        """The ray under the lens, then `pins`; one that is both comes once.
+        """Return the ray under the lens, then `pins`; a ray that is both comes once.
 
-        A file is of one step per ray: what is not whole yet, or of several steps, is opened whole now.
+        In a file each ray is of one step. A ray with missing pieces, or with pieces of several steps, is opened whole.
         """
         asked = self.asked
         rays = {} if asked is None else {asked.id: self._whole(asked, trainer)}
@@ -112,5 +114,5 @@ class OpenedRay:
 
 
 def _with_older(new: Opened, old: Opened) -> Opened:
-    """What of the same ray is not known anew yet stays as it was: panels do not blink."""
+    """Fill the pieces that are still missing in `new` from `old`, so that panels do not flicker."""
     return Opened(*(getattr(new, f.name) or getattr(old, f.name) for f in fields(Opened)))

@@ -29,7 +29,7 @@ SHAPES = {"edges": (BINS + 1,), "steps": (N,), "weights": (N, BINS), "color": (N
 
 
 def described(pins: Sequence[Pin]) -> dict[str, Any]:
-    """What a checkpoint's description holds of pins, as JSON values."""
+    """Return what a checkpoint's description holds of pins, as JSON values."""
     session = [
         {
             "name": pin.name, "color": pin.color, "hidden": pin.hidden, "pixel": list(pin.pixel),
@@ -42,7 +42,7 @@ def described(pins: Sequence[Pin]) -> dict[str, Any]:
 
 
 def tensors(pins: Sequence[Pin]) -> dict[str, Tensor]:
-    """What a checkpoint's tensors hold of pins, by name."""
+    """Return what a checkpoint's tensors hold of pins, by name."""
     return {
         f"{FIELD}.{k}.{f.name}": torch.from_numpy(np.array(getattr(pin.history, f.name)))
         for k, pin in enumerate(_watched(pins))
@@ -51,7 +51,7 @@ def tensors(pins: Sequence[Pin]) -> dict[str, Tensor]:
 
 
 def restored_pins(description: Mapping[str, Any], open_rays: Iterable[Pin | Inspect] = ()) -> list[Pin]:
-    """The pins of a description, without histories; none where a checkpoint has none.
+    """Return the pins of a description, without histories. A checkpoint may have none.
 
     open_rays: rays that are open already. A pin of the same camera and pixel gets the id of the open ray.
 
@@ -70,7 +70,7 @@ def restored_pins(description: Mapping[str, Any], open_rays: Iterable[Pin | Insp
 
 
 def with_histories(pins: Iterable[Pin], description: Mapping[str, Any], state: Mapping[str, Tensor]) -> list[Pin]:
-    """`pins` with the histories that `described` and `tensors` hold of the same rays.
+    """Return `pins` with the histories that `described` and `tensors` hold of the same rays.
 
     Raises UserError for what those did not write.
     """
@@ -82,12 +82,12 @@ def with_histories(pins: Iterable[Pin], description: Mapping[str, Any], state: M
 
 
 def _place(camera: Camera, pixel: tuple[int, int]) -> Any:
-    """What tells rays apart. JSON keeps every digit, so the same ray has the same numbers in every file."""
+    """Return what tells rays apart. JSON keeps every digit, so the same ray has the same numbers in every file."""
     return camera_values(camera), list(pixel)
 
 
 def _take(found: list[tuple[Any, T]], place: Any, default: D) -> T | D:
-    """Take the first value that is found at `place`."""
+    """Remove and return the first value of this place; `default` if there is none."""
     k = next((k for k, (where, _) in enumerate(found) if where == place), None)
     return default if k is None else found.pop(k)[1]
 
@@ -106,7 +106,7 @@ def _pin(values: Mapping[str, Any]) -> Pin:
 
 
 def _histories(description: Mapping[str, Any], state: Mapping[str, Tensor]) -> Iterable[tuple[Any, RayHistory]]:
-    """Each watched ray as camera values and pixel, with its history."""
+    """Yield the camera values and the pixel of each watched ray, with its history."""
     rays = description.get(FIELD, ())
     if len(rays) > MOST_RAYS:
         raise ValueError("more than anybody pins")
@@ -117,7 +117,7 @@ def _histories(description: Mapping[str, Any], state: Mapping[str, Tensor]) -> I
 
 
 def _history(arrays: Mapping[str, np.ndarray], last: int) -> RayHistory:
-    """Of steps until `last`."""
+    """Return a history of steps until `last`. Raises ValueError if the arrays are not those of a history."""
     count = len(arrays["steps"])
     shapes = {name: tuple(count if n == N else n for n in shape) for name, shape in SHAPES.items()}
     if {name: value.shape for name, value in arrays.items()} != shapes or not 0 < count <= MOST_RECORDS:

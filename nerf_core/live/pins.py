@@ -48,7 +48,7 @@ class Pins:
     # ---- what is wanted ----------------------------------------------------------------------------------------------
 
     def add(self, wanted: PinRay, trainer: Trainer) -> None:
-        """Keep a ray open. One that is pinned already stays as it is.
+        """Keep a ray open. A ray that is pinned already stays as it is.
 
         Where all places are taken, one of the scene's own pins gives way, if it is still hidden.
         Raises UserError when there is none.
@@ -76,16 +76,18 @@ class Pins:
             self.add(PinRay(camera, (int(x * camera.width), int(y * camera.height)), name, hidden=True), trainer)
 
     def edit(self, change: EditPin) -> None:
+        """Rename, hide or show a pin. A name is cut to PIN_NAME_LENGTH characters. Unknown ids are ignored."""
         for pin in self._pins:
             if pin.id == change.id:
                 pin.name = pin.name if change.name is None else change.name[:PIN_NAME_LENGTH]
                 pin.hidden = pin.hidden if change.hidden is None else change.hidden
 
     def remove(self, number: int) -> None:
+        """Unpin the ray with this id. Unknown ids are ignored."""
         self._pins = [pin for pin in self._pins if pin.id != number]
 
     def replace(self, pins: Sequence[Pin], trainer: Trainer) -> None:
-        """Take those of a loaded checkpoint instead; their histories go on. Without any, what is pinned stays."""
+        """Take the pins of a loaded checkpoint instead. Their histories go on. If it has none, the pins stay."""
         if not pins:
             return
         self._pins = []
@@ -104,18 +106,18 @@ class Pins:
             self._named = max(self._named, int(number))
 
     def forget(self) -> None:
-        """The model was exchanged: open every ray anew."""
+        """Open every ray anew, because the model was exchanged."""
         for pin in self._pins:
             pin.clock.reset()
 
     def restart(self, trainer: Trainer) -> None:
-        """Another course of training: every history begins now."""
+        """Begin every history now, because another training begins."""
         self.forget()
         for pin in self._pins:
             pin.recorder = HistoryRecorder(trainer.step_count, trainer.total_steps)
 
     def rewind(self, step: int) -> None:
-        """Training went back to `step`."""
+        """Forget the records after `step`, to which training went back."""
         self.forget()
         for pin in self._pins:
             pin.recorder.rewind(step)
@@ -123,7 +125,10 @@ class Pins:
     # ---- what is done ------------------------------------------------------------------------------------------------
 
     def record(self, trainer: Trainer) -> bool:
-        """Take the records that are due after a training step; whether there were any. None of untraceable models."""
+        """Take the records that are due after a training step; return whether there were any.
+
+        Of a method without samples along a ray there are none.
+        """
         if not isinstance(trainer.method, Traceable):
             return False
         due = [pin for pin in self._pins if pin.recorder.due(trainer.step_count)]
@@ -132,7 +137,7 @@ class Pins:
         return bool(due)
 
     def draw(self, trainer: Trainer, training: bool) -> bool:
-        """Open the ray that waited longest, if one is due; whether one was."""
+        """Open the ray that waited longest, if one is due; return whether one was."""
         if not isinstance(trainer.method, Traceable):
             return False
         for pin in sorted(self._pins, key=lambda pin: pin.clock.ended):

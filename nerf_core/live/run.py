@@ -29,7 +29,11 @@ from nerf_core.training.trainer import Diverged, Report, Trainer
 class Run:
     """Owned by the worker thread, which does one piece of one run at a time.
 
-    tell: takes a notice. say_loading: publishes `loading`, at once or when it is time; what it raises ends the loading.
+    Args:
+        number: other runs of the worker have other numbers.
+        settings: until a scene is opened with its own.
+        tell: takes a notice.
+        say_loading: publishes `loading`; True: at once, False: when it is time. What it raises ends the loading.
     """
 
     def __init__(
@@ -59,9 +63,9 @@ class Run:
     # ---- commands ---------------------------------------------------------------------------------------------------
 
     def obey(self, command: messages.OfRun, number: int) -> None:  # noqa: PLR0912  one branch per message
-        """Raises UserError for what cannot be done; the run is then as it was.
+        """Do what a command asks for. Raises UserError if that is impossible; the run is then as it was.
 
-        number: the command's own, for answers that come after this returns.
+        number: of the command, for answers that come after this returns.
         """
         match command:
             case messages.OpenScene(path, options, train):
@@ -106,13 +110,13 @@ class Run:
                 raise AssertionError(f"no run obeys {command}")
 
     def need_scene(self) -> Scene:
-        """Raises UserError where nothing is open."""
+        """Raises UserError if nothing is open."""
         if self.scene is None:
             raise UserError("no scene is open: open one first")
         return self.scene
 
     def need_trainer(self) -> Trainer:
-        """Raises UserError where nothing is open."""
+        """Raises UserError if nothing is open."""
         if self.trainer is None:
             raise UserError("no scene is open: open one first")
         return self.trainer
@@ -120,7 +124,7 @@ class Run:
     # ---- scenes and checkpoints -------------------------------------------------------------------------------------
 
     def open(self, path: Path | None, settings: RunSettings) -> None:
-        """Load a capture and make a model of it. One transaction: what fails leaves the open scene and model."""
+        """Load a capture and make a model of it. If anything fails, the open scene and model stay."""
 
         def progress(done: int, total: int) -> None:
             self._busy_with(f"loading photos: {done} of {total}", now=False)
@@ -152,11 +156,11 @@ class Run:
         return Trainer(scene, settings)
 
     def _adopt(self, trainer: Trainer) -> None:
-        """Another model of the open scene; paused. Raises Diverged for broken weights: what is open then stays."""
+        """Take another model of the open scene, paused. Raises Diverged for broken weights; the open model then stays."""
         self._commit(self.need_scene(), self.settings, trainer, LastGood(trainer))
 
     def _commit(self, scene: Scene, settings: RunSettings, trainer: Trainer, good: LastGood) -> None:
-        """The end of every transaction: nothing here can fail but the opening of pinned rays."""
+        """End a transaction. Only opening pinned rays can fail here; a ray that fails is told of and unpinned."""
         self.scene, self.settings, self.trainer, self._good = scene, settings, trainer, good
         self.until, self.failed, self.skipped, self.saved_step = None, False, None, 0
         self.artist.forget_pictures()
@@ -224,7 +228,7 @@ class Run:
         self.until = trainer.total_steps if steps is None else trainer.step_count + steps
 
     def seconds_left(self, rays_per_second: float) -> float | None:
-        """How long training goes on at this rate; None where it does not, or where the rate is not known."""
+        """Return how long training goes on at this rate; None if it is paused or the rate is unknown."""
         if self.trainer is None or self.until is None or not rays_per_second:
             return None
         by_steps = (self.until - self.trainer.step_count) * self.rays_per_step / rays_per_second
@@ -234,11 +238,11 @@ class Run:
         self.until = None
 
     def fail(self, view: ViewRequest | None) -> None:
-        """Pause after a fault of the program. view: what was to be drawn; it is not tried again."""
+        """Pause after a fault of the program. view: what was being drawn; it is not tried again."""
         self.until, self.failed, self.skipped = None, True, view
 
     def pause_if_done(self) -> None:
-        """Pause where the end of what was asked for is reached."""
+        """Pause if the steps or seconds that were asked for are done."""
         trainer, end = self.trainer, self.until
         if trainer is None or end is None:
             return
@@ -246,7 +250,7 @@ class Run:
             self.until = None
 
     def step(self, yield_callback: Callable[[], None]) -> Report | None:
-        """One training step; None where the loss diverged and the last good weights are back.
+        """Do one training step; return None if the loss diverged, after the last good weights were restored.
 
         Raises UserError when the device has no memory left. What `yield_callback` raises abandons the step.
         """
@@ -271,7 +275,7 @@ class Run:
         return report
 
     def _recover(self, trainer: Trainer, error: Diverged) -> None:
-        """Back to the last weights that are known to be good, paused."""
+        """Return to the last weights that are known to be good, and pause."""
         self.until, self.failed = None, True
         if self._good is not None:
             self._good.restore(trainer)
@@ -283,7 +287,7 @@ class Run:
     # ---- pictures ---------------------------------------------------------------------------------------------------
 
     def draw(self, view: ViewRequest | None) -> bool:
-        """One piece of a ray or of the picture, of at most some 15 ms; whether there was any to do."""
+        """Do one piece of a ray or of the picture, of at most some 15 ms; return whether there was any."""
         trainer, asked = self.need_trainer(), self.artist.ray.asked
         try:
             with enough_memory():
@@ -329,5 +333,5 @@ class Run:
         self._say_loading(now)
 
     def close(self) -> None:
-        """Leave no half-written file behind."""
+        """Remove half-written files."""
         self.exports.abort()

@@ -28,15 +28,19 @@ NICENESS = 10  # the window's thread goes first when both want a core
 
 
 class _Abandoned(Exception):
-    """A step, or the loading of a scene, was given up for a command that cannot wait for its end."""
+    """A training step, or the loading of a scene, was abandoned for a command that cannot wait for its end."""
 
 
 class Worker:
-    """One thread behind a mailbox. It owns the runs; `FIRST_RUN` exists from the beginning.
+    """One thread behind a mailbox. It owns the runs; run FIRST_RUN exists from the beginning.
 
-    Commands are done in order; of `request_view` only the newest of each run counts. `snapshot()` gives the newest
-    state of a run and `notices()` what happened since it was last called; neither ever waits. `wake` is called (from
-    the worker's thread) whenever there is something new to show.
+    Commands are obeyed in order. Of the views that are requested of a run, only the newest counts. No method waits for
+    the thread but `stop`.
+
+    Args:
+        settings: for runs in which no scene has been opened yet.
+        wake: called from the worker's thread whenever there is something new to show.
+        share: the part of the worker's time that training keeps while pictures are drawn, 0.05 … 0.95.
     """
 
     def __init__(self, settings: RunSettings, wake: Callable[[], None] = lambda: None, share: float = 0.6) -> None:
@@ -63,25 +67,27 @@ class Worker:
         return self._mailbox.send(command)
 
     def request_view(self, request: ViewRequest | None, run: int = FIRST_RUN) -> None:
-        """What to draw of a run from now on; None: nothing."""
+        """Draw this view of a run from now on; None: draw nothing."""
         self._mailbox.request_view(request, run)
 
     def snapshot(self, run: int = FIRST_RUN) -> Snapshot:
+        """Return the newest state of a run. Raises KeyError if there is no such run."""
         return self._mailbox.snapshot(run)
 
     def snapshots(self) -> Mapping[int, Snapshot]:
-        """The newest state of every run, by its number."""
+        """Return the newest state of every run, by its number."""
         return self._mailbox.snapshots()
 
     def notices(self) -> list[Notice]:
+        """Return what happened since the last call, in order."""
         return self._mailbox.notices()
 
     def painted(self, seconds: float) -> None:
-        """The window drew a frame in so many seconds: they are part of what pictures take."""
+        """Count the seconds that the window took for a frame as part of the time for pictures."""
         self._mailbox.painted(seconds)
 
     def stop(self, timeout: float = 5.0) -> bool:
-        """Ask the thread to end; whether it did within `timeout` seconds."""
+        """Ask the thread to end, wait `timeout` seconds at most, and return whether it ended."""
         if not self._mailbox.quitting:
             self.send(messages.Quit())
         self._thread.join(timeout)
@@ -114,7 +120,7 @@ class Worker:
         self._publish(force=True)
 
     def _turn(self) -> None:
-        """Commands first; then one training step, or one piece of a picture, or sleep."""
+        """Obey all commands; then do one training step, or draw one piece, or sleep."""
         self._mailbox.begin_turn()
         while not self._ended and self._mailbox.next_command() is not None:
             self._obey_next()
@@ -186,7 +192,7 @@ class Worker:
         self._mailbox.request_view(None, run.number)
 
     def _say_loading(self, now: bool) -> None:
-        """Show how far loading is; ends it where Quit waits."""
+        """Show how far loading is. Raises _Abandoned if Quit waits."""
         if self._mailbox.quitting:
             raise _Abandoned
         self._publish(force=now)
@@ -209,7 +215,10 @@ class Worker:
         self._trained = None
 
     def _account_for_training(self, run: Run, rays: int) -> None:
-        """Since `_accounted`, less the window's frames: without a graphics card they take the cores away meanwhile."""
+        """Count the time since `_accounted` as training, less the window's frames.
+
+        Without a graphics card, those take the processor's cores away from training.
+        """
         seconds, painted = time.perf_counter() - self._accounted, self._mailbox.paint_seconds()
         self._scheduler.trained(run.number, max(0.0, seconds - painted), rays)
         self._scheduler.budget.showed(painted)
@@ -252,7 +261,7 @@ class Worker:
         )
 
     def _serve(self, piece: Callable[[], bool]) -> None:
-        """Do what somebody waits for, a piece at a time, and show it before anything else is done."""
+        """Do what somebody waits for, a piece at a time, and publish it before anything else is done."""
         begin = time.perf_counter()
         if not piece():
             return
@@ -276,7 +285,7 @@ class Worker:
         self._publish(force=True)
 
     def _tell(self, notice: Notice) -> None:
-        """With the next snapshot: whoever hears of something finds it there."""
+        """Deliver a notice with the next snapshot, so that whoever reads it finds there what it tells of."""
         self._untold.append(replace(notice, command=notice.command or self._command))
 
     def _publish(self, force: bool = False) -> None:
@@ -293,7 +302,7 @@ class Worker:
         self._scheduler.budget.showed(time.perf_counter() - begin)
 
     def _snapshot(self, run: Run, before: Snapshot) -> Snapshot:
-        """The state of a run. Where the device or the method cannot tell it, the run fails and keeps what was shown."""
+        """Return the state of a run. If the device or the method raises, the run fails and keeps its last state."""
         try:
             return snapshot_of(run, before, self._scheduler)
         except Exception as error:
