@@ -17,7 +17,7 @@ from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels import numba_packed as loops
 from nerf_core.kernels.cpu_rays import ray_arrays
 from nerf_core.kernels.numba_march import NOTES
-from nerf_core.kernels.packed_kernels import BETA1, BETA2, EPSILON, HashLevels, Samples, adam_numbers
+from nerf_core.kernels.packed_kernels import BETA1, BETA2, EPSILON, BoxSamples, HashLevels, adam_numbers
 from nerf_core.volume.cells import Cells
 from nerf_core.volume.packed import Packed
 
@@ -32,7 +32,7 @@ class CpuPacked:
         self.shards = shards
         self._average = 32.0  # samples a ray, from which the next march's capacity is chosen; at first a guess
 
-    def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor, capacity: int = 0) -> Samples:
+    def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor, capacity: int = 0) -> BoxSamples:
         arrays, given = cells.cell_arrays(), ray_arrays(rays, offsets)
         longest = int(1.5 * sum(cells.size) / step) + 8  # as in `cpu_voxels`
         counts = torch.zeros(len(rays), dtype=torch.long)
@@ -57,7 +57,7 @@ class CpuPacked:
         each_shard(shards, work)
         x, t, width = (torch.cat(v) for v in zip(*parts, strict=True))
         self._average = max(1.0, len(t) / max(1, len(rays)))
-        samples = Samples(torch.cat([counts.new_zeros(1), counts.cumsum(0)]), t, width, x)
+        samples = BoxSamples(torch.cat([counts.new_zeros(1), counts.cumsum(0)]), t, width, x)
         return samples.fitted(capacity) if capacity else samples
 
     def encode(self, table: Tensor, levels: HashLevels, x: Tensor) -> Tensor:

@@ -30,8 +30,10 @@ from nerf_core.kernels.numba_march import (
 )  # fmt: skip
 
 F = np.float32
-STOP = F(1e-3)  # transmittance below which the rest of a ray changes an 8-bit pixel by less than one level
-SH0, SH1 = F(0.28209479), F(0.48860251)  # 1/√4π, √(3/4π)
+# The values of `nerf_core.volume`, written out: compiled loops are cached, and the cache's key contains only files with
+# loops, so that a change elsewhere would not be compiled.
+STOP = F(1e-3)  # that of `compositing`
+SH0, SH1 = F(0.28209479), F(0.48860251)  # those of `voxel_grid`
 
 
 @jit

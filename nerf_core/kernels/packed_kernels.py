@@ -17,22 +17,22 @@ PRIMES = (1, 2654435761, 805459861)  # factors of the spatial hash: instant-ngp,
 
 
 @dataclass(frozen=True)
-class Samples(Packed):
+class BoxSamples(Packed):
     """Packed samples with their positions. x: (M, 3) in [0, 1], relative to the cells' box."""
 
     x: Tensor
 
-    def at(self, index: Tensor) -> Samples:
+    def at(self, index: Tensor) -> BoxSamples:
         """The samples at an ascending index (K,)."""
         row_offsets = torch.searchsorted(index, self.row_offsets)
-        return Samples(row_offsets, self.t[index], self.width[index], self.x[index])
+        return BoxSamples(row_offsets, self.t[index], self.width[index], self.x[index])
 
-    def fitted(self, capacity: int) -> Samples:
+    def fitted(self, capacity: int) -> BoxSamples:
         """Exactly `capacity` samples. Surplus samples are cut off; missing ones are zeros behind the last ray."""
         missing = capacity - len(self.t)  # negative: cut off
         row_offsets = self.row_offsets.clamp(max=capacity)
         t, width = (functional.pad(v, (0, missing)) for v in (self.t, self.width))
-        return Samples(row_offsets, t, width, functional.pad(self.x, (0, 0, 0, missing)))
+        return BoxSamples(row_offsets, t, width, functional.pad(self.x, (0, 0, 0, missing)))
 
 
 class HashLevels(NamedTuple):
@@ -58,11 +58,11 @@ class PackedKernels(Protocol):
     name: str
     fixed_shapes: bool
 
-    def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor, capacity: int = 0) -> Samples:
+    def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor, capacity: int = 0) -> BoxSamples:
         """Place samples `step` cells apart in the occupied cells.
 
         offsets: (R,), where each ray's first sample lies in its step, 0 … 1.
-        capacity: fit the samples to this number, so that shapes never change (`Samples.fitted`); 0: do not.
+        capacity: fit the samples to this number, so that shapes never change (`BoxSamples.fitted`); 0: do not.
         """
         ...
 

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from nerf_core.geometry.spaces import BoxRays
-from nerf_core.kernels.packed_kernels import BETA1, BETA2, EPSILON, PRIMES, HashLevels, Samples
+from nerf_core.kernels.packed_kernels import BETA1, BETA2, EPSILON, PRIMES, BoxSamples, HashLevels
 from nerf_core.kernels.torch_march import march
 from nerf_core.volume.cells import Cells
 from nerf_core.volume.packed import Packed
@@ -18,12 +18,12 @@ class TorchPacked:
     name = "torch"
     fixed_shapes = False
 
-    def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor, capacity: int = 0) -> Samples:
+    def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor, capacity: int = 0) -> BoxSamples:
         found = march(cells, rays, step, offsets)
         counts = torch.bincount(found.ray, minlength=len(rays))
         row_offsets = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
         x = (found.cell + found.within) / torch.tensor(cells.size, device=row_offsets.device)
-        samples = Samples(row_offsets, found.t, found.width, x.clamp(0, 1))
+        samples = BoxSamples(row_offsets, found.t, found.width, x.clamp(0, 1))
         return samples.fitted(capacity) if capacity else samples
 
     def encode(self, table: Tensor, levels: HashLevels, x: Tensor) -> Tensor:

@@ -14,12 +14,11 @@ from torch.nn import functional
 from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels.torch_march import march
 from nerf_core.kernels.voxel_kernels import Adam, March, Traced
-from nerf_core.volume.voxel_grid import DENSITY, ROWS, WIDTH, VoxelGrid
+from nerf_core.volume.compositing import STOP
+from nerf_core.volume.voxel_grid import DENSITY, ROWS, WIDTH, VoxelGrid, view_basis
 
-STOP = 1e-3  # transmittance below which the rest of a ray changes an 8-bit pixel by less than one level
 
-
-class Packed(NamedTuple):
+class VoxelSamples(NamedTuple):
     """M samples, ray after ray, front to back.
 
     ray: (M,). t, width: (M,). rows, weights: (M, 8), the rows of the cell's corners, z fastest, and their trilinear
@@ -33,13 +32,13 @@ class Packed(NamedTuple):
     weights: Tensor
 
 
-def packed(grid: VoxelGrid, rays: BoxRays, how: March) -> Packed:
+def voxel_samples(grid: VoxelGrid, rays: BoxRays, how: March) -> VoxelSamples:
     """March, and find the rows and weights of the samples' corners."""
     ray, t, width, cell, within = march(grid, rays, how.step, how.offsets)
     corners = torch.cartesian_prod(*[torch.arange(2, device=ray.device)] * 3)
     rows = grid.row_of((cell[:, None] + corners).reshape(-1, 3)).view(-1, 8)
     weights = torch.where(corners == 1, within[:, None], 1 - within[:, None]).prod(-1)
-    return Packed(ray, t, width, rows, weights)
+    return VoxelSamples(ray, t, width, rows, weights)
 
 
 class Composited(NamedTuple):
@@ -51,12 +50,13 @@ class Composited(NamedTuple):
     rgb: Tensor
 
 
-def composite(rows: Tensor, samples: Packed, views: Tensor, step: float, bias: float, background: Tensor) -> Composited:
+def composite(
+    rows: Tensor, samples: VoxelSamples, views: Tensor, step: float, bias: float, background: Tensor
+) -> Composited:
     """Composite packed samples: NeRF Eq. 3. rows: (64 · bricks, 16), the grid's. views: unit directions (R, 3)."""
     values = (samples.weights[..., None] * rows[samples.rows]).sum(1)
     raw = values[:, DENSITY] + bias
-    d = views[samples.ray]
-    basis = torch.stack([torch.full_like(raw, 0.28209479), *(0.48860251 * d[:, a] for a in (1, 2, 0))], -1)
+    basis = view_basis(views[samples.ray])
     rgb = torch.sigmoid((values[:, :DENSITY].view(-1, 3, 4) * basis[:, None]).sum(-1))
     tau = (functional.softplus(raw) * step).double()  # in 64 bits: ray by ray differences of one running sum
     total = tau.cumsum(0)
@@ -94,8 +94,8 @@ class TorchVoxels:
                 torch.zeros(len(grid.rows), dtype=torch.bool, device=grid.rows.device) for _ in range(2)
             )
 
-    def _composited(self, rows: Tensor, grid: VoxelGrid, rays: BoxRays, how: March) -> tuple[Packed, Composited]:
-        samples = packed(grid, rays, how)
+    def _composited(self, rows: Tensor, grid: VoxelGrid, rays: BoxRays, how: March) -> tuple[VoxelSamples, Composited]:
+        samples = voxel_samples(grid, rays, how)
         return samples, composite(rows, samples, rays.views, how.step, how.bias, how.background)
 
     @torch.no_grad()

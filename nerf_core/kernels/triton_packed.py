@@ -14,7 +14,7 @@ from torch import Tensor
 
 from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels import triton_loops
-from nerf_core.kernels.packed_kernels import BETA1, BETA2, EPSILON, HashLevels, Samples
+from nerf_core.kernels.packed_kernels import BETA1, BETA2, EPSILON, BoxSamples, HashLevels
 from nerf_core.volume.cells import Cells
 from nerf_core.volume.packed import Packed
 
@@ -32,13 +32,13 @@ class TritonPacked:
     name = "triton"
     fixed_shapes = True
 
-    def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor, capacity: int = 0) -> Samples:
+    def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor, capacity: int = 0) -> BoxSamples:
         count, device = len(rays), offsets.device
         given = [v.contiguous() for v in (rays.origins, rays.directions, rays.near, rays.far, offsets)]
         held = [v.contiguous().view(torch.uint8) for v in (cells.occupied, cells.leap)]
         box = [float(v) for v in (*cells.origin, *(1 / cells.voxel))]
 
-        def launch(row_offsets: Tensor, counts: Tensor, found: Samples, write: bool) -> None:
+        def launch(row_offsets: Tensor, counts: Tensor, found: BoxSamples, write: bool) -> None:
             loops.march[(triton.cdiv(count, RAYS),)](
                 *given, *held, row_offsets, counts, found.x, found.t, found.width, count, len(found.t), step, *box,
                 *cells.size, CONTRACTED=cells.contracted, WRITE=write, BLOCK=RAYS, **EXACTLY,
@@ -49,7 +49,7 @@ class TritonPacked:
         row_offsets = torch.cat([counts.new_zeros(1), counts.cumsum(0)])
         found = _empty_samples(row_offsets, capacity or int(row_offsets[-1]))
         launch(row_offsets, counts, found, write=True)
-        return Samples(row_offsets.clamp(max=len(found.t)), found.t, found.width, found.x.clamp_(0, 1))
+        return BoxSamples(row_offsets.clamp(max=len(found.t)), found.t, found.width, found.x.clamp_(0, 1))
 
     def encode(self, table: Tensor, levels: HashLevels, x: Tensor) -> Tensor:
         count, rows, width = table.shape
@@ -95,8 +95,8 @@ class TritonPacked:
         )  # fmt: skip
 
 
-def _empty_samples(row_offsets: Tensor, count: int) -> Samples:
-    return Samples(
+def _empty_samples(row_offsets: Tensor, count: int) -> BoxSamples:
+    return BoxSamples(
         row_offsets, *(torch.zeros(*shape, device=row_offsets.device) for shape in ((count,), (count,), (count, 3)))
     )
 

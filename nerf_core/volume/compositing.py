@@ -8,6 +8,8 @@ from torch import Tensor
 
 from nerf_core.geometry.rays import EMPTY
 
+STOP = 1e-3  # transmittance below which the rest of a ray changes an 8-bit pixel by less than one level
+
 
 def absorb(
     sigma: Float[Tensor, "R S"], delta: Float[Tensor, "R S"]

@@ -20,6 +20,9 @@ BRICK = 4  # vertices a side
 ROWS = BRICK**3
 WIDTH = 16  # floats of a row
 DENSITY = 12  # where a row's raw density lies
+# 1/√4π and √(3/4π), as in `encodings.spherical_harmonics`, but rounded: as a float32, SH0 differs from the exact value
+# by one unit in the last place, and another value would change the weights that a seed gives.
+SH0, SH1 = 0.28209479, 0.48860251
 
 
 class GridArrays(NamedTuple):
@@ -161,3 +164,11 @@ def bricks_of(occupied: Tensor) -> Tensor:
             for c in (0, 1):
                 vertices[a : a + x, b : b + y, c : c + z] |= occupied
     return blocks(vertices)
+
+
+def view_basis(d: Tensor) -> Tensor:
+    """Return the spherical harmonics of degree 0 and 1, in the order of a row's coefficients.
+
+    d: unit directions (K, 3). Returns (K, 4).
+    """
+    return torch.stack([torch.full_like(d[:, 0], SH0), SH1 * d[:, 1], SH1 * d[:, 2], SH1 * d[:, 0]], -1)

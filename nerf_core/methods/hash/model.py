@@ -22,13 +22,14 @@ from nerf_core.geometry.rays import Rays, Rendering, Trace
 from nerf_core.geometry.scene import Scene
 from nerf_core.geometry.spaces import Space, pixel_size
 from nerf_core.kernels.choice import packed_kernels
-from nerf_core.kernels.packed_kernels import BETA1, BETA2, EPSILON, HashLevels, Samples, adam_numbers
+from nerf_core.kernels.packed_kernels import BETA1, BETA2, EPSILON, BoxSamples, HashLevels, adam_numbers
 from nerf_core.methods import Defaults, Draw
 from nerf_core.methods.adam_state import adam_state, load_adam
 from nerf_core.methods.hash.config import HashConfig
 from nerf_core.methods.hash.field import HashField
 from nerf_core.methods.hash.fixed_step import FixedStep
 from nerf_core.volume.cells import Cells
+from nerf_core.volume.compositing import STOP
 from nerf_core.volume.occupancy import Occupancy, softened
 from nerf_core.volume.packed import to_trace
 
@@ -40,7 +41,6 @@ FEWEST = 1 << 12  # samples per step below which `halve` refuses
 AVERAGE_EVERY = 4  # steps between updates of the EMA: the table is large, and neighbouring steps differ little
 FOLLOW = 0.1  # rate of the EMA per update: it spans about 40 steps
 YOUNG = 4.0  # at its update k the EMA spans only the last k/YOUNG updates: older weights are outdated
-STOP = 1e-3  # transmittance below which no colour is evaluated: it could not change an 8-bit pixel by one step
 
 
 class HashModel(Defaults):
@@ -196,8 +196,8 @@ class HashModel(Defaults):
     def _tau(self, x: Tensor) -> Tensor:
         return softened(self.field.geometry(self.field.encode(x))[0]) * self.length
 
-    def _reached(self, tau: Tensor, samples: Samples) -> Tensor:
-        """The indices of the samples whose transmittance is above STOP."""
+    def _reached(self, tau: Tensor, samples: BoxSamples) -> Tensor:
+        """The indices of the samples whose transmittance is above STOP. No colour is evaluated for the others."""
         return (torch.exp(-samples.before(tau)) > STOP).nonzero()[:, 0]
 
     def halve(self) -> bool:
@@ -213,7 +213,7 @@ class HashModel(Defaults):
         return TILE if self.device.type == "cpu" else int(min(max(TILE_SAMPLES / self.samples_per_ray, 2**10), 2**17))
 
     @torch.no_grad()
-    def _evaluated(self, rays: Rays) -> tuple[Samples, Tensor, Tensor, Tensor]:
+    def _evaluated(self, rays: Rays) -> tuple[BoxSamples, Tensor, Tensor, Tensor]:
         """Evaluate at most a tile of rays. Returns samples, optical depths, colours and the pixels (R, 5)."""
         offsets = torch.full((len(rays),), 0.5, device=self.device)
         samples = self.kernels.march(self.occupancy.cells, self.space.rays(rays), self.step_cells, offsets)

@@ -17,7 +17,7 @@ from nerf_core.methods.stages import (
     skipped_stage,
 )
 from nerf_core.methods.voxels.model import VoxelModel
-from nerf_core.volume.voxel_grid import DENSITY
+from nerf_core.volume.voxel_grid import DENSITY, view_basis
 
 
 @torch.no_grad()
@@ -36,7 +36,7 @@ def explain(model: VoxelModel, rays: Rays) -> tuple[Stage, ...]:
     index = model.grid.row_of(cell + corners)
     raw = torch.where(index >= 0, model.ema_rows[index.clamp(min=0), DENSITY], 0).numpy()
     row, d = model.ema_grid.interpolate(cell, within)[0], rays.directions
-    basis = model.basis(d)[0].numpy()
+    basis = view_basis(d)[0].numpy()
     coefficients = row[:DENSITY].view(3, 4).numpy()
     return (
         skipped,

@@ -33,13 +33,12 @@ from nerf_core.methods.voxels.coarse_to_fine import Schedule, finer_grid, first_
 from nerf_core.methods.voxels.config import VoxelConfig
 from nerf_core.volume.cells import grow
 from nerf_core.volume.packed import to_trace
-from nerf_core.volume.voxel_grid import DENSITY, VoxelGrid
+from nerf_core.volume.voxel_grid import DENSITY, VoxelGrid, view_basis
 
 PIECE = 4096  # rays between two calls of the yield callback: about 5 ms on two cores
 TILE = 8192
 SMALLEST = 1e-5  # a cell's side as a share of the box: no configuration allows smaller ones
 YOUNG = 4.0  # early in a level, at its step k, average only the last k/YOUNG steps: older rows are outdated
-SH = (0.28209479, 0.48860251)  # 1/√4π, √(3/4π): real spherical harmonics of degree 0 and 1
 
 
 class VoxelModel(Defaults):
@@ -182,12 +181,7 @@ class VoxelModel(Defaults):
     def radiance(self, points: Tensor, directions: Tensor) -> Tensor:
         rows = self._rows_at(points)[0]
         d = directions.to(self.device, torch.float32)
-        return torch.sigmoid(torch.einsum("kb,pcb->pkc", self.basis(d), rows[:, :DENSITY].view(-1, 3, 4)))
-
-    @staticmethod
-    def basis(d: Tensor) -> Tensor:
-        """Return the spherical harmonics Y (K, 4) at unit directions (K, 3)."""
-        return torch.stack([torch.full_like(d[:, 0], SH[0]), SH[1] * d[:, 1], SH[1] * d[:, 2], SH[1] * d[:, 0]], -1)
+        return torch.sigmoid(torch.einsum("kb,pcb->pkc", view_basis(d), rows[:, :DENSITY].view(-1, 3, 4)))
 
     @torch.no_grad()
     def density(self, points: Tensor) -> Tensor:

@@ -11,7 +11,7 @@ from kernel_implementations import PLAIN, fast_packed
 from torch import Tensor
 
 from nerf_core.geometry.spaces import BoxRays
-from nerf_core.kernels.packed_kernels import HashLevels, PackedKernels, Samples, adam_numbers
+from nerf_core.kernels.packed_kernels import BoxSamples, HashLevels, PackedKernels, adam_numbers
 from nerf_core.volume.cells import Cells
 from nerf_core.volume.compositing import absorb, composite
 
@@ -26,7 +26,7 @@ def generator(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
-def some_samples(rays: int = 40) -> tuple[Samples, Tensor, Tensor]:
+def some_samples(rays: int = 40) -> tuple[BoxSamples, Tensor, Tensor]:
     """Rays with 0 … 9 samples, their optical depths (some opaque, some zero) and colours."""
     g = generator(1)
     counts = torch.randint(0, 10, (rays,), generator=g)
@@ -35,7 +35,9 @@ def some_samples(rays: int = 40) -> tuple[Samples, Tensor, Tensor]:
     row_offsets = torch.cat([torch.zeros(1, dtype=torch.long), counts.cumsum(0)])
     tau = torch.rand(total, generator=g)
     tau[::7], tau[3::11] = 0, 30
-    samples = Samples(row_offsets, torch.rand(total, generator=g), torch.ones(total), torch.rand(total, 3, generator=g))
+    samples = BoxSamples(
+        row_offsets, torch.rand(total, generator=g), torch.ones(total), torch.rand(total, 3, generator=g)
+    )
     return samples, tau, torch.rand(total, 3, generator=g)
 
 
@@ -218,7 +220,7 @@ def test_the_gradient_of_compositing_is_autograds(kernels: PackedKernels) -> Non
 def test_the_plain_gradient_is_that_of_finite_differences() -> None:
     samples, tau, rgb = some_samples()
     tau, rgb = tau.clamp(0.05, 2).double(), rgb.double()
-    double = Samples(samples.row_offsets, samples.t.double(), samples.width, samples.x)
+    double = BoxSamples(samples.row_offsets, samples.t.double(), samples.width, samples.x)
     gradient = torch.randn(len(samples.row_offsets) - 1, 3, generator=generator(5)).double()
     by_tau, by_rgb = PLAIN.composite_gradient(gradient, tau, rgb, double, WHITE.double())
     step = (
@@ -254,7 +256,7 @@ def test_adam_moves_only_what_has_a_gradient(kernels: PackedKernels) -> None:
 
 @each
 def test_no_samples_at_all(kernels: PackedKernels) -> None:
-    nothing = Samples(torch.zeros(4, dtype=torch.long), torch.zeros(0), torch.zeros(0), torch.zeros(0, 3))
+    nothing = BoxSamples(torch.zeros(4, dtype=torch.long), torch.zeros(0), torch.zeros(0), torch.zeros(0, 3))
     pixel = kernels.composite(torch.zeros(0), torch.zeros(0, 3), nothing, WHITE)
     torch.testing.assert_close(pixel, torch.tensor([1.0, 0.5, 0.25, 0, 0]).expand(3, 5))
     by_tau, by_rgb = kernels.composite_gradient(torch.ones(3, 3), torch.zeros(0), torch.zeros(0, 3), nothing, WHITE)

@@ -13,8 +13,9 @@ from torch import Tensor
 
 from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels.cpu_voxels import CpuVoxels
-from nerf_core.kernels.torch_voxels import STOP, TorchVoxels
+from nerf_core.kernels.torch_voxels import TorchVoxels
 from nerf_core.kernels.voxel_kernels import Adam, March, VoxelKernels
+from nerf_core.volume.compositing import STOP
 from nerf_core.volume.voxel_grid import DENSITY, VoxelGrid
 
 WHITE = torch.ones(3)
