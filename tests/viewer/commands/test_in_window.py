@@ -76,11 +76,11 @@ def test_the_palette_runs_what_is_typed_and_chosen(opened: tuple[App, scripted.S
     assert worker.sent == [Train()]
     assert not app.state.show_palette
     open_palette(app)
-    app.injector.type_text("train")
+    app.injector.type_text("show or hide")
     app.injector.key(imgui.Key.down_arrow)
     app.injector.key(imgui.Key.enter)
     app.settle()
-    assert app.state.show_cameras
+    assert (app.state.show_cameras, app.state.show_samples) == (False, False)  # cameras, then opened rays
     open_palette(app)  # it opens empty
     assert "palette.file.open" in app.widgets
     click(app, "palette.picture.view-dependence")
