@@ -7,6 +7,7 @@ has its centre at (i + 0.5, j + 0.5).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -60,16 +61,43 @@ class Camera:
             are NaN where the lens shows something else at that pixel; see `Lens.shows`.
         """
         local = (points - self.c2w[:, 3]) @ self.c2w[:, :3]
-        z = -local[:, 2]
-        safe = np.where(
-            np.abs(z) < 1e-12, 1e-12, z
-        )  # avoids a division by zero: a point in the camera's plane has no pixel, and its depth says so
-        plane = np.stack([local[:, 0], -local[:, 1]], -1) / safe[:, None]
-        if not self.lens.bends:
-            return plane * (self.fx, self.fy) + (self.cx, self.cy), z
+        done = project(local, np.array(self.intrinsics(), np.float64))
+        done.pixels[done.framed & ~done.shown] = np.nan
+        return done.pixels, done.depth
+
+
+class Projected(NamedTuple):
+    """P points projected into pictures.
+
+    pixels: (P, 2) column and row.
+    depth: (P,) z-depth; a point with depth ≤ 0 lies behind the camera.
+    framed: (P,) whether the pixel lies in the picture and the point in front of the camera.
+    shown: (P,) whether the lens shows the point at that pixel, and not something else; see `Lens.shows`.
+    """
+
+    pixels: np.ndarray
+    depth: np.ndarray
+    framed: np.ndarray
+    shown: np.ndarray
+
+
+def project(local: np.ndarray, intrinsics: np.ndarray) -> Projected:
+    """Project points that are given in camera axes.
+
+    Args:
+        local: (P, 3) in world units.
+        intrinsics: those of one camera, (11,), or of a camera for each point, (P, 11); see `Camera.intrinsics`.
+    """
+    width, height, fx, fy, cx, cy, *coefficients = intrinsics.T
+    depth = -local[:, 2]
+    # a point in the camera's plane has no pixel; its depth says so
+    safe = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
+    plane = np.stack([local[:, 0], -local[:, 1]], -1) / safe[:, None]
+    bent, lens = plane, Lens(*coefficients)
+    if lens.bends:
         plane = np.clip(plane, -BESIDE, BESIDE)
-        bent = self.lens.distort(plane)
-        pixels = bent * (self.fx, self.fy) + (self.cx, self.cy)
-        k = np.flatnonzero((z > 0) & (pixels >= 0).all(-1) & (pixels < (self.width, self.height)).all(-1))
-        pixels[k[~self.lens.shows(plane[k], bent[k])]] = np.nan
-        return pixels, z
+        bent = lens.distort(plane)
+    pixels = bent * np.stack([fx, fy], -1) + np.stack([cx, cy], -1)
+    framed = (depth > 0) & (pixels >= 0).all(-1) & (pixels < np.stack([width, height], -1)).all(-1)
+    shown = lens.shows(plane, bent) if lens.bends else np.ones(len(plane), bool)
+    return Projected(pixels, depth, framed, shown)

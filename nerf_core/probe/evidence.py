@@ -12,9 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nerf_core.geometry.camera import BESIDE
+from nerf_core.geometry.camera import project
 from nerf_core.geometry.cameras import Cameras
-from nerf_core.geometry.lens import Lens
 from nerf_core.geometry.rays import Rays, Trace
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method, Radiant, traced
@@ -71,17 +70,8 @@ class TrainingViews:
         """
         offsets = point - self._c2w[:, :, 3]
         local = np.einsum("cij,ci->cj", self._c2w[:, :, :3], offsets)
-        depth = -local[:, 2]
-        plane = np.stack([local[:, 0], -local[:, 1]], -1) / np.maximum(depth, 1e-12)[:, None]  # behind: not in frame
-        width, height, fx, fy, cx, cy, *coefficients = self._intrinsics.T
-        lens = Lens(*coefficients)
-        plane = np.clip(plane, -BESIDE, BESIDE)
-        bent = lens.distort(plane)
-        pixels = bent * np.stack([fx, fy], -1) + np.stack([cx, cy], -1)
-        if lens.bends:
-            depth = np.where(lens.shows(plane, bent), depth, -1.0)
-        inside = (pixels >= 0).all(-1) & (pixels[:, 0] < width) & (pixels[:, 1] < height)
-        return pixels, (depth > 0) & inside
+        done = project(local, self._intrinsics)
+        return done.pixels, done.framed & done.shown
 
     def rays(self, index: np.ndarray, pixels: np.ndarray) -> Rays:
         """Return the rays through the centres of the pixels that hold given positions.
