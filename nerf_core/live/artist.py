@@ -52,7 +52,7 @@ class Artist:
         return self._ready is not self._shown or (self._picture is not None and self._picture.fresh)
 
     def preview(self, previous: Preview | None) -> Preview | None:
-        """Return the newest picture that may be shown: the previous one until the first level of a new camera is whole."""
+        """Return the newest picture to show: the previous one until the first level of a new camera is complete."""
         picture = self._picture
         if picture is not None and picture.fresh and picture.first_level_done and picture.coherent():
             self._ready = picture.image()

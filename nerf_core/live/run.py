@@ -156,7 +156,7 @@ class Run:
         return Trainer(scene, settings)
 
     def _adopt(self, trainer: Trainer) -> None:
-        """Take another model of the open scene, paused. Raises Diverged for broken weights; the old model then stays."""
+        """Take another model of the open scene, paused. Raises Diverged for broken weights; the old one then stays."""
         self._commit(self.need_scene(), self.settings, trainer, LastGood(trainer))
 
     def _commit(self, scene: Scene, settings: RunSettings, trainer: Trainer, good: LastGood) -> None:
