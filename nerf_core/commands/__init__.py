@@ -8,7 +8,7 @@ from nerf_core.common.registry import Registry
 from nerf_core.common.signals import Signals
 
 
-class Command(Protocol):
+class Subcommand(Protocol):
     """A frozen dataclass: its fields are the options, its docstring is the help. A smaller `order` is listed first."""
 
     order: ClassVar[int]
@@ -18,4 +18,4 @@ class Command(Protocol):
         ...
 
 
-COMMANDS: Registry[type[Command]] = Registry("command", "nerf_core.commands")
+COMMANDS: Registry[type[Subcommand]] = Registry("command", "nerf_core.commands")

@@ -11,7 +11,7 @@ import scripted
 from imgui_bundle import imgui
 
 from viewer.app.app import App
-from viewer.commands.registry import COMMANDS
+from viewer.commands.registry import USER_COMMANDS
 from viewer.ui.contract import PANELS
 from viewer.window import Window
 
@@ -52,7 +52,7 @@ def test_a_panel(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_command_with_a_key(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
     load = pages.loader(monkeypatch)
-    load("viewer/commands/actions/first_photo.py", COMMANDS)
+    load("viewer/commands/actions/first_photo.py", USER_COMMANDS)
     app = start()
     app.injector.key(imgui.Key.home)
     app.settle(6)

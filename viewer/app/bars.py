@@ -10,7 +10,7 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from nerf_core.common.text import duration, rate
 from nerf_core.live.messages import Reset
 
-from ..commands.registry import COMMANDS, MENUS, Menu, UserCommand, commands, invoke, run, with_keys
+from ..commands.registry import MENUS, USER_COMMANDS, Menu, UserCommand, commands, invoke, run, with_keys
 from ..model.state import Action, AppState
 from ..ui.theme import CLEAR
 from .panel_host import PanelUi
@@ -28,7 +28,7 @@ def draw_menu(ui: PanelUi, state: AppState) -> Iterator[Action]:
         if imgui.begin_menu(menu):
             yield from _menu(ui, state, menu)
             imgui.end_menu()
-    yield from _item(ui, state, COMMANDS.get("show.help"), keys=False)
+    yield from _item(ui, state, USER_COMMANDS.get("show.help"), keys=False)
     yield from _training(ui, state)
     imgui.end_main_menu_bar()
 
@@ -64,7 +64,7 @@ def _training(ui: PanelUi, state: AppState) -> Iterator[Action]:
     pressed = imgui.button(f"{label}###bar.train")
     imgui.pop_style_color()
     ui.mark("bar.train")
-    imgui.set_item_tooltip(", ".join(COMMANDS.get("training.toggle").keys))
+    imgui.set_item_tooltip(", ".join(USER_COMMANDS.get("training.toggle").keys))
     if pressed:
         yield from run("training.toggle", state)
     stepped = imgui.button(f"{icons.ICON_FA_FORWARD_STEP}###bar.step")

@@ -13,7 +13,7 @@ from nerf_core.probe import RayProbe
 from nerf_core.rendering.modes import COLOR, MODES, Mode
 
 from ..commands.pointer import ViewportInput
-from ..commands.registry import COMMANDS
+from ..commands.registry import USER_COMMANDS
 from ..draw.imgui_renderer import ImguiRenderer
 from ..draw.overlays import NEAR, Overlay, axis_directions, frusta
 from ..draw.viewport import ViewportPicture
@@ -188,7 +188,7 @@ def _why_empty(state: AppState) -> tuple[str, str]:
         case "failed":
             return "No picture: the worker failed", "see Notices"
         case "empty":
-            keys = ", ".join(COMMANDS.get("file.open").keys)
+            keys = ", ".join(USER_COMMANDS.get("file.open").keys)
             return "Nothing is open", f"{keys} opens a folder of posed photos"
         case _:
             return "The first picture is on its way", ""

@@ -50,7 +50,7 @@ class UserCommand:
     checked: Callable[[AppState], bool] | None
 
 
-COMMANDS: Registry[UserCommand] = Registry("command", f"{__name__.rpartition('.')[0]}.actions")
+USER_COMMANDS: Registry[UserCommand] = Registry("command", f"{__name__.rpartition('.')[0]}.actions")
 
 
 def scene_is_open(state: AppState) -> bool:
@@ -76,7 +76,7 @@ def command(
     """Decorator that registers a function as a command. For the arguments see `UserCommand`."""
 
     def keep(run: Run) -> Run:
-        COMMANDS.register(id)(UserCommand(id, title, section, order, run, keys, repeat, menu, enabled, checked))
+        USER_COMMANDS.register(id)(UserCommand(id, title, section, order, run, keys, repeat, menu, enabled, checked))
         return run
 
     return keep
@@ -84,13 +84,13 @@ def command(
 
 def commands() -> list[UserCommand]:
     """Return all commands, sorted by section and order."""
-    found = [COMMANDS.get(name) for name in COMMANDS.names()]
+    found = [USER_COMMANDS.get(name) for name in USER_COMMANDS.names()]
     return sorted(found, key=lambda c: (SECTIONS.index(c.section), c.order, c.id))
 
 
 def run(id: str, state: AppState) -> list[Action]:
     """Run a command by its id. A disabled command does nothing."""
-    found = COMMANDS.get(id)
+    found = USER_COMMANDS.get(id)
     return found.run(state) if found.enabled(state) else []
 
 
@@ -107,5 +107,5 @@ def invoke(found: UserCommand, state: AppState) -> list[Action]:
 
 def with_keys(text: str, id: str) -> str:
     """Return a tooltip with the keys of a command at its end: "see the whole scene (F)"."""
-    keys = ", ".join(COMMANDS.get(id).keys)
+    keys = ", ".join(USER_COMMANDS.get(id).keys)
     return f"{text} ({keys})" if keys else text

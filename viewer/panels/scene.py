@@ -17,7 +17,7 @@ from nerf_core.geometry.scene import SPLITS, Scene
 from nerf_core.live.messages import OpenScene, UseMethod
 from nerf_core.methods import METHODS
 
-from ..commands.registry import COMMANDS, run, with_keys
+from ..commands.registry import USER_COMMANDS, run, with_keys
 from ..model.state import Action, AppState, unsaved_steps
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import Confirmation, Row, button, exists, field_beside, field_width, figures, hint, same_line_if_fits
@@ -186,7 +186,7 @@ def _photos(ui: Ui, state: AppState, scene: Scene) -> Iterator[Action]:
     for icon, direction in ((icons.ICON_FA_CHEVRON_LEFT, "previous"), (icons.ICON_FA_CHEVRON_RIGHT, "next")):
         go = f"camera.{direction}"
         tip = with_keys(f"{direction} training photo", go)
-        if button(ui, icon, f"scene.{direction}", enabled=COMMANDS.get(go).enabled(state), tip=tip):
+        if button(ui, icon, f"scene.{direction}", enabled=USER_COMMANDS.get(go).enabled(state), tip=tip):
             yield from run(go, state)
         imgui.same_line()
     imgui.align_text_to_frame_padding()

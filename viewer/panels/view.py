@@ -11,7 +11,7 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from nerf_core.common.text import number, vector
 from nerf_core.rendering.modes import COLOR, MODES, mode_names
 
-from ..commands.registry import COMMANDS, run, with_keys
+from ..commands.registry import USER_COMMANDS, run, with_keys
 from ..draw.viewport import same_view
 from ..model.state import Action, AppState, FocusOn
 from ..ui.contract import PANELS, Ui
@@ -51,7 +51,7 @@ class ViewPanel:
         if button(ui, FOCUS, "view.focus", enabled=radiance is not None, tip=tip) and radiance is not None:
             yield FocusOn(radiance.point)
         _modes(ui, state)
-        rays, cameras = COMMANDS.get("show.ray").title, COMMANDS.get("show.cameras").title
+        rays, cameras = USER_COMMANDS.get("show.ray").title, USER_COMMANDS.get("show.cameras").title
         _, state.show_samples = imgui.checkbox(rays, state.show_samples)
         ui.mark("view.samples")
         same_line_if_fits(f"     {cameras}")
@@ -65,7 +65,7 @@ class ViewPanel:
 
 def _titled(icon: str, command: str) -> str:
     """A button's label: an icon, and the name that the menus and the palette have for this command."""
-    return f"{icon}  {COMMANDS.get(command).title}"
+    return f"{icon}  {USER_COMMANDS.get(command).title}"
 
 
 def _modes(ui: Ui, state: AppState) -> None:

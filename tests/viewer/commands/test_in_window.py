@@ -13,7 +13,7 @@ from imgui_bundle import imgui
 from nerf_core.live.messages import Inspect, Train
 from viewer.app.app import App
 from viewer.commands import actions
-from viewer.commands.registry import COMMANDS, MENUS, commands
+from viewer.commands.registry import MENUS, USER_COMMANDS, commands
 from viewer.window import Window
 
 Offscreen = Callable[..., Window]
@@ -161,11 +161,11 @@ def fails(state):
 @pytest.fixture
 def new_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Add a file with commands to those of the folder."""
-    COMMANDS.names()
+    USER_COMMANDS.names()
     (tmp_path / "extra.py").write_text(NEW, encoding="utf-8")
     monkeypatch.setattr(actions, "__path__", [*actions.__path__, str(tmp_path)])
-    monkeypatch.setattr(COMMANDS, "_items", dict(COMMANDS._items))
-    monkeypatch.setattr(COMMANDS, "_complete", False)
+    monkeypatch.setattr(USER_COMMANDS, "_items", dict(USER_COMMANDS._items))
+    monkeypatch.setattr(USER_COMMANDS, "_complete", False)
     yield
     del sys.modules["viewer.commands.actions.extra"]
 

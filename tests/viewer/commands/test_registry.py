@@ -13,7 +13,7 @@ from nerf_core.rendering.modes import mode_names
 from viewer.commands import actions
 from viewer.commands.keyboard import FLY, Chord
 from viewer.commands.overview import overview
-from viewer.commands.registry import COMMANDS, UserCommand, commands, run, with_keys
+from viewer.commands.registry import USER_COMMANDS, UserCommand, commands, run, with_keys
 from viewer.model.state import AppState, GoToView, SaveScreenshot, StartFilmExport
 
 ROOT = Path(actions.__file__).parents[3]
@@ -90,7 +90,7 @@ def test_next_and_previous_photo_wrap_around() -> None:
 def test_every_render_mode_has_a_number_key() -> None:
     for number, mode in enumerate(mode_names(), 1):
         state = AppState()
-        assert COMMANDS.get(f"picture.{mode}").keys == ((str(number),) if number < 10 else ())
+        assert USER_COMMANDS.get(f"picture.{mode}").keys == ((str(number),) if number < 10 else ())
         run(f"picture.{mode}", state)
         assert state.mode == mode
 

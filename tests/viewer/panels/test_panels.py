@@ -53,7 +53,7 @@ from nerf_core.methods.nerf.config import NerfConfig
 from nerf_core.probe import RayHistory, TrainingViews
 from nerf_core.rendering.export.models import EXPORTS
 from nerf_core.training.settings import RunSettings
-from viewer.commands.registry import COMMANDS
+from viewer.commands.registry import USER_COMMANDS
 from viewer.model.state import (
     Action,
     AppState,
@@ -984,7 +984,7 @@ def test_the_view_panel_uses_the_names_of_the_commands(screen: Screen, monkeypat
         )
     screen.frame(PANELS.get("view")(), make_state(make_snapshot()))
     for command in ("camera.reset", "show.ray", "show.cameras", "show.help"):
-        assert sum(COMMANDS.get(command).title in label for label in labels) == 1
+        assert sum(USER_COMMANDS.get(command).title in label for label in labels) == 1
 
 
 # ---- notices ----------------------------------------------------------------------------------------------------
