@@ -176,9 +176,7 @@ class HashModel(Defaults):
         """Add the gradient of `scale`/2 times the squared error. Returns that error and the number of samples."""
         samples = self.kernels.march(self.occupancy.cells, self.space.rays(rays), self.step_cells, offsets)
         features = self.field.encode(samples.x)
-        with (
-            torch.no_grad()
-        ):  # samples that no light reaches have no gradient: they are left out before the costly part
+        with torch.no_grad():  # samples that no light reaches have no gradient: leave them out before the costly part
             lit = self._reached(softened(self.field.geometry(features)[0]) * self.length, samples)
         samples, features = samples.at(lit), features[lit].requires_grad_()
         raw, geometry = self.field.geometry(features)
