@@ -22,10 +22,27 @@ QUIET = implot.AxisFlags_.no_highlight
 
 
 class Space(NamedTuple):
-    """The space of a plot: its height without the numbers of t, and whether these numbers are below it."""
+    """The space of a plot.
+
+    high: its height without the numbers of t, in pixels.
+    numbered: whether these numbers are below it.
+    near, far: the part of the ray that its axis may show.
+    """
 
     high: float
     numbered: bool
+    near: float
+    far: float
+
+    def limits(self, t: np.ndarray) -> tuple[float, float]:
+        """Return the ends of the axis for marks at t.
+
+        In contracted space the last samples may lie thousands of scenes away, where nothing has any weight.
+        """
+        low, high = (float(t.min()), float(t.max())) if len(t) else (0.0, 1.0)
+        low, high = max(low, min(self.near, high)), min(high, max(self.far, low))
+        margin = 0.03 * max(high - low, 1e-6)  # an axis needs a length, also for a single mark
+        return low - margin, high + margin
 
 
 @PANELS.register("walk")
@@ -36,8 +53,8 @@ class WalkPanel:
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
         yield from ()
-        stages = state.snapshot.opened.walk if state.snapshot.opened is not None else ()
-        if not stages:
+        opened = state.snapshot.opened
+        if opened is None or not opened.walk:
             nothing_yet(
                 ui,
                 state.snapshot.method,
@@ -50,19 +67,19 @@ class WalkPanel:
         if wheel and imgui.is_window_hovered(imgui.HoveredFlags_.child_windows) and not imgui.get_io().key_shift:
             imgui.set_scroll_x(imgui.get_scroll_x() - 4 * ui.em * wheel)  # the strip only scrolls sideways
         high = max(imgui.get_content_region_avail().y, 8 * ui.em)
-        for k, stage in enumerate(stages):
+        for k, stage in enumerate(opened.walk):
             if k:
                 imgui.same_line(0, 1.2 * ui.em)
             still = imgui.WindowFlags_.no_scroll_with_mouse
             imgui.begin_child(f"stage {k}", ImVec2(WIDTH_EM * ui.em, high), 0, still)
-            _draw_stage(ui, k + 1, stage)
+            _draw_stage(ui, k + 1, stage, (opened.ray.near, opened.ray.far))
             imgui.end_child()
-            if k + 1 < len(stages):
+            if k + 1 < len(opened.walk):
                 _arrow(ui)
         imgui.end_child()
 
 
-def _draw_stage(ui: Ui, number: int, stage: Stage) -> None:
+def _draw_stage(ui: Ui, number: int, stage: Stage, bounds: tuple[float, float]) -> None:
     imgui.text_colored(ui.theme.accent, f"{number}")
     imgui.same_line(0, 0.5 * ui.em)
     imgui.text_unformatted(stage.title)
@@ -70,7 +87,7 @@ def _draw_stage(ui: Ui, number: int, stage: Stage) -> None:
     hint(ui, stage.sentence)
     high, lowest = _plot_height(ui, stage), len(stage.charts) - 1
     for k, chart in enumerate(stage.charts):
-        CHARTS[type(chart)](ui, f"##{number} {k}", chart, Space(high, k == lowest))
+        CHARTS[type(chart)](ui, f"##{number} {k}", chart, Space(high, k == lowest, *bounds))
     if stage.rows:
         figures(ui, "rows", stage.rows)
 
@@ -106,10 +123,7 @@ def _begin(ui: Ui, name: str, t: np.ndarray, top: float, space: Space) -> bool:
     if begun:
         implot.setup_axis(implot.ImAxis_.x1, None, QUIET | (0 if space.numbered else implot.AxisFlags_.no_tick_labels))
         implot.setup_axis(implot.ImAxis_.y1, None, QUIET | implot.AxisFlags_.no_tick_labels)
-        low, high = (float(t.min()), float(t.max())) if len(t) else (0.0, 1.0)
-        span = max(high - low, 1e-6)
-        always = implot.Cond_.always
-        implot.setup_axes_limits(low - 0.03 * span, high + 0.03 * span, 0, 1.15 * max(top, 1e-30), always)
+        implot.setup_axes_limits(*space.limits(t), 0, 1.15 * max(top, 1e-30), implot.Cond_.always)
     return begun
 
 

@@ -38,6 +38,7 @@ def explain(model: VoxelModel, rays: Rays) -> tuple[Stage, ...]:
     row, d = model.ema_grid.interpolate(cell, within)[0], rays.directions
     basis = view_basis(d)[0].numpy()
     coefficients = row[:DENSITY].view(3, 4).numpy()
+    sign = "−" if model.config.bias < 0 else "+"
     return (
         skipped,
         Stage(
@@ -46,7 +47,7 @@ def explain(model: VoxelModel, rays: Rays) -> tuple[Stage, ...]:
             "colour. Corners count more the nearer the sample is to them.",
             (BarCode(("blend", "s"), (weights, raw), max(1.0, float(np.abs(raw).max()))),),
             (("cell", ", ".join(str(v) for v in cell[0].tolist())),
-             ("density", f"softplus({number(float(row[DENSITY]))} + {number(model.config.bias)})")),
+             ("density", f"softplus({number(float(row[DENSITY]))} {sign} {number(abs(model.config.bias))})")),
         ),
         Stage(
             "Colour",

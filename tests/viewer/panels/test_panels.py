@@ -67,6 +67,7 @@ from viewer.model.state import (
     SetPointDepth,
     StartFilmExport,
 )
+from viewer.panels.walk import Space
 from viewer.ui.contract import PANELS, Panel
 from viewer.ui.theme import DarkTheme
 
@@ -837,6 +838,16 @@ def test_a_slice_shows_the_models_colours_and_those_of_the_photos_near_it(
         assert (angles.min(), angles.max()) == pytest.approx((-80, 80), abs=2)
         expected = 0.5 - 0.5 * np.array([look(angle)[c] for angle in angles])
         np.testing.assert_allclose(values, expected, atol=0.03)  # read from pixels, which are coarse at the rim
+
+
+@pytest.mark.parametrize(
+    ("t", "wanted"),
+    [([1.0, 2.0, 3.0], (1, 3)), ([1.0, 2.0, 7e5], (1, 6)), ([7.0, 9.0], (7, 7)), ([2.0], (2, 2)), ([], (0, 1))],
+)
+def test_the_axis_of_a_stage_ends_where_the_ray_does(t: list[float], wanted: tuple[float, float]) -> None:
+    low, high = Space(100.0, True, 0.5, 6.0).limits(np.array(t))
+    assert low < high
+    assert (low, high) == pytest.approx(wanted, abs=0.04 * max(wanted[1] - wanted[0], 1e-6))
 
 
 def test_every_stage_is_drawn(screen: Screen) -> None:
