@@ -39,7 +39,7 @@ class Space(NamedTuple):
 
         In contracted space the last samples may lie thousands of scenes away, where nothing has any weight.
         """
-        low, high = (float(t.min()), float(t.max())) if len(t) else (0.0, 1.0)
+        low, high = (float(t.min()), float(t.max())) if len(t) else (self.near, self.far)
         low, high = max(low, min(self.near, high)), min(high, max(self.far, low))
         margin = 0.03 * max(high - low, 1e-6)  # an axis needs a length, also for a single mark
         return low - margin, high + margin

@@ -842,7 +842,7 @@ def test_a_slice_shows_the_models_colours_and_those_of_the_photos_near_it(
 
 @pytest.mark.parametrize(
     ("t", "wanted"),
-    [([1.0, 2.0, 3.0], (1, 3)), ([1.0, 2.0, 7e5], (1, 6)), ([7.0, 9.0], (7, 7)), ([2.0], (2, 2)), ([], (0, 1))],
+    [([1.0, 2.0, 3.0], (1, 3)), ([1.0, 2.0, 7e5], (1, 6)), ([7.0, 9.0], (7, 7)), ([2.0], (2, 2)), ([], (0.5, 6))],
 )
 def test_the_axis_of_a_stage_ends_where_the_ray_does(t: list[float], wanted: tuple[float, float]) -> None:
     low, high = Space(100.0, True, 0.5, 6.0).limits(np.array(t))
