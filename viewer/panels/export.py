@@ -87,15 +87,15 @@ class ExportPanel:
         imgui.end_disabled()
         if running:
             return
-        if self._own.problem:
-            hint(ui, self._own.problem, ui.theme.warning)
-        else:
-            hint(ui, estimate(form, self._own, snapshot.preview_rays_per_second, snapshot.frame_share))
         tip = with_keys("training goes on", "file.export")
         start = f"{icons.ICON_FA_FILM}  Export {kind.label.lower()}"
         possible = bool(form.file.strip()) and not self._own.problem
         if button(ui, start, "export.start", enabled=possible, tip=tip):
             yield StartFilmExport()
+        if self._own.problem:
+            hint(ui, self._own.problem, ui.theme.warning)
+        else:
+            hint(ui, estimate(form, self._own, snapshot.preview_rays_per_second, snapshot.frame_share))
         yield from _models(ui, state)
 
 
