@@ -14,6 +14,7 @@ from nerf_core.live.messages import Inspect, Train
 from viewer.app.app import App
 from viewer.commands import actions
 from viewer.commands.registry import MENUS, USER_COMMANDS, commands
+from viewer.panels import palette
 from viewer.window import Window
 
 Offscreen = Callable[..., Window]
@@ -67,7 +68,9 @@ def test_quit_and_reset_the_layout_from_the_menus(opened: tuple[App, scripted.Sc
     assert not app.state.quit
 
 
-def test_the_palette_runs_what_is_typed_and_chosen(opened: tuple[App, scripted.ScriptedWorker]) -> None:
+def test_the_palette_runs_what_is_typed_and_chosen(
+    opened: tuple[App, scripted.ScriptedWorker], monkeypatch: pytest.MonkeyPatch
+) -> None:
     app, worker = opened
     open_palette(app)
     app.injector.type_text("train")
@@ -78,9 +81,12 @@ def test_the_palette_runs_what_is_typed_and_chosen(opened: tuple[App, scripted.S
     open_palette(app)
     app.injector.type_text("show or hide")
     app.injector.key(imgui.Key.down_arrow)
-    app.injector.key(imgui.Key.enter)
-    app.settle()
-    assert (app.state.show_cameras, app.state.show_samples) == (False, False)  # cameras, then opened rays
+    run: list[str] = []
+    with monkeypatch.context() as patch:
+        patch.setattr(palette, "invoke", lambda command, _: run.append(command.id) or [])
+        app.injector.key(imgui.Key.enter)
+        app.settle()
+    assert run == [palette.matching("show or hide")[1].id]
     open_palette(app)  # it opens empty
     assert "palette.file.open" in app.widgets
     click(app, "palette.picture.view-dependence")
