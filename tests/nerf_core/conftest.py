@@ -13,12 +13,14 @@ import pytest
 import torch
 from desk import PATIENCE, Desk
 from PIL import Image
+from plain_methods import Plain, Sampled
 
 from nerf_core.datasets.capture import LoadOptions
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.cameras import camera_rays
 from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene, View
+from nerf_core.methods import METHODS
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
 
@@ -132,3 +134,11 @@ def open_desk(tiny: RunSettings, capture: Path) -> Iterator[Callable[..., Desk]]
     yield start
     for desk in desks:
         assert desk.worker.stop(PATIENCE)
+
+
+@pytest.fixture
+def plain_methods(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The methods "plain", which only trains and renders, and "sampled", whose pixels can be opened."""
+    METHODS.names()  # loads the others
+    monkeypatch.setitem(METHODS._items, "plain", Plain)
+    monkeypatch.setitem(METHODS._items, "sampled", Sampled)

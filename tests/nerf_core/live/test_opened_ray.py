@@ -25,7 +25,6 @@ from nerf_core.live.messages import (
 )
 from nerf_core.live.opened_ray import OpenedRay
 from nerf_core.live.pins import Pins
-from nerf_core.methods.voxels.model import VoxelModel
 from nerf_core.probe import open_pixel
 from nerf_core.probe.history import BINS
 
@@ -215,30 +214,26 @@ def test_a_mode_is_drawn_in_its_colours(open_desk: OpenDesk) -> None:
     np.testing.assert_array_equal(plain.depth, shown.depth)
 
 
-def test_nothing_of_the_model_before_is_shown_as_the_new_ones(
-    open_desk: OpenDesk, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nothing_of_the_model_before_is_shown_as_the_new_ones(open_desk: OpenDesk, plain_methods: None) -> None:
     desk = open_desk()
-    monkeypatch.delattr(VoxelModel, "radiance")
     asked = Inspect(scene_of(desk).views[0].camera, (8, 8))
     desk.send(asked)
     before = desk.until(lambda s: s.opened_look == asked.look)
     assert before.opened is not None
     assert before.opened.radiance is not None
-    desk.send(UseMethod("voxels"))
-    after = desk.until(lambda s: s.method == "voxels" and s.opened_step == 0)
+    desk.send(UseMethod("sampled"))
+    after = desk.until(lambda s: s.method == "sampled" and s.opened_step == 0)
     assert after.opened is not None
-    assert after.opened.method == "voxels"
+    assert after.opened.method == "sampled"
     assert after.opened.walk
     assert after.opened.radiance is None
 
 
-def test_a_method_without_samples_leaves_the_pins_alone(open_desk: OpenDesk, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_method_without_samples_leaves_the_pins_alone(open_desk: OpenDesk, plain_methods: None) -> None:
     desk = open_desk()
-    monkeypatch.delattr(VoxelModel, "trace")
     camera = scene_of(desk).views[0].camera
-    desk.send(PinRay(camera, (8, 8), id=1), UseMethod("voxels", train=True))
-    desk.until(lambda s: s.method == "voxels" and s.step > 2)
+    desk.send(PinRay(camera, (8, 8), id=1), UseMethod("plain", train=True))
+    desk.until(lambda s: s.method == "plain" and s.step > 2)
     desk.send(UseMethod("nerf"))
     shown = desk.until(lambda s: s.method == "nerf" and s.pins[0].ray is not None)
     assert [pin.id for pin in shown.pins] == [1]

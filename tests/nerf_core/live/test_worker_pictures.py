@@ -29,7 +29,6 @@ from nerf_core.live.messages import (
     ViewRequest,
 )
 from nerf_core.live.worker import Worker
-from nerf_core.methods.voxels.model import VoxelModel
 from nerf_core.rendering.export.requests import ExportPath
 from nerf_core.rendering.images import render_camera, to_bytes
 from nerf_core.training import checkpoint
@@ -292,13 +291,10 @@ def test_other_weights_draw_another_picture(make_trainer: Callable[..., Trainer]
     assert kept.complete  # the old picture stays until the new one's first level is drawn
 
 
-def test_a_view_that_cannot_be_drawn_delays_no_export(
-    open_desk: OpenDesk, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_view_that_cannot_be_drawn_delays_no_export(open_desk: OpenDesk, plain_methods: None, tmp_path: Path) -> None:
     desk = open_desk(steps=1_000_000)
-    monkeypatch.delattr(VoxelModel, "radiance")
-    desk.send(UseMethod("voxels"))
-    scene = desk.until(lambda s: s.method == "voxels").scene
+    desk.send(UseMethod("sampled"))
+    scene = desk.until(lambda s: s.method == "sampled").scene
     desk.worker.request_view(replace(view_of(scene, 1), mode="view-dependence"))
     desk.until_told("choose another picture")
     desk.send(Train(), StartExport(ExportPath(orbit(scene, 3), 30.0, tmp_path / "short.mp4")))

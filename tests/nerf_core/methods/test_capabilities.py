@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar
-
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
+from plain_methods import Sampled
 
 from nerf_core.common.errors import UserError
-from nerf_core.geometry.rays import Rays, Rendering, Samples, Trace
+from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene
-from nerf_core.methods import METHODS, Defaults, Draw, lacking
+from nerf_core.methods import lacking
 from nerf_core.probe import open_pixel, open_ray
 from nerf_core.probe.walkthrough import walk
 from nerf_core.rendering.images import render_camera
@@ -22,73 +18,7 @@ from nerf_core.rendering.modes import MODES, shaded
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
 
-
-@dataclass(frozen=True)
-class PlainConfig:
-    total_steps: int = 10
-    train_images: int = 0
-
-    def to_json(self) -> dict[str, Any]:
-        return {}
-
-
-class Plain(Defaults):
-    """One colour for all pixels: the mean of the photos."""
-
-    summary: ClassVar[str] = "One colour."
-    constants: ClassVar[type[PlainConfig]] = PlainConfig
-    tile = 64
-
-    def __init__(self, scene: Scene, config: PlainConfig, device: torch.device, seed: int) -> None:
-        self.config, self.device, self.color = config, torch.device("cpu"), torch.zeros(3)
-
-    @staticmethod
-    def configure(scene: Scene, preset: str, changes: Mapping[str, str], device: torch.device) -> PlainConfig:
-        return PlainConfig()
-
-    @staticmethod
-    def restore(config: Mapping[str, Any]) -> PlainConfig:
-        return PlainConfig()
-
-    def draw(self, step: int) -> Draw:
-        return Draw(16)
-
-    def train(
-        self, rays: Rays, truth: Tensor, step: int, steps: int | None, yield_callback: Callable[[], None]
-    ) -> float:
-        error = float((truth - self.color).square().mean())
-        yield_callback()
-        self.color = self.color + (truth.mean(0) - self.color) / (step + 1)
-        return error
-
-    def render(self, rays: Rays, quality: str = "fine") -> Rendering:
-        one = torch.ones(len(rays))
-        return Rendering(self.color.expand(len(rays), 3).clone(), one, one * torch.nan)
-
-    def state(self) -> dict[str, Tensor]:
-        return {"color": self.color}
-
-    def load_state(self, state: Mapping[str, Tensor]) -> None:
-        self.color = state["color"].clone()
-
-    def parameters(self) -> list[Tensor]:
-        return [self.color]
-
-
-class Sampled(Plain):
-    """The same with one opaque sample per ray, but without radiance, density or explanation."""
-
-    def trace(self, rays: Rays) -> Trace:
-        one = torch.ones(len(rays), 1)
-        samples = Samples("plain", 3 * one, one, 50 * one, one, one, one, self.color.expand(len(rays), 1, 3).clone())
-        return Trace(self.render(rays), (samples,))
-
-
-@pytest.fixture(autouse=True)
-def registered(monkeypatch: pytest.MonkeyPatch) -> None:
-    METHODS.names()  # loads the others
-    monkeypatch.setitem(METHODS._items, "plain", Plain)
-    monkeypatch.setitem(METHODS._items, "sampled", Sampled)
+pytestmark = pytest.mark.usefixtures("plain_methods")
 
 
 def trained(scene: Scene, method: str) -> Trainer:
