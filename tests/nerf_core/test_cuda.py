@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from desk import Desk, view_of
+from desk import PATIENCE, Desk, view_of
 from pretended_cuda import Graph, Rules, pretended_cuda, recorded
 
 from nerf_core.geometry.cameras import camera_rays
@@ -90,7 +90,7 @@ def test_a_window_gets_pictures_rays_and_files(cuda: None, tiny: RunSettings, ca
         desk.trained(1)
         assert not [notice for notice in desk.heard if notice.level == "error"]
     finally:
-        assert desk.worker.stop(60)
+        assert desk.worker.stop(PATIENCE)
 
 
 def test_the_pretended_device_refuses_what_cuda_refuses() -> None:
