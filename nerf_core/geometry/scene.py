@@ -111,21 +111,19 @@ class Scene:
     def is_of(self, description: Mapping[str, Any]) -> bool:
         """Return whether a checkpoint was trained on this scene, as far as can be known.
 
-        A checkpoint from before IDENTITY 2 has a hash of exact numbers. Where it differs, the processor may be the
-        reason, and the name and the summary decide; see `doubt`.
+        A checkpoint without `scene_identity` is older and has a hash of exact numbers. Where it differs, the processor
+        may be the reason, and the name and the summary decide; see `doubt`.
         """
         if description["scene"] == self.identity():
             return True
-        if description.get("scene_identity", 1) == IDENTITY:
+        if "scene_identity" in description:
             return False
         alike = (description["scene_name"], description["scene_summary"]) == (self.name, self.summary())
         return alike or not self.doubt(description)
 
     def doubt(self, description: Mapping[str, Any]) -> str:
         """Return a warning if it cannot be known whether a checkpoint for which `is_of` holds is of this scene."""
-        if description.get("scene_identity", 1) == IDENTITY or description["scene"] == self._hash(
-            lambda number: number
-        ):
+        if "scene_identity" in description or description["scene"] == self._hash(lambda number: number):
             return ""
         return "an earlier version wrote the checkpoint, perhaps on another processor: its poses are not compared"
 

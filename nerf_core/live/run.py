@@ -97,8 +97,8 @@ class Run:
                     self.artist.pins.record(self.need_trainer())
             case messages.EditPin():
                 self.artist.pins.edit(command)
-            case messages.UnpinRay(number):
-                self.artist.pins.remove(number)
+            case messages.UnpinRay(pin):
+                self.artist.pins.remove(pin)
             case messages.ExportRays(path):
                 self._export_rays(path)
             case messages.StartExport(request):
