@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import time
 from collections.abc import Callable
@@ -30,6 +31,7 @@ class Signals:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.received: int | None = None
+        self.handled_at = -math.inf  # the clock's time at which the main thread last noticed a signal
         self._clock = clock
         self._polite = False
         self._received_at = 0.0
@@ -58,7 +60,7 @@ class Signals:
             signal.signal(number, self._handle)
 
     def _handle(self, number: int, _: FrameType | None) -> None:
-        now = self._clock()
+        now = self.handled_at = self._clock()
         if self.received is not None and now - self._received_at < ECHO_SECONDS:
             return
         if not self._polite or self.received is not None:

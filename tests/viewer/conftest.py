@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import subprocess
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -24,9 +26,9 @@ def data_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield folder
 
 
-@pytest.fixture(scope="session")
-def display() -> Iterator[str]:
-    """A virtual display (Xvfb): the tests neither need nor disturb the user's screen."""
+@contextmanager
+def x_server() -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """Run a virtual X server (Xvfb). Yields its display's name and its process."""
     if shutil.which("Xvfb") is None:
         pytest.skip("needs Xvfb (Debian package xvfb)")
     read, write = os.pipe()
@@ -36,8 +38,25 @@ def display() -> Iterator[str]:
         with os.fdopen(read) as pipe:
             number = pipe.readline().strip()
         assert number, "Xvfb did not start"
-        yield f":{number}"
-        server.terminate()
+        try:
+            yield f":{number}", server
+        finally:
+            server.send_signal(signal.SIGCONT)  # a stopped one would not see the SIGTERM
+            server.terminate()
+
+
+@pytest.fixture(scope="session")
+def display() -> Iterator[str]:
+    """A virtual display: the tests neither need nor disturb the user's screen."""
+    with x_server() as (name, _):
+        yield name
+
+
+@pytest.fixture
+def own_server() -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """A virtual display of the test's own, which it may break: its name and the server's process."""
+    with x_server() as server:
+        yield server
 
 
 @pytest.fixture(params=["egl", "glfw"])

@@ -26,6 +26,7 @@ from nerf_core.training.settings import RunSettings
 from ..app.app import App
 from ..model.state import unsaved_steps
 from ..window import Window
+from .rescue import Rescue
 from .script import Closed, Script
 from .wishes import Wishes
 
@@ -52,12 +53,24 @@ class Session:
         self.app = App(self.window, self.worker, layout_file=layout)
         # --format is for the capture on the command line; later ones are recognised by their content
         self.app.state.settings = replace(self.settings, load=replace(self.settings.load, format="auto"))
+        self._asked: Path | None = None  # the file of --save
+        self._rescue = Rescue(lambda: self._save_unsaved(self._asked), self.signals)
+        self.window.when_lost(self._rescue.lost)
         self.worker.start()
         self.signals.be_polite()
 
     def run(self, data: Path | None, wishes: Wishes) -> int:
         """Fulfil the wishes, then, in a window without requested files, serve the user. Returns the exit status."""
         script = Script(self.app, self.worker, wishes, lambda: self.signals.received is not None, self.say)
+        self._asked = wishes.save
+        status = 2  # of an error
+        try:
+            status = self._run(script, data, wishes)
+            return status
+        finally:
+            self._rescue.closing(status)
+
+    def _run(self, script: Script, data: Path | None, wishes: Wishes) -> int:
         try:
             script.open(data, self.settings)
             script.prepare()
@@ -109,6 +122,7 @@ class Session:
         self.worker.stop(SAVE_SECONDS)
         self.app.close()
         self.window.close()
+        self._rescue.close()
 
 
 def autosave_path(scene: Scene) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -72,6 +73,13 @@ class Window(Protocol):
 
     def wake(self) -> None:
         """Make `poll` return now. Any thread may call it."""
+        ...
+
+    def when_lost(self, do: Callable[[], None]) -> None:
+        """Call `do` if the connection to the screen breaks, inside of the call that finds it broken.
+
+        `do` must not return.
+        """
         ...
 
     def close(self) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import threading
+from collections.abc import Callable
 from typing import Any
 
 import moderngl
@@ -97,6 +98,9 @@ class EglWindow:
 
     def wake(self) -> None:
         self._awake.set()
+
+    def when_lost(self, do: Callable[[], None]) -> None:
+        pass  # there is no screen to lose
 
     def close(self) -> None:
         if self._closed:

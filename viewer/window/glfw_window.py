@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import moderngl
@@ -16,6 +17,7 @@ from nerf_core.common.errors import UserError
 
 from . import DEBIAN_PACKAGES, DisplayError
 from .glfw_keys import CURSORS, KEYS, MODIFIERS
+from .x11_connection import when_connection_is_lost
 
 ICON_PIXELS = 64  # the size in title bars and task lists
 MOUSE_BUTTONS = 5  # as many as imgui knows
@@ -212,6 +214,11 @@ class GlfwWindow:
 
     def wake(self) -> None:
         glfw.post_empty_event()
+
+    def when_lost(self, do: Callable[[], None]) -> None:
+        # under Wayland GLFW asks the window to close then; Windows and macOS do not lose a screen
+        if glfw.get_platform() == glfw.PLATFORM_X11:
+            when_connection_is_lost(do)
 
     def close(self) -> None:
         if not self._closed:
