@@ -11,6 +11,7 @@ import tyro
 from nerf_core.commands import COMMANDS
 from nerf_core.common.command_line import parse
 from nerf_core.common.errors import UserError
+from nerf_core.common.output import forgiving_output, unprinted
 from nerf_core.common.signals import Interrupted, Signals
 from nerf_core.training.trainer import Diverged
 
@@ -18,21 +19,28 @@ DESCRIPTION = "Train, render and open up neural radiance fields. --version print
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The exit status: 0; 1 when training diverged; 2 for what the user can mend; 130 and 143 after signals."""
-    with Signals() as signals:
+    """The exit status: 0; 1 when training diverged; 2 for what the user can mend; 129, 130 and 143 after signals.
+
+    2 also if what a command prints could not be written, unless the command has its work in files.
+    """
+    with forgiving_output() as output, Signals() as signals:
         try:
             arguments = sys.argv[1:] if arguments is None else arguments
             if arguments and not arguments[0].startswith("-"):
                 COMMANDS.get(arguments[0])  # raises UserError with all names, for an unknown command
-            return parse(_any_command(), "nerf-core", arguments, DESCRIPTION).run(signals)
+            status = parse(_any_command(), "nerf-core", arguments, DESCRIPTION).run(signals)
+            text = unprinted(output)
+            if not text:
+                return status
+            status = status if signals.polite else 2
         except Diverged as error:
             status, text = 1, str(error)
         except UserError as error:
             status, text = 2, str(error)
         except Interrupted as error:
             status, text = error.status, f"interrupted ({error})"
-    print(f"nerf-core: {text}", file=sys.stderr)
-    return status
+        print(f"nerf-core: {text}", file=sys.stderr)
+        return status
 
 
 def _any_command() -> Any:

@@ -14,6 +14,7 @@ import tyro
 
 from nerf_core.common.command_line import parse
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.output import forgiving_output, unprinted
 from nerf_core.common.signals import Interrupted, Signals
 from nerf_core.training.options import TrainOptions
 from nerf_core.training.settings import RunSettings
@@ -76,17 +77,22 @@ class ViewerOptions:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit status.
 
-    0: success. 1: the doctor found something missing. 2: an error that the user can mend. 130, 143: after a signal.
+    0: success. 1: the doctor found something missing, or the connection to the screen was lost. 2: an error that the
+    user can mend, or the doctor's report could not be written. 129, 130, 143: after a signal.
     """
-    with Signals() as signals:
+    with forgiving_output() as output, Signals() as signals:
         try:
-            return run(parse(ViewerOptions, "nerf-viewer", arguments), signals)
+            status = run(parse(ViewerOptions, "nerf-viewer", arguments), signals)
+            text = unprinted(output)
+            if not text:
+                return status
+            status = status if signals.polite else 2
         except UserError as error:
             status, text = 2, str(error)
         except Interrupted as error:
             status, text = error.status, f"interrupted ({error})"
-    print(f"nerf-viewer: {text}", file=sys.stderr)
-    return status
+        print(f"nerf-viewer: {text}", file=sys.stderr)
+        return status
 
 
 def run(options: ViewerOptions, signals: Signals) -> int:

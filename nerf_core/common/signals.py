@@ -1,4 +1,7 @@
-"""Handle Ctrl-C and SIGTERM: end at once where nothing can be lost, and after saving where something can."""
+"""Handle Ctrl-C, SIGTERM and a closed terminal (SIGHUP).
+
+The program ends at once where nothing can be lost, and after saving where something can.
+"""
 
 from __future__ import annotations
 
@@ -13,32 +16,42 @@ ECHO_SECONDS = 0.5  # nobody presses Ctrl-C twice so fast: one event sent two si
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal ended the program; `status` is the exit status that shells expect: 130 for Ctrl-C, 143 for SIGTERM."""
+    """A signal ended the program.
+
+    status: the exit status that shells expect: 130 after Ctrl-C, 143 after SIGTERM, 129 after SIGHUP.
+    """
 
     def __init__(self, number: int) -> None:
         super().__init__(signal.Signals(number).name)
         self.status = 128 + number
 
 
-class Signals:
-    """While this context lasts, SIGINT and SIGTERM raise `Interrupted` in the main thread.
+def _numbers() -> tuple[signal.Signals, ...]:
+    """Return the signals that ask a program to end on this system: not all have a name on each."""
+    names = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")  # a closed console sends SIGBREAK on Windows
+    return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
 
-    After `be_polite()` the first signal is only stored in `received`, and the program looks there. A second signal
+
+class Signals:
+    """While this context lasts, the signals that ask a program to end raise `Interrupted` in the main thread.
+
+    A SIGHUP that is ignored when the context begins stays ignored: `nohup` asks for that. After `be_polite()` the first signal is only stored in `received`, and the program looks there. A second signal
     raises, unless it comes together with the first: a closing terminal and a wrapper process may both send one.
     """
 
-    NUMBERS = (signal.SIGINT, signal.SIGTERM)
+    NUMBERS = _numbers()
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.received: int | None = None
         self.handled_at = -math.inf  # the clock's time at which the main thread last noticed a signal
         self._clock = clock
-        self._polite = False
+        self.polite = False
         self._received_at = 0.0
-        self._before: dict[int, Any] = {}
+        self._before: dict[int, Any] = {}  # the handlers to go back to
 
     def __enter__(self) -> Signals:
-        self._before = {number: signal.getsignal(number) for number in self.NUMBERS}
+        handlers = {number: signal.getsignal(number) for number in self.NUMBERS}
+        self._before = {n: h for n, h in handlers.items() if not (n.name == "SIGHUP" and h is signal.SIG_IGN)}
         self._install()
         return self
 
@@ -48,7 +61,7 @@ class Signals:
 
     def be_polite(self) -> None:
         self._install()  # again, because pycolmap installs its own SIGTERM handler when it is imported
-        self._polite = True
+        self.polite = True
 
     def check(self) -> None:
         """Raise `Interrupted` if a signal is stored. Call it where stopping leaves no work half done."""
@@ -56,13 +69,13 @@ class Signals:
             raise Interrupted(self.received)
 
     def _install(self) -> None:
-        for number in self.NUMBERS:
+        for number in self._before:
             signal.signal(number, self._handle)
 
     def _handle(self, number: int, _: FrameType | None) -> None:
         now = self.handled_at = self._clock()
         if self.received is not None and now - self._received_at < ECHO_SECONDS:
             return
-        if not self._polite or self.received is not None:
+        if not self.polite or self.received is not None:
             raise Interrupted(number)
         self.received, self._received_at = number, now

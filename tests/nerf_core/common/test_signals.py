@@ -10,7 +10,7 @@ import pytest
 from nerf_core.common.signals import Interrupted, Signals
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
 def test_raises_at_once_by_default(number: signal.Signals, status: int) -> None:
     with Signals(), pytest.raises(Interrupted) as caught:
         os.kill(os.getpid(), number)
@@ -44,3 +44,14 @@ def test_earlier_handlers_are_restored() -> None:
     with Signals():
         assert signal.getsignal(signal.SIGINT) != before[0]
     assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
+
+
+def test_a_hangup_that_nohup_ignores_stays_ignored() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with Signals() as signals:
+            signals.be_polite()
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert signals.received is None
+    finally:
+        signal.signal(signal.SIGHUP, before)
