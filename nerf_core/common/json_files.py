@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 from nerf_core.common.errors import UserError, shorten
 
 MAX_BYTES = 64_000_000  # ten thousand frames take about 10 MB; parsing takes some ten times a file's size
+MAX_VALUES = 2_000_000  # ten thousand frames with a lens each hold 400,000; a parsed value takes some 60 bytes
 LIMIT = 1e12  # beyond any unit of length; products of three such numbers still are finite in float64
 TEXT_OR_COMMENT = re.compile(r'("(?:[^"\\]|\\.)*+"?)|//[^\n]*', re.DOTALL)
 STRETCH = 1.05  # a larger ratio between the lengths of a rotation's axes is a shear, not rounding
@@ -136,6 +138,13 @@ def read_json(file: Path, needed: str = "an object with frames") -> Fields:
         text = data.decode(json.detect_encoding(data)).strip()
     except UnicodeDecodeError as error:
         raise UserError(f"{file} is not text ({error.reason} at byte {error.start}): is it the right file?") from error
+    # Every value but the first follows a comma or an opening bracket, so that counting these bounds the memory.
+    values = text.count(",") + text.count("[") + text.count("{")
+    if values > MAX_VALUES:
+        raise UserError(
+            f"{file} holds about {values:,} values, {MAX_VALUES:,} are allowed: no calibration has so many, is it the "
+            "right file?"
+        )
     if not text:
         raise UserError(f"{file} is empty: download or export it again")
     if text.startswith("<"):
@@ -165,15 +174,24 @@ def _integer(digits: str) -> int | float:
 
 
 def _refuse_infinite(values: dict[str, Any], file: Path) -> None:
-    waiting: list[tuple[str, Any]] = [("", values)]
-    while waiting:
-        where, value = waiting.pop()
-        if isinstance(value, float) and not math.isfinite(value):
-            raise UserError(f"{file}: {shorten(where)} is {value}: a finite number is needed")
-        if isinstance(value, dict):
-            waiting.extend((f"{where}.{key}" if where else key, child) for key, child in value.items())
-        elif isinstance(value, list):
-            waiting.extend((f"{where}[{i}]", child) for i, child in enumerate(value))
+    way: list[tuple[str, Iterator[tuple[Any, Any]]]] = [("", iter(values.items()))]  # names and what is left of each
+    while way:
+        for key, value in way[-1][1]:
+            if isinstance(value, float) and not math.isfinite(value):
+                where = "".join(name for name, _ in way) + _step(key)
+                raise UserError(f"{file}: {shorten(where.removeprefix('.'))} is {value}: a finite number is needed")
+            if isinstance(value, dict):
+                way.append((_step(key), iter(value.items())))
+                break
+            if isinstance(value, list):
+                way.append((_step(key), enumerate(value)))
+                break
+        else:
+            way.pop()
+
+
+def _step(key: str | int) -> str:
+    return f"[{key}]" if isinstance(key, int) else f".{key}"
 
 
 def finite(value: Any) -> Any:

@@ -10,6 +10,7 @@ import numpy as np
 
 from nerf_core.common.errors import UserError
 from nerf_core.common.subprograms import run_limited
+from nerf_core.datasets.claims import DEFLATE
 from nerf_core.datasets.resample import srgb_encoded
 
 MAGIC = b"\x76\x2f\x31\x01"
@@ -42,6 +43,12 @@ def exr_header(path: Path) -> tuple[int, int, bool]:
     if right < left or bottom < top:
         raise OSError("EXR image without pixels")
     channels = attributes[b"channels"]
+    # A damaged header may claim any size. Not even the best compression brings the channels into fewer bytes.
+    least = (right - left + 1) * (bottom - top + 1) * _pixel_bytes(channels)
+    ratio = 1 if attributes.get(b"compression") == b"\0" else DEFLATE
+    stored = path.stat().st_size
+    if least > ratio * stored:
+        raise OSError(f"claims {right - left + 1}×{bottom - top + 1} pixels, which its {stored:,} bytes cannot hold")
     return right - left + 1, bottom - top + 1, channels.startswith(b"A\0")  # channels are sorted by name
 
 
@@ -62,6 +69,17 @@ def exr_pixels(path: Path) -> np.ndarray:
     alpha = np.clip(alpha, 0, 1)
     inverse = np.divide(1, alpha, out=np.zeros_like(alpha), where=alpha > 1e-6)  # with less alpha nothing is visible
     return np.dstack([srgb_encoded(plane * inverse) for plane in (red, green, blue)] + [alpha])
+
+
+def _pixel_bytes(channels: bytes) -> float:
+    """The bytes per pixel of a channel list: name, 0, type (1 is half), linear, sampling in x and y; it ends with 0."""
+    total = 0.0
+    while channels and channels[0]:
+        _, rest = _split(channels)
+        kind, _, across, down = struct.unpack_from("<4i", rest)
+        total += (2 if kind == 1 else 4) / max(1, across * down)
+        channels = rest[16:]
+    return total
 
 
 def _split(data: bytes) -> tuple[bytes, bytes]:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import io
 import stat
 import struct
+import threading
 import warnings
 import zlib
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,13 +17,17 @@ import numpy as np
 from PIL import ExifTags, Image, ImageCms, ImageFile
 
 from nerf_core.common.errors import UserError
+from nerf_core.datasets.claims import HEAVY_BYTES, decoding_bytes, least_bytes
 from nerf_core.datasets.exr import exr_header, exr_pixels
 from nerf_core.datasets.resample import composite
 
 MAX_PIXELS = 200_000_000  # no camera has more: a file that claims more is a decompression bomb
+MAX_EXR_PIXELS = 50_000_000  # decoding one takes some 60 bytes a pixel
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".exr")
 DEEP_GREY = ("I;16", "I;16B", "I;16L")
 BROKEN = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error)  # what decoders raise on damage
+
+HEAVY = threading.Lock()  # held while a large photo is decoded, so that four threads do not hold four of them
 
 # Pillow warns above this size and refuses above its double; a warning here is a refusal as well.
 Image.MAX_IMAGE_PIXELS = MAX_PIXELS
@@ -54,10 +59,14 @@ def measure(path: Path) -> Header:
     if path.suffix.lower() == ".exr":
         with _damage_named(path):
             width, height, alpha = exr_header(path)
-        _refuse_bomb(path, width * height)
+        _refuse_bomb(path, width * height, MAX_EXR_PIXELS)
         return Header(width, height, 1, alpha)
     with _opened(path) as image, _damage_named(path):
-        _refuse_bomb(path, image.width * image.height)
+        pixels = image.width * image.height
+        _refuse_bomb(path, pixels)
+        stored, least = path.stat().st_size, least_bytes(image.format or "", image.mode, pixels)
+        if stored < least:
+            raise OSError(f"claims {image.width}×{image.height} pixels, which its {stored:,} bytes cannot hold")
         return Header(*image.size, _orientation(image), image.has_transparency_data)
 
 
@@ -89,14 +98,53 @@ def read_photo(
         UnreadableError: for damaged files.
     """
     if path.suffix.lower() == ".exr":
-        with _damage_named(path):
+        with _damage_named(path), HEAVY:  # ffmpeg and the planes in float take 60 bytes a pixel
             return composite(exr_pixels(path), size, background)
     with _opened(path) as image, _damage_named(path):
         orientation = _orientation(image)
-        pixels = _decoded(image, path)
-    if upright:
-        pixels = _turned(pixels, orientation)
-    return composite(pixels, size, background)
+        wanted = size[::-1] if upright and orientation >= 5 else size
+        heavy = decoding_bytes(image.mode, image.width * image.height) > HEAVY_BYTES
+        with HEAVY if heavy else nullcontext():
+            if heavy:
+                _draft(image, wanted)
+            if heavy and _plain(image) and not (upright and orientation > 1):
+                image.load()
+                return composite(Strips(image), size, background)
+            pixels = _decoded(image, path)
+            if upright:
+                pixels = _turned(pixels, orientation)
+            return composite(pixels, size, background)
+
+
+class Strips:
+    """A decoded photo whose rows are copied only when they are asked for, as an array (n, W, C) of uint8."""
+
+    def __init__(self, image: Image.Image) -> None:
+        self.image, self.shape = image, (image.height, image.width, len(image.getbands()))
+
+    def __getitem__(self, rows: slice) -> np.ndarray:
+        return np.asarray(self.image.crop((0, rows.start, self.image.width, rows.stop)))
+
+
+def _plain(image: ImageFile.ImageFile) -> bool:
+    """Whether Pillow's pixels are those that `composite` takes: 8-bit sRGB, with or without alpha."""
+    packing = str(image.tile[0].args) if image.format == "PNG" and image.tile else ""
+    return (
+        image.mode in ("RGB", "RGBA")
+        and "transparency" not in image.info
+        and ";16" not in packing
+        and _foreign_profile(image) is None
+    )
+
+
+def _draft(image: ImageFile.ImageFile, wanted: tuple[int, int]) -> None:
+    """Let a JPEG decode at 1/8, 1/4 or 1/2 where that divides its size, to no less than twice the wanted size."""
+    for scale in (8, 4, 2):
+        size = image.width // scale, image.height // scale
+        whole = image.width % scale == 0 == image.height % scale
+        if whole and size[0] >= 2 * wanted[0] and size[1] >= 2 * wanted[1]:
+            image.draft(None, size)
+            return
 
 
 def _orientation(image: Image.Image) -> int:
@@ -123,10 +171,10 @@ def _refuse_special(path: Path) -> None:
         raise UserError(f"{path} is a device, pipe or folder, not a photo: list regular image files only")
 
 
-def _refuse_bomb(path: Path, pixels: int) -> None:
-    if pixels > MAX_PIXELS:
+def _refuse_bomb(path: Path, pixels: int, most: int = MAX_PIXELS) -> None:
+    if pixels > most:
         raise UserError(
-            f"{path} claims {pixels / 1e6:,.0f} million pixels, {MAX_PIXELS // 10**6} are allowed: remove it or "
+            f"{path} claims {pixels / 1e6:,.0f} million pixels, {most // 10**6} are allowed: remove it or "
             "save it smaller"
         )
 
@@ -150,7 +198,7 @@ def _decoded(image: ImageFile.ImageFile, path: Path) -> np.ndarray:
         return deep
     if image.mode in ("F", "I"):
         raise ValueError(f"pixel type {image.mode!r} has no defined white; save it as PNG or EXR")
-    if profile is None and image.mode in ("RGB", "RGBA") and "transparency" not in image.info:
+    if _plain(image):
         return np.asarray(image)
     alpha = image.convert("RGBA").getchannel("A") if image.has_transparency_data else None
     plain = image

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import Protocol
 
 import numpy as np
 
 Decode = Callable[[np.ndarray], np.ndarray]
+
+
+class Rows(Protocol):
+    """What is read of a photo: its shape (H, W, C), and a slice of its rows as an array."""
+
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+    def __getitem__(self, rows: slice, /) -> np.ndarray: ...
+
+
 ROWS_AT_ONCE = 64  # input rows: few enough to stay in the processor's cache
+BAND_BYTES = 32_000_000  # of float rows in work at once: a whole large photo in float would take gigabytes
 
 
-def composite(pixels: np.ndarray, size: tuple[int, int], background: tuple[float, float, float]) -> np.ndarray:
+def composite(pixels: Rows, size: tuple[int, int], background: tuple[float, float, float]) -> np.ndarray:
     """Average a photo to a size and composite it over a background.
 
     Colour is premultiplied before it is averaged, so that invisible colour does not bleed into edges:
@@ -26,25 +38,44 @@ def composite(pixels: np.ndarray, size: tuple[int, int], background: tuple[float
         uint16 (height, width, 3), 65535 = 1.
     """
     width, height = size
-    mean = average_rows(pixels, height, _premultiplied)
-    if width != pixels.shape[1]:
-        mean = average_rows(mean.transpose(1, 0, 2), width, lambda columns: columns).transpose(1, 0, 2)
-    color = mean[..., :3]
-    if mean.shape[2] == 4:
-        color = color + (1 - mean[..., 3:]) * np.asarray(background, np.float32)
-    return (np.clip(color, 0, 1) * 65535 + 0.5).astype(np.uint16)
+    result, done = np.empty((height, width, 3), np.uint16), 0
+    for band in _bands(averaged_blocks(pixels, height, _premultiplied)):
+        mean = band
+        if width != pixels.shape[1]:
+            mean = average_rows(band.transpose(1, 0, 2), width, lambda columns: columns).transpose(1, 0, 2)
+        color = mean[..., :3]
+        if mean.shape[2] == 4:
+            color = color + (1 - mean[..., 3:]) * np.asarray(background, np.float32)
+        result[done : done + len(color)] = np.clip(color, 0, 1) * 65535 + 0.5
+        done += len(color)
+    return result
+
+
+def _bands(blocks: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
+    """Join blocks of rows into bands of about BAND_BYTES, because many small blocks cost time and one costs memory."""
+    waiting: list[np.ndarray] = []
+    for block in blocks:
+        waiting.append(block)
+        if sum(b.nbytes for b in waiting) >= BAND_BYTES:
+            yield np.concatenate(waiting)
+            waiting = []
+    if waiting:
+        yield np.concatenate(waiting)
 
 
 def average_rows(image: np.ndarray, count: int, decode: Decode) -> np.ndarray:
     """Average the rows of an image (H, W, C) exactly by area → (count, W, C'), count ≤ H.
 
     Output row r is the mean of the input rows over [r·H/count, (r+1)·H/count); a row at an end counts by the part that
-    is covered. `decode` turns a few input rows into float32 with C' channels. The whole photo is never held in float,
-    because a large one would take gigabytes.
+    is covered. `decode` turns a few input rows into float32 with C' channels.
     """
+    return np.concatenate(list(averaged_blocks(image, count, decode)))
+
+
+def averaged_blocks(image: Rows, count: int, decode: Decode) -> Iterator[np.ndarray]:
+    """Yield the result of `average_rows` a few rows at a time, from the top."""
     rows = image.shape[0]
     at_once = max(1, ROWS_AT_ONCE * count // rows)
-    parts = []
     for start in range(0, count, at_once):
         r = np.arange(start, min(start + at_once, count))
         first, last = r * rows // count, -(-(r + 1) * rows // count)
@@ -55,8 +86,7 @@ def average_rows(image: np.ndarray, count: int, decode: Decode) -> np.ndarray:
             covered = np.minimum((i + 1) * count, (r + 1) * rows) - np.maximum(i * count, r * rows)
             weights = (np.maximum(covered, 0) / rows).astype(np.float32)
             mean += weights[:, None, None] * block[np.minimum(i - first[0], len(block) - 1)]
-        parts.append(mean)
-    return np.concatenate(parts)
+        yield mean
 
 
 def _premultiplied(rows: np.ndarray) -> np.ndarray:

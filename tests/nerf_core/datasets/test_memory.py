@@ -1,0 +1,129 @@
+"""What a file claims is compared with what it holds, and a large one is read within stated memory and time."""
+
+import json
+import struct
+import subprocess
+import sys
+import time
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from nerf_core.common.errors import UserError
+from nerf_core.common.json_files import read_json
+from nerf_core.datasets.exr import MAGIC
+from nerf_core.datasets.images import UnreadableError, measure, read_photo
+
+PEAK = """
+import resource, sys
+from pathlib import Path
+from nerf_core.datasets.images import read_photo
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+pixels = read_photo(Path(sys.argv[1]), (int(sys.argv[2]), int(sys.argv[2])), (0, 0, 0))
+assert pixels.shape[0] == int(sys.argv[2])
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+"""
+
+
+def chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def png(path: Path, side: int, data: bytes) -> Path:
+    header = struct.pack(">IIBBBBB", side, side, 8, 2, 0, 0, 0)
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", data) + chunk(b"IEND", b""))
+    return path
+
+
+def peak_mb(path: Path, side: int) -> float:
+    """Megabytes that reading a photo adds to the peak of a new process."""
+    done = subprocess.run(
+        [sys.executable, "-c", PEAK, str(path), str(side)], capture_output=True, text=True, timeout=60, check=True
+    )
+    return int(done.stdout) / 1024
+
+
+def test_a_large_photo_takes_under_a_gigabyte(tmp_path: Path) -> None:
+    side = 14_100
+    packer = zlib.compressobj(1)
+    row = b"\0" + bytes(range(1, 4)) * side
+    data = b"".join(packer.compress(row) for _ in range(side)) + packer.flush()
+    assert peak_mb(png(tmp_path / "large.png", side, data), 800) < 1000
+
+
+def test_a_png_that_cannot_hold_its_pixels_is_damaged(tmp_path: Path) -> None:
+    path = png(tmp_path / "hollow.png", 14_000, zlib.compress(bytes(1000)))
+    with pytest.raises(UnreadableError, match=r"hollow\.png: claims 14000×14000 pixels, which its \d+ bytes cannot"):
+        measure(path)
+
+
+def test_the_best_compressed_png_is_no_damage(tmp_path: Path) -> None:
+    for mode in ("1", "L", "P", "RGB", "RGBA", "LA", "I;16"):
+        Image.new(mode, (3000, 3000)).save(tmp_path / "flat.png", compress_level=9)
+        assert measure(tmp_path / "flat.png").width == 3000
+    Image.new("L", (3000, 3000)).save(tmp_path / "flat.jpg", progressive=True, optimize=True)
+    assert measure(tmp_path / "flat.jpg").width == 3000
+
+
+def exr(path: Path, side: int, size: int, compression: int = 3) -> Path:
+    def attribute(name: bytes, kind: bytes, value: bytes) -> bytes:
+        return name + b"\0" + kind + b"\0" + struct.pack("<i", len(value)) + value
+
+    channels = b"".join(name + b"\0" + struct.pack("<4i", 1, 0, 1, 1) for name in (b"B", b"G", b"R")) + b"\0"
+    window = struct.pack("<4i", 0, 0, side - 1, side - 1)
+    head = MAGIC + struct.pack("<i", 2) + attribute(b"channels", b"chlist", channels)
+    head += attribute(b"compression", b"compression", bytes([compression]))
+    head += attribute(b"dataWindow", b"box2i", window) + attribute(b"displayWindow", b"box2i", window) + b"\0"
+    path.write_bytes(head.ljust(size, b"\0"))
+    return path
+
+
+def test_an_exr_that_cannot_hold_its_pixels_is_damaged(tmp_path: Path) -> None:
+    with pytest.raises(UnreadableError, match="claims 14000×14000 pixels, which its 500,000 bytes cannot hold"):
+        measure(exr(tmp_path / "hollow.exr", 14_000, 500_000))
+    with pytest.raises(UnreadableError, match="cannot hold"):
+        measure(exr(tmp_path / "raw.exr", 1000, 5_000_000, compression=0))
+    with pytest.raises(UserError, match=r"claims 64 million pixels, 50 are allowed"):
+        measure(exr(tmp_path / "huge.exr", 8000, 500_000))
+
+
+def test_large_photos_keep_their_values(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pixels = np.random.default_rng(0).integers(0, 256, (90, 70, 4), dtype=np.uint8)
+    for name, image in {"a.png": Image.fromarray(pixels), "b.png": Image.fromarray(pixels[..., :3])}.items():
+        image.save(tmp_path / name)
+        whole = read_photo(tmp_path / name, (31, 40), (1, 0, 0))
+        with monkeypatch.context() as patch:
+            patch.setattr("nerf_core.datasets.images.HEAVY_BYTES", 0)
+            patch.setattr("nerf_core.datasets.resample.BAND_BYTES", 1)
+            np.testing.assert_array_equal(read_photo(tmp_path / name, (31, 40), (1, 0, 0)), whole)
+
+
+def test_a_large_jpeg_is_decoded_near_the_wanted_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ramp = np.broadcast_to(np.linspace(0, 255, 640)[:, None, None], (640, 640, 3)).astype(np.uint8)
+    Image.fromarray(ramp).save(tmp_path / "a.jpg", quality=95)
+    whole = read_photo(tmp_path / "a.jpg", (80, 80), (0, 0, 0)).astype(float)
+    monkeypatch.setattr("nerf_core.datasets.images.HEAVY_BYTES", 0)
+    sizes = []
+    load = Image.Image.crop
+    monkeypatch.setattr(Image.Image, "crop", lambda image, box: sizes.append(image.size) or load(image, box))
+    assert abs(read_photo(tmp_path / "a.jpg", (80, 80), (0, 0, 0)) - whole).max() < 2 * 257
+    assert set(sizes) == {(160, 160)}
+
+
+@pytest.mark.parametrize("filling", ["[],", "0,", '{"a":[', "[[]],"])
+def test_a_json_of_empty_lists_is_refused_before_it_is_parsed(tmp_path: Path, filling: str) -> None:
+    path = tmp_path / "transforms.json"
+    path.write_text('{"frames": [' + filling * (20_000_000 // len(filling)) + "0]}")
+    start = time.perf_counter()
+    with pytest.raises(UserError, match=r"holds about [\d,]+ values, 2,000,000 are allowed"):
+        read_json(path)
+    assert time.perf_counter() - start < 1
+
+
+def test_ten_thousand_frames_are_no_damage(tmp_path: Path) -> None:
+    frame = {"file_path": "a.png", "transform_matrix": np.eye(4).tolist()} | {f"k{i}": 0.5 for i in range(16)}
+    (tmp_path / "transforms.json").write_text(json.dumps({"frames": [frame] * 10_000}))
+    assert len(read_json(tmp_path / "transforms.json").children("frames")) == 10_000
