@@ -35,15 +35,21 @@ def _numbers() -> tuple[signal.Signals, ...]:
 class Signals:
     """While this context lasts, the signals that ask a program to end raise `Interrupted` in the main thread.
 
-    A SIGHUP that is ignored when the context begins stays ignored: `nohup` asks for that. After `be_polite()` the first signal is only stored in `received`, and the program looks there. A second signal
+    A SIGHUP that is ignored when the context begins stays ignored, because `nohup` asks for that.
+
+    After `be_polite()` the first signal is only stored in `received`, and the program looks there. A second signal
     raises, unless it comes together with the first: a closing terminal and a wrapper process may both send one.
+
+    received: the first signal since `be_polite()`; None: there was none.
+    polite: whether `be_polite()` was called: the program has work to save before it ends.
+    handled_at: the clock's time of the last signal that the main thread noticed.
     """
 
     NUMBERS = _numbers()
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.received: int | None = None
-        self.handled_at = -math.inf  # the clock's time at which the main thread last noticed a signal
+        self.handled_at = -math.inf
         self._clock = clock
         self.polite = False
         self._received_at = 0.0

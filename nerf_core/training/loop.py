@@ -110,6 +110,7 @@ class _Session:
         self._logged = self._shown = time.monotonic()
         self._saved_seconds = self.trainer.seconds
         self._good = LastGood(self.trainer)
+        self._told = ""  # the last warning about a file that cannot be written
 
     def run(self) -> bool:
         try:
@@ -174,7 +175,9 @@ class _Session:
         try:
             write()
         except UserError as error:
-            self.warn(str(error))
+            if str(error) != self._told:  # a full disk would be told of at every second's log line
+                self._told = str(error)
+                self.warn(self._told)
 
     def _progress(self) -> Progress:
         trainer, goal, meter = self.trainer, self.goal, self._meter

@@ -51,8 +51,12 @@ def test_a_closed_terminal_saves_what_was_trained(tmp_path: Path) -> None:
     """The system sends SIGHUP to the terminal's programs, and all that they print from then on fails with EIO."""
     ours, theirs = pty.openpty()
     words = core(*TRAIN, "--steps", "1000000", "--out", str(tmp_path))
-    process = subprocess.Popen(words, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True,
-                               preexec_fn=lambda: _take_terminal(theirs))  # fmt: skip
+    # makes the terminal that of its session, so that it gets the SIGHUP
+    begin = (
+        "import fcntl, os, sys, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); os.execv(sys.executable, sys.argv[1:])"
+    )
+    words = [sys.executable, "-c", begin, *words]
+    process = subprocess.Popen(words, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True)
     os.close(theirs)
     told = b""
     while b"rays/s" not in told:  # it trains
@@ -60,13 +64,6 @@ def test_a_closed_terminal_saves_what_was_trained(tmp_path: Path) -> None:
     os.close(ours)
     assert process.wait(timeout=PATIENCE) == 129
     assert checkpoint.newest(tmp_path)[1]["step"] > 0
-
-
-def _take_terminal(terminal: int) -> None:
-    import fcntl
-    import termios
-
-    fcntl.ioctl(terminal, termios.TIOCSCTTY, 0)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
