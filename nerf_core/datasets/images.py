@@ -25,7 +25,19 @@ MAX_PIXELS = 200_000_000  # no camera has more: a file that claims more is a dec
 MAX_EXR_PIXELS = 50_000_000  # decoding one takes some 60 bytes a pixel
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".exr")
 DEEP_GREY = ("I;16", "I;16B", "I;16L")
-BROKEN = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error)  # what decoders raise on damage
+BROKEN = (
+    OSError,
+    SyntaxError,
+    ValueError,
+    EOFError,
+    AssertionError,
+    IndexError,
+    KeyError,
+    TypeError,
+    OverflowError,
+    struct.error,
+    zlib.error,
+)  # what decoders raise on damage
 
 HEAVY = threading.Lock()  # held while a large photo is decoded, so that four threads do not hold four of them
 
@@ -102,7 +114,7 @@ def read_photo(
             return composite(exr_pixels(path), size, background)
     with _opened(path) as image, _damage_named(path):
         orientation = _orientation(image)
-        wanted = size[::-1] if upright and orientation >= 5 else size
+        wanted = (size[1], size[0]) if upright and orientation >= 5 else size
         heavy = decoding_bytes(image.mode, image.width * image.height) > HEAVY_BYTES
         with HEAVY if heavy else nullcontext():
             if heavy:

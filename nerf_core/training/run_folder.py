@@ -197,7 +197,7 @@ class RunFolder:
             for path in self.checkpoints():
                 if checkpoint.step_of(path) > step:  # it is damaged, or it would have been loaded
                     path.replace(path.with_name(f"{path.name}.damaged"))
-            lines = self.log_file.read_text(encoding="utf-8").splitlines(True) if self.log_file.exists() else []
+            lines = self.log_file.read_text("utf-8", "replace").splitlines(True) if self.log_file.exists() else []
         except OSError as error:
             raise self._unwritable(error) from None
         write_atomically(self.log_file, "".join(line for line in lines if _step_of(line) <= step))
@@ -234,11 +234,12 @@ def must_agree(given: RunSettings, run: RunFolder) -> None:
 
 
 def _step_of(line: str) -> float:
-    """Return the step of a log line; infinity for a line that a crash cut short."""
+    """Return the step of a log line; infinity for a line that is damaged or that a crash cut short."""
     try:
-        return json.loads(line)["step"]
-    except (ValueError, KeyError, TypeError):
+        step = json.loads(line)["step"]
+    except (ValueError, KeyError, TypeError, RecursionError):
         return float("inf")
+    return step if type(step) in (int, float) else float("inf")
 
 
 def _filled(kind: type[T], values: Fields) -> T:

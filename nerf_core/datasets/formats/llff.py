@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tokenize
+import warnings
 from pathlib import Path
 from typing import ClassVar
 
@@ -66,7 +67,9 @@ def read_table(file: Path) -> np.ndarray:
         try:
             version = np.lib.format.read_magic(stream)
             header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-            shape, _, dtype = header(stream)
+            with warnings.catch_warnings():  # NumPy warns of headers that Python 2 may have written, and reads them
+                warnings.simplefilter("ignore", UserWarning)
+                shape, _, dtype = header(stream)
         except (ValueError, SyntaxError, TypeError, tokenize.TokenError, RecursionError) as error:
             raise UserError(f"{file} is not an array that NumPy can read ({shorten(str(error))}): {AGAIN}") from error
         if dtype.kind not in "fiu":
@@ -77,7 +80,9 @@ def read_table(file: Path) -> np.ndarray:
         if size != expected:
             raise UserError(f"{file} has {size:,} bytes, but its header claims {expected:,}: {AGAIN}")
         stream.seek(0)
-        table = np.load(stream, allow_pickle=False).astype(np.float64)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            table = np.load(stream, allow_pickle=False).astype(np.float64)
     odd = np.argwhere(~(np.abs(table) <= LIMIT))
     if len(odd):
         row, column = odd[0]
