@@ -55,7 +55,7 @@ class Train:
         with run.claimed():
             if self.resume:
                 trainer = restored(run, self.data, settings.device)
-                run.rewind(trainer.step_count)
+                tell(run.rewind(trainer.step_count))
                 print(f"continuing {run.path} at step {trainer.step_count:,}")
             else:
                 run.must_be_new()

@@ -1,9 +1,12 @@
-"""Write files completely or not at all."""
+"""Write files completely or not at all, and clear what a killed process left half written."""
 
 from __future__ import annotations
 
 import errno
 import os
+import shutil
+import sys
+import time
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -11,30 +14,72 @@ from pathlib import Path
 
 from nerf_core.common.errors import UserError
 
+PREFIX, SUFFIX = ".nerf-viewer-", ".part"  # of what is being written: no other program uses such names
+FRESH_SECONDS = 60.0  # a younger part may belong to a process that has not locked it yet
+UNLOCKABLE_SECONDS = 86_400.0  # without locks, a part as old as this is left over: nothing is written for a day
+
+
+class Part:
+    """A new hidden file or folder, to be written and then moved into its place.
+
+    It is locked while this process lives, so that `clear_leftovers` can tell it from one of a killed process. Its name
+    is short, because that of the target may have the 255 bytes that systems allow.
+
+    path: the file or folder.
+    """
+
+    def __init__(self, folder: Path, *, directory: bool = False) -> None:
+        """Make it, and `folder` if needed. Leftovers in `folder` are cleared. Raises OSError."""
+        folder.mkdir(parents=True, exist_ok=True)
+        clear_leftovers(folder)
+        self.path = folder / f"{PREFIX}{uuid.uuid4().hex}{SUFFIX}"
+        if directory:
+            self.path.mkdir()
+        else:
+            self.path.open("xb").close()  # with the permissions of an ordinary file
+        self._lock = _locked(self.path)
+
+    def release(self) -> None:
+        """Remove what was not moved into its place. A second call does nothing."""
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+        _remove(self.path)
+
+
+def clear_leftovers(folder: Path) -> None:
+    """Delete the parts in a folder that no living process writes. Files of other programs are not touched."""
+    with suppress(OSError):
+        for path in folder.glob(f"{PREFIX}*{SUFFIX}"):
+            with suppress(OSError):
+                age = time.time() - path.stat().st_mtime
+                lock = _locked(path)
+                if lock is not None:
+                    os.close(lock)
+                if (lock is not None and (age > FRESH_SECONDS or not _empty(path))) or age > UNLOCKABLE_SECONDS:
+                    _remove(path)
+
 
 def write_atomically(path: Path, data: bytes | str) -> None:
     """Write `data` to `path` so that the path holds either all of it or the old file (temporary file, fsync, rename).
 
     Raises UserError when the folder cannot be written or the disk is full.
     """
-    temporary = path.parent / f".{path.name}.{os.getpid()}.part"
     try:
         if path.is_dir():  # also "." and "/", which have no name
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with temporary.open("wb") as file:
-            file.write(data.encode() if isinstance(data, str) else data)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
+        part = Part(path.parent)
+        try:
+            with part.path.open("wb") as file:
+                file.write(data.encode() if isinstance(data, str) else data)
+                file.flush()
+                os.fsync(file.fileno())
+            part.path.replace(path)
+        finally:
+            part.release()
     except OSError as error:
-        with suppress(OSError):  # if the path itself is impossible, removing fails like creating
-            temporary.unlink()
         advice = "choose a folder that has space and takes files"
         raise UserError(f"{path}: cannot be written: {error.strerror or error}; {advice}") from None
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
 
 
 @contextmanager
@@ -42,24 +87,53 @@ def replacing(path: Path) -> Iterator[Path]:
     """Yield a new file beside `path`. It replaces `path` when the block succeeds and is deleted when it raises."""
     part = claim_part(path)
     try:
-        yield part
-        os.replace(part, path)
+        yield part.path
+        os.replace(part.path, path)
     except OSError as error:
         raise unwritable(path, error) from error
     finally:
-        part.unlink(missing_ok=True)
+        part.release()
 
 
-def claim_part(path: Path) -> Path:
-    """Create an empty file beside `path`, with its folder if needed, and with the permissions of an ordinary file."""
-    part = path.parent / f".{uuid.uuid4().hex}.part"
+def claim_part(path: Path) -> Part:
+    """Make an empty part beside `path`, with its folder if needed. Raises UserError."""
     try:
-        part.parent.mkdir(parents=True, exist_ok=True)
-        part.open("xb").close()
+        return Part(path.parent)
     except OSError as error:
         raise unwritable(path, error) from error
-    return part
 
 
 def unwritable(path: Path, error: OSError) -> UserError:
     return UserError(f"cannot write {path}: {error.strerror or error}; choose a folder that has space and takes files")
+
+
+def _locked(path: Path) -> int | None:
+    """Open and lock a file or folder.
+
+    Returns:
+        The descriptor, whose lock ends with the process. None if another process holds the lock, or if the system
+        cannot lock a file that is to be renamed, as Windows.
+    """
+    if sys.platform == "win32":
+        return None
+    import fcntl
+
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(descriptor)
+        return None
+    return descriptor
+
+
+def _empty(path: Path) -> bool:
+    return not any(path.iterdir()) if path.is_dir() else path.stat().st_size == 0
+
+
+def _remove(path: Path) -> None:
+    with suppress(OSError):
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)

@@ -55,7 +55,7 @@ class VideoWriter:
         size = f"{width + width % 2}x{height + height % 2}"
         rate = str(Fraction(fps).limit_denominator())
         source = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", rate, "-i", "-")
-        target = ("-c:v", "libx264", "-crf", str(CRF), "-pix_fmt", "yuv420p", "-f", "mp4", str(self._part))
+        target = ("-c:v", "libx264", "-crf", str(CRF), "-pix_fmt", "yuv420p", "-f", "mp4", str(self._part.path))
         try:
             self._process = subprocess.Popen(
                 [ffmpeg, "-y", "-v", "error", *source, *BT709, *target],
@@ -105,12 +105,12 @@ class VideoWriter:
         if self._process.wait() != 0:
             raise self._failure()
         try:
-            os.replace(self._part, self.path)
+            os.replace(self._part.path, self.path)
         except OSError as error:
             self.abort()
             raise unwritable(self.path, error) from error
         self._open = False
-        self._log.close()
+        self._clean()
 
     def abort(self) -> None:
         """Stop and delete what was written. Does nothing after `close`."""
@@ -143,7 +143,7 @@ class VideoWriter:
 
     def _clean(self) -> None:
         self._log.close()
-        self._part.unlink(missing_ok=True)
+        self._part.release()
 
 
 def write_png(path: Path, array: np.ndarray) -> None:

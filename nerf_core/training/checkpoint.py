@@ -27,6 +27,10 @@ REQUIRED: dict[str, tuple[type, float]] = {
 }  # fmt: skip
 
 
+class Damaged(UserError):
+    """A file cannot be a checkpoint as it was written: it was cut short or changed."""
+
+
 def save(path: Path, description: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
     """Write a checkpoint, atomically.
 
@@ -56,11 +60,12 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
         The description and the tensors that `save` wrote.
 
     Raises:
-        UserError: the file is missing, is no checkpoint, is damaged, or was written by a newer version.
+        Damaged: the file was cut short or changed.
+        UserError: the file is missing, is no checkpoint, or was written by a newer version.
     """
     metadata, arrays = _read(path, tensors=True)
     if metadata["sha256"] != _digest(metadata["version"], metadata["nerf"], arrays):
-        raise UserError(f"{path}: damaged: its checksum does not match; use an earlier checkpoint")
+        raise Damaged(f"{path}: damaged: its checksum does not match; use an earlier checkpoint")
     return _described(path, metadata["nerf"]), arrays
 
 
@@ -79,7 +84,7 @@ def _read(path: Path, *, tensors: bool) -> tuple[dict[str, str], dict[str, Tenso
             metadata = file.metadata() or {}
             arrays = {name: file.get_tensor(name) for name in file.keys()} if tensors else {}  # noqa: SIM118  no dict
     except (SafetensorError, OSError, ValueError):
-        raise UserError(
+        raise Damaged(
             f"{path}: not a readable checkpoint: cut short, damaged or no {SUFFIX} file; use an earlier one"
         ) from None
     if not {"nerf", "version", "sha256"} <= set(metadata):
@@ -128,19 +133,26 @@ def newest(folder: Path) -> tuple[Path, dict[str, Any], dict[str, Tensor], tuple
         folder: the run folder.
 
     Returns:
-        Its path, description and tensors, and the errors of newer checkpoints that cannot be read.
+        Its path, description and tensors, and the errors of newer checkpoints that are damaged.
 
     Raises:
-        UserError: the folder has no checkpoint that can be read.
+        UserError: the folder has no checkpoint that can be read, or a newer one is not damaged and cannot be read
+            either. To continue from an older one would then fork the run and take the newer one's name.
     """
     rejected: list[str] = []
     for path in reversed(checkpoints(folder)):
         try:
-            return path, *load(path), tuple(rejected)
-        except UserError as error:
+            description, tensors = load(path)
+        except Damaged as error:
             rejected.append(str(error))
+            continue
+        except UserError as error:
+            raise UserError(f"{error}; or move it away, to use an earlier checkpoint") from None
+        if description["step"] != step_of(path):
+            raise UserError(f"{path}: holds step {description['step']:,}: give the file its own name, or move it away")
+        return path, description, tensors, tuple(rejected)
     advice = f"train first: nerf-core train DATA --out {folder}"
-    reason = rejected[0] if rejected else f"no checkpoints/*{SUFFIX} in it: {advice}"
+    reason = rejected[0] if rejected else f"no checkpoints/step_*{SUFFIX} in it: {advice}"
     raise UserError(f"{folder}: not a run that can be continued: {reason}")
 
 
@@ -152,18 +164,31 @@ def step_path(folder: Path, step: int) -> Path:
 def step_of(path: Path) -> int:
     """Return the step in the name of a checkpoint; −1 if the name is not one of `step_path`."""
     digits = path.stem.removeprefix("step_")
-    return int(digits) if digits.isdecimal() else -1
+    step = int(digits) if digits.isdecimal() and len(digits) < 20 else -1
+    return step if path.name == step_path(path, step).name else -1
 
 
 def checkpoints(folder: Path) -> list[Path]:
-    """Return the checkpoints of a run folder, oldest first."""
-    return sorted(folder.glob(f"checkpoints/*{SUFFIX}"), key=lambda path: (step_of(path), path.name))
+    """Return the files of a run folder that are named as its checkpoints, oldest first.
+
+    Other files in their folder are the user's own. They are never read, renamed or deleted.
+    """
+    named = [path for path in folder.glob(f"checkpoints/step_*{SUFFIX}") if step_of(path) >= 0]
+    return sorted(named, key=step_of)
 
 
 def keep_newest(folder: Path, count: int = 2) -> None:
     """Delete all but the newest `count` checkpoints of a run folder.
 
-    Two are kept by default: if the newest is damaged, its predecessor is used.
+    Two are kept by default: if the newest is damaged, its predecessor is used. A file that is not a checkpoint of the
+    step in its name was not written here: it stays, and is not counted.
     """
-    for path in checkpoints(folder)[:-count]:
+    for path in [path for path in checkpoints(folder) if _is_own(path)][:-count]:
         path.unlink(missing_ok=True)
+
+
+def _is_own(path: Path) -> bool:
+    try:
+        return describe(path)["step"] == step_of(path)
+    except UserError:
+        return False

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import json
 import platform
-import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, fields, replace
 from importlib import metadata
 from pathlib import Path
@@ -17,7 +16,7 @@ from torch import Tensor
 
 from nerf_core.common import device
 from nerf_core.common.errors import UserError, shorten
-from nerf_core.common.files import write_atomically
+from nerf_core.common.files import clear_leftovers, write_atomically
 from nerf_core.common.json_files import Fields, read_json
 from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.training import checkpoint
@@ -63,21 +62,29 @@ class RunFolder:
                 raise UserError(
                     f"{self.path}: another process trains in this folder: wait for it or choose another --out"
                 )
-            for part in (self.path / "checkpoints").glob(".*.part"):  # of a process that was killed while saving
-                part.unlink(missing_ok=True)
+            clear_leftovers(self.path / "checkpoints")  # of a process that was killed while saving
             try:
                 yield
             finally:
                 if not existed and not self.config_file.exists():
                     file.close()
-                    shutil.rmtree(self.path)
+                    self._remove_new()
+
+    def _remove_new(self) -> None:
+        """Remove what `claimed` made, unless somebody put files into it meanwhile."""
+        with suppress(OSError):
+            (self.path / ".lock").unlink()
+            (self.path / "checkpoints").rmdir()
+            self.path.rmdir()
 
     # ---- writing --------------------------------------------------------------------------------------------------
 
     def must_be_new(self) -> None:
-        """Raise UserError if the folder has a run already, or a config.json that is not a run's."""
+        """Raise UserError if the folder has a run already, or files of other programs that a run would replace."""
         if self.checkpoints():
             raise UserError(f"{self.path}: holds a run already: continue it with --resume or choose another --out")
+        if self.log_file.exists() and not self.config_file.exists():
+            raise UserError(f"{self.log_file}: not written by a training: choose another --out")
         if self.config_file.exists() and "settings" not in read_json(self.config_file, CONFIG):
             raise UserError(f"{self.config_file}: not written by a training: choose another --out")
 
@@ -188,19 +195,47 @@ class RunFolder:
         trainer = Trainer.resume(scene, description, state, on)
         return trainer, (*rejected, *scene.notes, *trainer.notes(description))
 
-    def rewind(self, step: int) -> None:
+    def rewind(self, step: int) -> tuple[str, ...]:
         """Prepare the folder for a run that continues from `step`.
 
-        Later checkpoints are renamed and later lines of the log are removed. Raises UserError if this fails.
+        Later checkpoints are damaged, or they would have been loaded: they are renamed. Later lines of the log are
+        removed. The log serves plots alone, so a damaged one stops nothing.
+
+        Args:
+            step: the step that was loaded.
+
+        Returns:
+            Warnings for the user, a line each.
+
+        Raises:
+            UserError: a checkpoint cannot be renamed.
         """
-        try:
-            for path in self.checkpoints():
-                if checkpoint.step_of(path) > step:  # it is damaged, or it would have been loaded
+        for path in self.checkpoints():
+            if checkpoint.step_of(path) > step:
+                try:
                     path.replace(path.with_name(f"{path.name}.damaged"))
-            lines = self.log_file.read_text("utf-8", "replace").splitlines(True) if self.log_file.exists() else []
-        except OSError as error:
-            raise self._unwritable(error) from None
-        write_atomically(self.log_file, "".join(line for line in lines if _step_of(line) <= step))
+                except OSError as error:
+                    raise self._unwritable(error) from None
+        try:
+            return self._rewind_log(step)
+        except (OSError, UserError) as error:
+            return (f"{self.log_file}: cannot be continued ({error}); training goes on without it",)
+
+    def _rewind_log(self, step: int) -> tuple[str, ...]:
+        """Keep the lines up to a step. A log with lines that cannot be read is kept aside, but for a cut last line."""
+        if not self.log_file.exists():
+            return ()
+        lines = self.log_file.read_bytes().splitlines(keepends=True)
+        steps = [_step_of(line) for line in lines]
+        kept = b"".join(line for line, k in zip(lines, steps, strict=True) if k is not None and k <= step)
+        notes: tuple[str, ...] = ()
+        unread = steps[: -1 if lines and not lines[-1].endswith(b"\n") else None].count(None)
+        if unread:
+            aside = self.log_file.with_name(f"{self.log_file.name}.damaged")
+            self.log_file.replace(aside)
+            notes = (f"{self.log_file}: {unread} of {len(lines)} lines cannot be read; it is kept as {aside.name}",)
+        write_atomically(self.log_file, kept)
+        return notes
 
     def _unwritable(self, error: OSError) -> UserError:
         where = error.filename or self.path
@@ -233,13 +268,13 @@ def must_agree(given: RunSettings, run: RunFolder) -> None:
             )
 
 
-def _step_of(line: str) -> float:
-    """Return the step of a log line; infinity for a line that is damaged or that a crash cut short."""
+def _step_of(line: bytes) -> float | None:
+    """Return the step of a log line; None for a line that is none."""
     try:
         step = json.loads(line)["step"]
     except (ValueError, KeyError, TypeError, RecursionError):
-        return float("inf")
-    return step if type(step) in (int, float) else float("inf")
+        return None
+    return step if type(step) in (int, float) else None
 
 
 def _filled(kind: type[T], values: Fields) -> T:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import shutil
-import uuid
 from collections.abc import Iterator
 from contextlib import suppress
+from pathlib import Path
 
 from nerf_core.common.errors import UserError
-from nerf_core.common.files import unwritable
+from nerf_core.common.files import Part, unwritable
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method
 from nerf_core.rendering.export.jobs import Job, tile_count
@@ -41,7 +40,7 @@ class FilmJob(Job):
         super().__init__(method, scene, command.file, tile_count(method, *command.cameras))
         self._command = command
         self._frames = command.file.with_name(f"{command.file.stem}_frames")
-        self._part = self._frames / f".{uuid.uuid4().hex}.part"  # holds the frames until the film is whole
+        self._part: Part | None = None  # holds the frames until the film is whole
         first = command.cameras[0]
         self._writer = VideoWriter(command.file, command.fps, first.width, first.height)
 
@@ -49,8 +48,9 @@ class FilmJob(Job):
         """Stop, and delete the video and the frames that are not in their place yet."""
         super().abort()
         self._writer.abort()
-        if self._part.exists():
-            shutil.rmtree(self._part, ignore_errors=True)
+        if self._part is not None:
+            self._part.release()
+            self._part = None
             with suppress(OSError):  # other files lie there
                 self._frames.rmdir()
 
@@ -63,15 +63,26 @@ class FilmJob(Job):
                 frame = to_bytes(color)
                 self._writer.add(frame)
                 if self._command.frames:
-                    write_png(self._part / f"{number:05d}.png", frame)
+                    write_png(self._frames_part() / f"{number:05d}.png", frame)
         self._writer.close()
         if self._command.frames:
             self._move_frames()
 
+    def _frames_part(self) -> Path:
+        """Return the folder for frames of a film that is not whole yet. Raises UserError if it cannot be made."""
+        if self._part is None:
+            try:
+                self._part = Part(self._frames, directory=True)
+            except OSError as error:
+                raise unwritable(self._frames, error) from error
+        return self._part.path
+
     def _move_frames(self) -> None:
         try:
-            for part in self._part.iterdir():
-                part.replace(self._frames / part.name)
-            self._part.rmdir()
+            for frame in self._frames_part().iterdir():
+                frame.replace(self._frames / frame.name)
         except OSError as error:
             raise unwritable(self._frames, error) from error
+        if self._part is not None:
+            self._part.release()
+            self._part = None

@@ -293,7 +293,7 @@ def test_the_newest_intact_checkpoint_of_a_run_is_found(tmp_path: Path) -> None:
 
 def test_a_folder_that_is_no_run_is_reported(tmp_path: Path) -> None:
     with pytest.raises(
-        UserError, match=r"not a run that can be continued: no checkpoints/\*\.safetensors in it: train first"
+        UserError, match=r"not a run that can be continued: no checkpoints/step_\*\.safetensors in it: train first"
     ):
         newest(tmp_path)
     step_path(tmp_path, 1).parent.mkdir()
@@ -304,7 +304,7 @@ def test_a_folder_that_is_no_run_is_reported(tmp_path: Path) -> None:
 
 def test_older_checkpoints_are_deleted(tmp_path: Path) -> None:
     for step in (1, 2, 30):
-        write_atomically(step_path(tmp_path, step), "x")
+        checkpoint.save(step_path(tmp_path, step), DESCRIPTION | {"step": step}, TENSORS)
     keep_newest(tmp_path)
     assert sorted(p.name for p in (tmp_path / "checkpoints").iterdir()) == [
         "step_00000002.safetensors", "step_00000030.safetensors"

@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 from nerf_core.common.errors import UserError
+from nerf_core.common.files import PREFIX, SUFFIX, Part
 from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.training import checkpoint
 from nerf_core.training.loop import Goal, train_run
@@ -116,15 +117,103 @@ def test_a_new_run_overwrites_nothing(run: RunFolder, tmp_path: Path) -> None:
     assert "not written by a training" in error_of(foreign.must_be_new)
 
 
-def test_leftovers_of_a_killed_save_are_removed(run: RunFolder) -> None:
-    left = run.path / "checkpoints" / ".step_00000003.safetensors.12.part"
-    other = RunFolder(run.path.with_name("other"))
+def test_leftovers_of_a_killed_save_are_removed(run: RunFolder, tmp_path: Path) -> None:
+    """A part that nobody locks is left over. One that is being written stays, and so does a foreign file."""
+    other = RunFolder(tmp_path / "other")
     with other.claimed():
         (other.path / "config.json").touch()
-        moved = other.path / "checkpoints" / left.name
-        moved.touch()
+    folder = other.path / "checkpoints"
+    left, foreign = folder / f"{PREFIX}abc{SUFFIX}", folder / ".download.part"
+    left.write_bytes(b"half")
+    foreign.write_bytes(b"half")
+    (folder / f"{PREFIX}frames{SUFFIX}").mkdir()
+    (folder / f"{PREFIX}frames{SUFFIX}" / "00000.png").touch()
+    part = Part(folder)
+    part.path.write_bytes(b"at work")
     with other.claimed():
-        assert not moved.exists()
+        assert sorted(folder.iterdir()) == sorted([foreign, part.path])
+    part.release()
+    assert list(folder.iterdir()) == [foreign]
+
+
+def test_foreign_files_among_the_checkpoints_are_left_alone(run: RunFolder) -> None:
+    """They are not deleted as old ones, not loaded as the newest one, and not renamed as damaged ones."""
+    own = run.checkpoints()
+    folder = own[0].parent
+    foreign = [folder / name for name in ("zz_copy.safetensors", "best.safetensors", "step_5.safetensors")]
+    foreign[0].write_bytes(own[0].read_bytes())
+    foreign[1].write_bytes(b"of another program")
+    foreign[2].write_bytes(b"not our spelling")
+    trainer, notes = run.restore()
+    assert (trainer.step_count, notes) == (2, ())
+    run.rewind(2)
+    for _ in range(3):
+        trainer.step()
+        run.save(trainer.describe(), trainer.state())
+    assert [checkpoint.step_of(path) for path in run.checkpoints()] == [4, 5]
+    assert all(path.exists() for path in foreign)
+
+
+def test_a_checkpoint_of_another_step_is_not_deleted(run: RunFolder) -> None:
+    older = checkpoint.step_path(run.path, 0)
+    older.write_bytes(run.checkpoints()[0].read_bytes())  # the user's copy
+    checkpoint.keep_newest(run.path, 1)
+    assert [checkpoint.step_of(path) for path in run.checkpoints()] == [0, 2]
+
+
+def test_a_checkpoint_of_a_newer_version_stops_the_run_and_stays(
+    run: RunFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    description, state = checkpoint.load(run.checkpoints()[-1])
+    newer = checkpoint.step_path(run.path, 9)
+    with monkeypatch.context() as context:
+        context.setattr(checkpoint, "VERSION", checkpoint.VERSION + 1)
+        checkpoint.save(newer, description | {"step": 9}, state)
+    text = error_of(run.restore)
+    assert f"{newer}: checkpoint version '2', this program reads up to 1: update it; or move it away" in text
+    assert newer.exists()
+
+
+def test_a_foreign_log_is_not_replaced(tmp_path: Path) -> None:
+    run = RunFolder(tmp_path / "server")
+    run.path.mkdir()
+    run.log_file.write_text("GET /index.html\n", encoding="utf-8")
+    with run.claimed():
+        assert error_of(run.must_be_new) == f"{run.log_file}: not written by a training: choose another --out"
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [b"\xff\xfe", b"[" * 100_000, b'{"step": "two"}', b'{"step": null}', b"[1]", b"{}", b"\0" * 50, b'{"step": [1]}'],
+    ids=["bytes", "depth", "text", "null", "list", "empty", "zeros", "nested"],
+)
+def test_a_damaged_log_stops_no_run(run: RunFolder, damage: bytes) -> None:
+    line = b'{"step": 1}\n'
+    whole = line + damage + b"\n" + line
+    run.log_file.write_bytes(whole)
+    (note,) = run.rewind(2)
+    assert note == f"{run.log_file}: 1 of 3 lines cannot be read; it is kept as log.jsonl.damaged"
+    assert run.log_file.read_bytes() == 2 * line
+    assert run.log_file.with_name("log.jsonl.damaged").read_bytes() == whole
+
+
+def test_a_log_that_is_a_folder_stops_no_run(run: RunFolder) -> None:
+    run.log_file.unlink()
+    run.log_file.mkdir()
+    (note,) = run.rewind(2)
+    assert "training goes on without it" in note
+
+
+def test_mutated_logs_stop_no_run(run: RunFolder) -> None:
+    whole = b"".join(json.dumps({"step": k, "loss": 0.1, "psnr": 10.0}).encode() + b"\n" for k in range(20))
+    dice = random.Random(0)
+    for _ in range(300):
+        data = bytearray(whole)
+        for _ in range(dice.randint(1, 5)):
+            data[dice.randrange(len(data))] = dice.randrange(256)
+        run.log_file.write_bytes(data[: dice.randint(0, len(data))])
+        run.rewind(10)
+        assert all(json.loads(line)["step"] <= 10 for line in run.log_file.read_bytes().splitlines())
 
 
 def broken(change: Callable[[dict[str, Any]], object]) -> Callable[[str], str]:
@@ -162,7 +251,7 @@ def test_a_folder_without_a_run_is_named(tmp_path: Path, run: RunFolder) -> None
     assert error_of(RunFolder(tmp_path / "none").config).startswith(f"{tmp_path / 'none'}: not a run: it has no config")
     for file in run.checkpoints():
         file.unlink()
-    assert "not a run that can be continued: no checkpoints/*.safetensors in it: train first" in error_of(run.restore)
+    assert "not a run that can be continued: no checkpoints/step_*.safetensors in it: train first" in error_of(run.restore)
 
 
 def test_another_scene_is_refused(run: RunFolder) -> None:
