@@ -18,6 +18,7 @@ from nerf_core.common.signals import Signals
 from nerf_core.common.text import duration
 from nerf_core.datasets import load_scene
 from nerf_core.kernels import choice as kernels
+from nerf_core.training.checkpoint import step_path
 from nerf_core.training.loop import Progress, train_run
 from nerf_core.training.options import TrainOptions, run_name
 from nerf_core.training.run_folder import RunFolder, must_agree
@@ -91,7 +92,9 @@ class Train:
                 stop=lambda: signals.received is not None,
             )  # fmt: skip
         ending = "finished" if finished else "stopped"
-        print(f"{ending}: {_summary(trainer)}; loading took {duration(loading)}; saved {run.checkpoints()[-1]}")
+        saved = step_path(run.path, trainer.step_count)
+        where = f"; saved {saved}" if saved.exists() else ""  # else a warning said where it is
+        print(f"{ending}: {_summary(trainer)}; loading took {duration(loading)}{where}")
         return 0 if finished else 128 + (signals.received or 0)
 
 

@@ -5,7 +5,6 @@ The program ends at once where nothing can be lost, and after saving where somet
 
 from __future__ import annotations
 
-import math
 import signal
 import time
 from collections.abc import Callable
@@ -42,14 +41,12 @@ class Signals:
 
     received: the first signal since `be_polite()`; None: there was none.
     polite: whether `be_polite()` was called: the program has work to save before it ends.
-    handled_at: the clock's time of the last signal that the main thread noticed.
     """
 
     NUMBERS = _numbers()
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.received: int | None = None
-        self.handled_at = -math.inf
         self._clock = clock
         self.polite = False
         self._received_at = 0.0
@@ -79,7 +76,7 @@ class Signals:
             signal.signal(number, self._handle)
 
     def _handle(self, number: int, _: FrameType | None) -> None:
-        now = self.handled_at = self._clock()
+        now = self._clock()
         if self.received is not None and now - self._received_at < ECHO_SECONDS:
             return
         if not self.polite or self.received is not None:

@@ -125,9 +125,14 @@ class SetShare:
 
 @dataclass(frozen=True)
 class SaveCheckpoint(OfRun):
-    """Write the model and its pinned rays."""
+    """Write the model and its pinned rays.
+
+    path: the file.
+    spare: files to write to instead, in this order, if it cannot be written.
+    """
 
     path: Path
+    spare: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True)

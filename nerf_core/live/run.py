@@ -22,6 +22,7 @@ from nerf_core.live.messages import Notice, ViewRequest
 from nerf_core.probe import check_format, write_inspection
 from nerf_core.training import checkpoint
 from nerf_core.training.last_good import LastGood
+from nerf_core.training.last_save import save_somewhere
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Diverged, Report, Trainer
 
@@ -82,8 +83,8 @@ class Run:
                 self.use_method(self.need_scene(), self.settings, name)
                 if train:
                     self.train(None, None)
-            case messages.SaveCheckpoint(path):
-                self._save(path)
+            case messages.SaveCheckpoint(path, spare):
+                self._save((path, *spare))
             case messages.LoadCheckpoint(path):
                 self._load(path)
             case messages.Inspect():
@@ -194,11 +195,14 @@ class Run:
         self.artist.pins.replace(pins, trainer)
         self.artist.pins.record(trainer)
 
-    def _save(self, path: Path) -> None:
+    def _save(self, files: tuple[Path, ...]) -> None:
         trainer, pins = self.need_trainer(), list(self.artist.pins)
         description = trainer.describe() | pin_files.described(pins)
-        checkpoint.save(path, description, trainer.state() | pin_files.tensors(pins))
+        tensors = trainer.state() | pin_files.tensors(pins)
+        path, reasons = save_somewhere(files, lambda file: checkpoint.save(file, description, tensors))
         self.saved_step = trainer.step_count
+        for reason in reasons:
+            self._tell("warning", reason)
         self._tell("info", f"saved step {trainer.step_count:,} to {path}", path, kind="saved")
 
     def _export_rays(self, path: Path) -> None:

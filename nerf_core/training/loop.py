@@ -6,12 +6,16 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import torch
 
 from nerf_core.common import device
 from nerf_core.common.errors import UserError
+from nerf_core.training import checkpoint
+from nerf_core.training.checkpoint import step_path
 from nerf_core.training.last_good import LastGood
+from nerf_core.training.last_save import save_somewhere, spare_files
 from nerf_core.training.run_folder import RunFolder
 from nerf_core.training.trainer import Diverged, Report, Trainer, psnr_of
 
@@ -80,15 +84,15 @@ def train_run(
         stop: asked between gradient chunks. If it returns True, the step under way is abandoned and the run is saved
             as it was before that step.
         show: called with the progress, about ten times a second.
-        warn: called with a text for the user, and training continues: a checkpoint or log line cannot be written, or a
-            step has a note.
+        warn: called with a text for the user, and training continues: a checkpoint or log line cannot be written, a
+            step has a note, or the last checkpoint went to another place because the folder cannot be written.
 
     Returns:
         True if the goal was reached, False if `stop` ended training.
 
     Raises:
         Diverged: loss or weights are not finite.
-        UserError: device memory ran out, or the last checkpoint cannot be written.
+        UserError: device memory ran out, or no place takes the last checkpoint.
         Other errors of a step are passed on. In all these cases the last good state is saved before, if that is
         possible, and `trainer` cannot be used any more.
     """
@@ -117,7 +121,7 @@ class _Session:
             finished = self._train()
             self._good.remember(self.trainer)
         except Exception as error:
-            self._save()
+            self._save_last()
             step = self._good.description["step"]
             if isinstance(error, Diverged):
                 raise Diverged(f"{error}; went back to step {step:,} and saved it") from None
@@ -128,7 +132,7 @@ class _Session:
                 ) from error
             raise
         self._log()
-        self._save()
+        self._save_last()
         return finished
 
     def _train(self) -> bool:
@@ -165,6 +169,22 @@ class _Session:
 
     def _save(self) -> None:
         self.folder.save(self._good.description, self._good.state)
+
+    def _save_last(self) -> None:
+        """Save, in another place if the run's folder cannot be written. Raises UserError."""
+        good, own = self._good, step_path(self.folder.path, self._good.description["step"])
+
+        def write(file: Path) -> None:
+            if file == own:
+                self._save()
+            else:
+                checkpoint.save(file, good.description, good.state)
+
+        file, reasons = save_somewhere([own, *spare_files(self.trainer.scene)], write)
+        for reason in reasons:
+            self.warn(reason)
+        if reasons:
+            self.warn(f"step {good.description['step']:,} is saved to {file}: move it to {own}, to continue the run")
 
     def _log(self) -> None:
         line = self._meter.line(self.trainer)

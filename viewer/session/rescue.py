@@ -13,7 +13,7 @@ from typing import NoReturn
 
 from nerf_core.common.signals import Signals
 
-STUCK_SECONDS = 2.0  # a thread that has not handled a signal for so long hangs; frames take a twentieth of it
+STUCK_SECONDS = 3.0  # a thread that does not end its work so long after a signal hangs; it looks 50 times a second
 CLOSE_SECONDS = 5.0  # a window closes in a few milliseconds
 LOST = 1  # exit status after the connection to the screen was lost
 
@@ -27,14 +27,12 @@ class Rescue:
 
     Args:
         save: saves what is not saved yet, from any thread.
-        signals: tells whether the main thread handled a signal.
-        clock: seconds.
     """
 
-    def __init__(self, save: Callable[[], None], signals: Signals, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, save: Callable[[], None]) -> None:
         self._save = save
-        self._signals = signals
-        self._clock = clock
+        self._ending = threading.Lock()  # is never released: who holds it ends the process
+        self._attending = False  # the main thread holds it
         self._ours, self._pythons = socket.socketpair()
         self._pythons.setblocking(False)
         self._before = signal.set_wakeup_fd(self._pythons.fileno(), warn_on_full_buffer=False)
@@ -42,14 +40,22 @@ class Rescue:
         self._thread = threading.Thread(target=self._watch, name="rescue", daemon=True)
         self._thread.start()
 
+    def attend(self) -> None:
+        """The main thread saves and ends now. If another thread does that already, this never returns."""
+        if not self._attending:
+            self._ending.acquire()
+            self._attending = True
+
     def lost(self) -> NoReturn:
         """Save, and end the process: the connection to the screen is lost."""
         _tell("the connection to the screen was lost")
-        self._end(LOST)
+        if self._ending.acquire(blocking=False):  # else the main thread has saved, and is closing the window
+            self._save_and_end(LOST)
+        os._exit(LOST)
 
     def closing(self, status: int) -> None:
         """End the process with this status if it has not ended in CLOSE_SECONDS: the screen may hang."""
-        self._timer = threading.Timer(CLOSE_SECONDS, self._end, (status,))
+        self._timer = threading.Timer(CLOSE_SECONDS, os._exit, (status,))
         self._timer.daemon = True
         self._timer.start()
 
@@ -64,16 +70,21 @@ class Rescue:
 
     def _watch(self) -> None:
         while numbers := self._ours.recv(16):
-            came = self._clock()
-            for number in set(numbers) & set(map(int, Signals.NUMBERS)):
-                time.sleep(STUCK_SECONDS)
-                if (
-                    self._signals.handled_at < came - STUCK_SECONDS / 2
-                ):  # a signal may be handled before it is read here
-                    _tell("the window hangs")
-                    self._end(128 + number)
+            asked = sorted(set(numbers) & set(map(int, Signals.NUMBERS)))
+            if asked and not self._attended():
+                _tell("the window hangs")
+                self._save_and_end(128 + asked[0])
 
-    def _end(self, status: int) -> NoReturn:
+    def _attended(self) -> bool:
+        """Wait up to STUCK_SECONDS for the main thread to save and end. If it does not, take that over."""
+        limit = time.monotonic() + STUCK_SECONDS
+        while time.monotonic() < limit:
+            if self._ending.locked():
+                return True
+            time.sleep(0.05)
+        return not self._ending.acquire(blocking=False)
+
+    def _save_and_end(self, status: int) -> NoReturn:
         try:
             self._save()
             sys.stdout.flush()

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import glob
-import os
 import signal
 import sys
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import platformdirs
 
 from nerf_core.common.errors import UserError
+from nerf_core.common.files import clear_leftovers
 from nerf_core.common.signals import Signals
 from nerf_core.datasets.capture import DATASETS
-from nerf_core.geometry.scene import Scene
 from nerf_core.live.messages import CancelExport, Notice, SaveCheckpoint, Train
 from nerf_core.live.worker import Worker
 from nerf_core.methods import METHODS
+from nerf_core.training.last_save import autosave_folder, forget_old_autosaves, spare_files
 from nerf_core.training.settings import RunSettings
 
 from ..app.app import App
@@ -33,9 +31,9 @@ from .wishes import Wishes
 APP = "nerf-viewer"
 UNATTENDED_SECONDS = 60.0  # training time of an offscreen run without --steps or --seconds
 UNATTENDED_ORBIT_SECONDS = 120.0  # about how long it takes to draw its orbit
-KEPT = 10  # autosaves of one scene
-SAVE_SECONDS = 4.0  # limit for saving after a signal, because SIGKILL often follows SIGTERM soon
-PATIENT_SECONDS = 60.0  # limit for saving after the user closed the window
+KEPT = 3  # autosaves of one scene: the newest
+TELL_SECONDS = 2.0  # between two lines about a save that takes long
+CLOSE_SECONDS = 4.0  # limit for the worker's end when nothing is to be saved
 
 
 @dataclass
@@ -54,8 +52,10 @@ class Session:
         # --format is for the capture on the command line; later ones are recognised by their content
         self.app.state.settings = replace(self.settings, load=replace(self.settings.load, format="auto"))
         self._asked: Path | None = None  # the file of --save
-        self._rescue = Rescue(lambda: self._save_unsaved(self._asked), self.signals)
+        self._rescue = Rescue(lambda: self._save_unsaved(self._asked))
         self.window.when_lost(self._rescue.lost)
+        if folder := autosave_folder():
+            clear_leftovers(folder)
         self.worker.start()
         self.signals.be_polite()
 
@@ -68,6 +68,7 @@ class Session:
             status = self._run(script, data, wishes)
             return status
         finally:
+            self._rescue.attend()
             self._rescue.closing(status)
 
     def _run(self, script: Script, data: Path | None, wishes: Wishes) -> int:
@@ -82,12 +83,15 @@ class Session:
             else:
                 script.run()
         except Closed:
+            self._rescue.attend()
             self._save_unsaved(wishes.save)
             return 128 + (self.signals.received or signal.SIGINT)
         except Exception:  # an error, or a file that cannot be written, must not lose what was trained
+            self._rescue.attend()
             self._save_unsaved(None)
             raise
         if not wishes.any_file():
+            self._rescue.attend()
             self._save_unsaved(wishes.save)
         return 128 + self.signals.received if self.signals.received else 0
 
@@ -101,38 +105,41 @@ class Session:
         self.app.run(lambda: self.signals.received is not None)
 
     def _save_unsaved(self, asked: Path | None) -> None:
-        """Save weights that are not saved yet: to the file of --save, else among the user's data."""
+        """Save weights that are not saved yet: to the file of --save, else among the user's data, else anywhere.
+
+        It takes as long as it takes: a second signal ends it.
+        """
         snapshot = self.worker.snapshot()
         if snapshot.scene is None or not unsaved_steps(snapshot):
             return
-        path = asked or autosave_path(snapshot.scene)
+        forget_old_autosaves(snapshot.scene, KEPT - 1)
+        first, *spare = [*filter(None, [asked]), *spare_files(snapshot.scene)]
         self.worker.send(CancelExport())
-        self.worker.send(SaveCheckpoint(path))
-        begin = time.monotonic()
+        number = self.worker.send(SaveCheckpoint(first, tuple(spare)))
+        begin = told = time.monotonic()
         while not self.worker.stop(0.2):
-            if time.monotonic() - begin > (SAVE_SECONDS if self.signals.received else PATIENT_SECONDS):
-                break
-        if self.worker.snapshot().saved_step < snapshot.step or not path.is_file():
-            print(f"{APP}: step {snapshot.step:,} could not be saved in time", file=sys.stderr)
-        else:
-            self.say(f"saved to {path}; continue with --load {path}")
+            now = time.monotonic()
+            if now - told > TELL_SECONDS:
+                told = now
+                print(
+                    f"{APP}: saving step {snapshot.step:,} to {first} takes {now - begin:.0f} s so far; "
+                    "Ctrl-C ends without saving",
+                    file=sys.stderr,
+                )
+        for notice in self.worker.notices():
+            if notice.command != number:
+                continue
+            if notice.kind == "saved":
+                self.say(f"saved to {notice.path}; continue with --load {notice.path}")
+            else:
+                print(f"{APP}: {notice.text}", file=sys.stderr)
 
     def close(self) -> None:
         """Free what the session holds. A worker that does not end is left to `viewer.cli.command`."""
-        self.worker.stop(SAVE_SECONDS)
+        self.worker.stop(CLOSE_SECONDS)
         self.app.close()
         self.window.close()
         self._rescue.close()
-
-
-def autosave_path(scene: Scene) -> Path:
-    """Return a new file for a scene's weights, and delete all but the newest few autosaves of the scene."""
-    folder = Path(platformdirs.user_data_dir(APP)) / "autosave"
-    name = f"{scene.name}-{scene.identity()[:8]}"
-    with suppress(OSError):
-        for old in sorted(folder.glob(f"{glob.escape(name)}-*.safetensors"))[: 1 - KEPT]:  # names sort by time
-            old.unlink()
-    return folder / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}.safetensors"
 
 
 def unattended(wishes: Wishes) -> Wishes:

@@ -164,3 +164,18 @@ def test_a_failed_save_during_training_is_a_warning(run: RunFolder, make_trainer
     assert str(folder / "step_00000001.safetensors") in warnings[0]
     assert [p.stem for p in run.checkpoints()] == ["step_00000002", "step_00000003"]
     shutil.rmtree(folder)
+
+
+def test_a_run_whose_folder_takes_nothing_is_saved_elsewhere(
+    run: RunFolder, make_trainer: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+    (run.path / "checkpoints").rmdir()
+    (run.path / "checkpoints").touch()  # a file: nothing can be written into it, not even by root
+    trainer, warnings = make_trainer(), []
+    assert train_run(run, trainer, Goal(2), warn=warnings.append, save_every=1e9) is True
+    (saved,) = (tmp_path / "data").rglob("*.safetensors")
+    own = checkpoint.step_path(run.path, 2)
+    assert [text.partition(": cannot be written: ")[0] for text in warnings[:-1]] == [str(own)]
+    assert warnings[-1] == f"step 2 is saved to {saved}: move it to {own}, to continue the run"
+    assert checkpoint.load(saved)[0]["step"] == 2

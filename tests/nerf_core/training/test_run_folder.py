@@ -251,7 +251,9 @@ def test_a_folder_without_a_run_is_named(tmp_path: Path, run: RunFolder) -> None
     assert error_of(RunFolder(tmp_path / "none").config).startswith(f"{tmp_path / 'none'}: not a run: it has no config")
     for file in run.checkpoints():
         file.unlink()
-    assert "not a run that can be continued: no checkpoints/step_*.safetensors in it: train first" in error_of(run.restore)
+    assert "not a run that can be continued: no checkpoints/step_*.safetensors in it: train first" in error_of(
+        run.restore
+    )
 
 
 def test_another_scene_is_refused(run: RunFolder) -> None:

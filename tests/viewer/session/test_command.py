@@ -14,6 +14,7 @@ import subprocess
 import sys
 import time
 from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -30,9 +31,12 @@ from nerf_core.geometry.cameras import camera_rays
 from nerf_core.live.messages import MOST_PINS
 from nerf_core.rendering.images import to_bytes
 from nerf_core.rendering.modes import COLOR, mode_names
+from nerf_core.training import checkpoint
+from nerf_core.training.last_save import forget_old_autosaves, spare_files
+from nerf_core.training.settings import RunSettings
+from nerf_core.training.trainer import Trainer
 from viewer.cli import main
 from viewer.session.script import Script
-from viewer.session.session import autosave_path
 from viewer.session.wishes import Wishes
 
 TINY = [
@@ -263,20 +267,64 @@ def test_trained_weights_are_saved_if_a_file_cannot_be_written(
     assert str(file) in done.stdout
 
 
-def test_an_autosave_never_replaces_an_older_one(data_home: Path) -> None:
+@pytest.mark.parametrize("taken", ["nothing", "the user's data", "a temporary file"])
+def test_weights_that_their_file_does_not_take_are_saved_elsewhere(taken: str, tmp_path: Path) -> None:
+    """The reason is said, and where they are: among the user's data, or if that fails too, in a temporary folder."""
+    file, data, temporary = tmp_path / "model.safetensors", tmp_path / "data", tmp_path / "temporary"
+    temporary.mkdir()
+    own = {"XDG_DATA_HOME": str(data), "TMPDIR": str(temporary)}
+    limit = "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
+    limit += "resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000)); " if taken == "nothing" else ""
+    code = limit + "import sys; from viewer.cli import main; sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", code, *TINY, "--headless", "--steps", "1000000", "--save", str(file)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, env={**os.environ, **own}, stdout=pipe, stderr=pipe, text=True) as process:
+        assert process.stdout is not None
+        assert any(line.startswith("training: ") for line in process.stdout)
+        if taken != "nothing":
+            file.mkdir()
+        if taken == "a temporary file":
+            data.touch()
+        process.send_signal(signal.SIGTERM)
+        out, err = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 143
+    assert "Traceback" not in err
+    assert f"{file}: cannot be written: " in err
+    saved = [path for path in tmp_path.rglob("*.safetensors") if path.is_file()]
+    if taken == "nothing":
+        assert not saved
+        assert err.count("File too large") == 3  # of each place
+    else:
+        (path,) = saved
+        assert path.is_relative_to(data if taken == "the user's data" else temporary)
+        assert f"saved to {path}; continue with --load {path}" in out
+    assert not list(tmp_path.rglob("*.part"))
+
+
+def test_the_newest_autosaves_of_a_scene_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     scene = load_scene(None, LoadOptions(downscale=8))
-    folder = data_home / "nerf-viewer" / "autosave"
-    folder.mkdir(parents=True, exist_ok=True)
-    for old in folder.iterdir():  # of other tests
-        old.unlink()
-    prefix = f"{scene.name}-{scene.identity()[:8]}"
-    for k in range(12):
-        (folder / f"{prefix}-20200101-0000{k:02}.safetensors").touch()
-    path = autosave_path(scene)
-    assert not path.exists()
-    kept = sorted(folder.glob(f"{prefix}-2020*"))
-    assert len(kept) == 9  # ten with the one that is to be written
-    assert kept[0].name.endswith("000003.safetensors")
+    folder = tmp_path / "nerf-viewer" / "autosave"
+    trainer = Trainer(scene, RunSettings(method="nerf", device="cpu"))
+    for k in range(5):
+        checkpoint.save(folder / f"{k}.safetensors", trainer.describe(), trainer.state())
+        os.utime(folder / f"{k}.safetensors", (k, k))
+    (folder / "mine.safetensors").write_bytes(b"of another program")
+    os.utime(folder / "mine.safetensors", (0, 0))
+    forget_old_autosaves(scene, 2)
+    assert sorted(path.stem for path in folder.iterdir()) == ["3", "4", "mine"]
+    file, temporary = spare_files(scene)
+    assert file.parent == folder
+    assert not file.exists()
+    assert file.name == temporary.name
+
+
+def test_an_autosaves_name_fits_whatever_the_scene_is_called() -> None:
+    scene = load_scene(None, LoadOptions(downscale=8))
+    for name in ("ü" * 200, "n" * 255, "../../etc", "\udcff\udcfe", "", "a\nb"):
+        file = spare_files(replace(scene, name=name))[0]
+        assert len(file.name.encode()) < 255
+        assert file.parent.name == "autosave"
 
 
 @pytest.fixture
