@@ -9,12 +9,16 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 
+# In near planes. 1 − t′ is then 2⁻²⁰, sixteen steps of float32 under 1: what lies farther cannot be told from infinity.
+FARTHEST = float(2**20)
+
+
 @dataclass(frozen=True)
 class Ndc:
     """The frustum of NDC: one reference camera at the origin that looks along −z (NeRF, appendix C, arXiv:2003.08934).
 
     t′ ∈ [0, 1] is linear in disparity, and t′ = 0 lies on the near plane z = −near.
-    far: the scene's far bound (z-depth); exported distances of t′ → 1 are clamped there.
+    far: the scene's far bound (z-depth). Samples lie behind it too, up to infinity.
     """
 
     width: int
@@ -59,13 +63,15 @@ class Ndc:
         return beyond / (1 + beyond)
 
     def world_t(self, origins: Tensor, directions: Tensor, t_ndc: Tensor) -> Tensor:
-        """Map t′ (R, S) to world distance (R, S), clamped at the scene's far bound.
+        """Map t′ (R, S) to world distance (R, S).
+
+        t′ = 1, which is infinity, becomes a depth of FARTHEST · near, whose place in NDC differs by no more than 2e-6.
 
         On the ray that starts at the near plane t′ = 1 − o_z / (o_z + t d_z), hence
         t = (o_z / d_z) (1/(1 − t′) − 1) with o_z = −near.
         """
         shift, scale = self._along(origins, directions)
-        t = t_ndc.clamp(max=1 - self.near / self.far)
+        t = t_ndc.clamp(max=1 - 1 / FARTHEST)
         return shift + scale * (t / (1 - t))
 
     def _along(self, origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:

@@ -6,7 +6,7 @@ import csv
 import io
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +44,8 @@ def arrays(opened: Opened) -> dict[str, Any]:
         "camera": camera_values(opened.camera),
         **_ray_values(opened.ray),
     }
+    if opened.scene.ndc is not None:
+        found["ndc"] = asdict(opened.scene.ndc)
     if opened.verdict is not None:
         found["verdict"] = _verdict_values(opened.verdict)
     if opened.radiance is not None:

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from nerf_core.geometry.cameras import camera_rays
-from nerf_core.geometry.ndc import Ndc
+from nerf_core.geometry.ndc import FARTHEST, Ndc
 from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods.nerf.config import NerfConfig
@@ -275,7 +275,7 @@ def test_under_ndc_t_is_world_distance_and_delta_is_not(forward: Scene) -> None:
     coarse = method.trace(rays).passes[0]
     z = -coarse.t * rays.directions[:, 2:]
     torch.testing.assert_close(z[:, 0], torch.ones(6))
-    torch.testing.assert_close(z[:, -1], torch.full((6,), 20.0), rtol=1e-4, atol=0)
+    torch.testing.assert_close(z[:, -1], torch.full((6,), FARTHEST), rtol=1e-4, atol=0)  # t′ = 1 is infinity
     torch.testing.assert_close(z[:, 3], torch.full((6,), 1 / (1 - 3 / 9)))
     assert forward.ndc is not None
     _, d_ndc, _ = forward.ndc.rays(rays.origins, rays.directions)
@@ -308,7 +308,7 @@ def test_a_camera_within_the_scene_sees_nothing_behind_itself(forward: Scene, z:
         assert (one.t[:, 1:] >= one.t[:, :-1]).all()
         depth = z + one.t * rays.directions[:, 2:]
         torch.testing.assert_close(depth[:, 0], torch.full((4,), min(z, -1.0)), rtol=1e-3, atol=1e-3)
-        torch.testing.assert_close(depth[:, -1], torch.full((4,), -20.0), rtol=1e-3, atol=0)
+        torch.testing.assert_close(depth[:, -1], torch.full((4,), -FARTHEST), rtol=1e-3, atol=0)
 
 
 def test_radiance_under_ndc_is_evaluated_at_the_projected_point(forward: Scene) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -36,9 +37,11 @@ from nerf_core.probe import (
     open_radiance,
     open_ray,
     view_dependence,
+    write_inspection,
 )
 from nerf_core.probe.radiance import density_normal
 from nerf_core.probe.ray import MOST_RAYS
+from nerf_core.probe.records import Opened
 from nerf_core.rendering.images import render_camera, tile_rays
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
@@ -444,3 +447,39 @@ def test_every_pixel_is_the_sum_of_its_samples(scene: Scene, method: str, space:
         shown = whole[pixel[1] * size + pixel[0]]
         assert np.abs(color - shown).max() < 1e-5
         assert np.abs(ray.rendered_color.clip(0, 1) - shown).max() < 1e-5
+
+
+@pytest.mark.parametrize("method", ["voxels", "nerf-guided", "hash", "nerf"])
+def test_under_ndc_a_ray_is_recomputed_from_its_exported_arrays(scene: Scene, method: str, tmp_path: Path) -> None:
+    """Also behind the capture's far bound, where t′ goes on to infinity."""
+    scene = _in_space(scene, "ndc")
+    assert scene.ndc is not None
+    scene = replace(scene, ndc=replace(scene.ndc, far=2.0), far=2.0)
+    trainer = Trainer(scene, RunSettings(method=method, changes=SMALL.get(method, {})))
+    for _ in range(40):
+        trainer.step()
+    camera, file = scene.views[5].camera.resized(40, 40), tmp_path / "ray.json"
+    behind = 0.0
+    for pixel in np.random.default_rng(0).integers(0, 40, (6, 2)):
+        ray = open_ray(trainer.method, scene, camera, (int(pixel[0]), int(pixel[1])), 40)
+        write_inspection([Opened(camera, scene, method, ray)], file)
+        told = json.loads(file.read_text())
+        last = {name: np.array(values) for name, values in told["passes"][-1].items() if name != "name"}
+        origin, direction, weights = np.array(told["origin"]), np.array(told["direction"]), last["weights"]
+        assert np.isfinite(last["t"]).all()
+        behind += weights[last["t"] > scene.far].sum()
+        background = (1 - weights.sum()) * np.array(told["background"])
+        np.testing.assert_allclose(weights @ last["rgb"] + background, told["color"], atol=1e-5)
+        points = torch.from_numpy(origin + last["t"][:, None] * direction)
+        rgb = trainer.method.radiance(points, torch.from_numpy(direction)[None])[:, 0].cpu().numpy()
+        np.testing.assert_allclose(weights @ rgb + background, told["color"], atol=1e-5)
+        # t′ / (1 − t′) of the distance t, with the near plane at told["ndc"]["near"]
+        near = told["ndc"]["near"]
+        ratio = (last["t"] * -direction[2] - (near + origin[2])) / near
+        mean = weights @ (ratio / (1 + ratio)) / weights.sum()
+        expected = ((near + origin[2]) + near * mean / (1 - mean)) / -direction[2]
+        np.testing.assert_allclose(expected, told["depth_expected"], rtol=1e-5)
+        if told["depth_median"] is not None:
+            assert last["t"][np.searchsorted(np.cumsum(weights), 0.5)] == told["depth_median"]
+        assert last["t"][np.argmax(weights)] == told["depth_strongest"]
+    assert behind > 0.05
