@@ -48,8 +48,9 @@ class Worker:
         self._scheduler = Scheduler(share)
         self._settings = settings
         self._runs = {FIRST_RUN: self._new_run(FIRST_RUN)}
-        self._thread = threading.Thread(target=self._work, name="nerf-worker", daemon=True)
+        self._thread = threading.Thread(target=self._live, name="nerf-worker", daemon=True)
         self._ended = False  # Quit was obeyed
+        self._done = threading.Event()  # the thread has nothing more to do
         self._untold: list[Notice] = []  # until the state that they tell of is published
         self._published = 0.0
         self._command = 0  # the number of the command that is being obeyed
@@ -90,14 +91,23 @@ class Worker:
         """Ask the thread to end, wait `timeout` seconds at most, and return whether it ended."""
         if not self._mailbox.quitting:
             self.send(messages.Quit())
-        self._thread.join(timeout)
-        return not self._thread.is_alive()
+        # not join(): where a signal's exception interrupts it, Python up to 3.12 takes the thread for ended
+        if not self._done.wait(timeout):
+            return False
+        self._thread.join()
+        return True
 
     @property
     def alive(self) -> bool:
         return self._thread.is_alive()
 
     # ---- the thread -------------------------------------------------------------------------------------------------
+
+    def _live(self) -> None:
+        try:
+            self._work()
+        finally:
+            self._done.set()
 
     def _work(self) -> None:
         if sys.platform == "linux":

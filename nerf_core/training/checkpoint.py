@@ -19,6 +19,8 @@ from nerf_core.common.files import write_atomically
 
 VERSION = 1
 SUFFIX = ".safetensors"
+METADATA = {"nerf", "version", "sha256"}  # the texts that each file's header holds
+MOST_HEADER_BYTES = 100_000_000  # the limit of safetensors
 # The fields of the description with their types and, for numbers, the largest value; the smallest is 0.
 REQUIRED: dict[str, tuple[type, float]] = {
     "method": (str, 0), "config": (dict, 0), "steps": (int, 2**53), "seed": (int, 2**63 - 1), "threads": (int, 1024),
@@ -87,7 +89,7 @@ def _read(path: Path, *, tensors: bool) -> tuple[dict[str, str], dict[str, Tenso
         raise Damaged(
             f"{path}: not a readable checkpoint: cut short, damaged or no {SUFFIX} file; use an earlier one"
         ) from None
-    if not {"nerf", "version", "sha256"} <= set(metadata):
+    if not set(metadata) >= METADATA:
         raise UserError(f"{path}: a safetensors file, but not a checkpoint of nerf-viewer")
     if metadata["version"] not in {str(v) for v in range(1, VERSION + 1)}:
         raise UserError(
@@ -183,11 +185,24 @@ def keep_newest(folder: Path, count: int = 2) -> None:
     Two are kept by default: if the newest is damaged, its predecessor is used. A file that is not a checkpoint of the
     step in its name was not written here: it stays, and is not counted.
     """
-    for path in [path for path in checkpoints(folder) if _is_own(path)][:-count]:
+    for path in [path for path in checkpoints(folder) if is_own(path)][:-count]:
         path.unlink(missing_ok=True)
 
 
-def _is_own(path: Path) -> bool:
+def has_own_header(path: Path) -> bool:
+    """Return whether a file begins as the checkpoints of this program do, even if the rest is cut short or changed."""
+    try:
+        with path.open("rb") as file:
+            length = int.from_bytes(file.read(8), "little")
+            header = json.loads(file.read(length)) if length <= MOST_HEADER_BYTES else None
+    except (OSError, ValueError, RecursionError):
+        return False
+    metadata = header.get("__metadata__") if isinstance(header, dict) else None
+    return isinstance(metadata, dict) and set(metadata) >= METADATA
+
+
+def is_own(path: Path) -> bool:
+    """Return whether a file is a checkpoint of the step in its name, as far as its header shows."""
     try:
         return describe(path)["step"] == step_of(path)
     except UserError:

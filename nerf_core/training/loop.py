@@ -15,7 +15,7 @@ from nerf_core.common.errors import UserError
 from nerf_core.training import checkpoint
 from nerf_core.training.checkpoint import step_path
 from nerf_core.training.last_good import LastGood
-from nerf_core.training.last_save import save_somewhere, spare_files
+from nerf_core.training.last_save import save_somewhere, spare_files, telling
 from nerf_core.training.run_folder import RunFolder
 from nerf_core.training.trainer import Diverged, Report, Trainer, psnr_of
 
@@ -121,7 +121,7 @@ class _Session:
             finished = self._train()
             self._good.remember(self.trainer)
         except Exception as error:
-            self._save_last()
+            self._save_last(asked=False)
             step = self._good.description["step"]
             if isinstance(error, Diverged):
                 raise Diverged(f"{error}; went back to step {step:,} and saved it") from None
@@ -132,7 +132,7 @@ class _Session:
                 ) from error
             raise
         self._log()
-        self._save_last()
+        self._save_last(asked=not finished)
         return finished
 
     def _train(self) -> bool:
@@ -170,8 +170,11 @@ class _Session:
     def _save(self) -> None:
         self.folder.save(self._good.description, self._good.state)
 
-    def _save_last(self) -> None:
-        """Save, in another place if the run's folder cannot be written. Raises UserError."""
+    def _save_last(self, *, asked: bool) -> None:
+        """Save, in another place if the run's folder cannot be written. Raises UserError.
+
+        asked: whether `stop` ended training.
+        """
         good, own = self._good, step_path(self.folder.path, self._good.description["step"])
 
         def write(file: Path) -> None:
@@ -180,7 +183,8 @@ class _Session:
             else:
                 checkpoint.save(file, good.description, good.state)
 
-        file, reasons = save_somewhere([own, *spare_files(self.trainer.scene)], write)
+        with telling(good.description["step"], self.warn, asked=asked):
+            file, reasons = save_somewhere([own, *spare_files(self.trainer.scene)], write)
         for reason in reasons:
             self.warn(reason)
         if reasons:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import os
 import platform
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -25,6 +27,7 @@ from nerf_core.training.trainer import Trainer
 
 T = TypeVar("T")
 CONFIG = "the object that `nerf-core train` wrote"
+CONFIG_FIELDS = {"data", "settings", "method", "device", "versions"}
 OPTION_NAMES = {"changes": "set"}  # options that have another name than their setting
 
 
@@ -83,10 +86,11 @@ class RunFolder:
         """Raise UserError if the folder has a run already, or files of other programs that a run would replace."""
         if self.checkpoints():
             raise UserError(f"{self.path}: holds a run already: continue it with --resume or choose another --out")
-        if self.log_file.exists() and not self.config_file.exists():
-            raise UserError(f"{self.log_file}: not written by a training: choose another --out")
-        if self.config_file.exists() and "settings" not in read_json(self.config_file, CONFIG):
-            raise UserError(f"{self.config_file}: not written by a training: choose another --out")
+        own = self.config_file.exists() and set(read_json(self.config_file, CONFIG).values) >= CONFIG_FIELDS
+        names = () if own else (self.config_file, self.log_file, self.path / "metrics.json", self.path / "eval")
+        for path in names:
+            if path.exists():
+                raise UserError(f"{path}: not written by a training: choose another --out")
 
     def begin(self, data: Path | None, settings: RunSettings, trainer: Trainer) -> None:
         """Write config.json for a new run, and an empty log.
@@ -131,12 +135,14 @@ class RunFolder:
             The file of the checkpoint.
 
         Raises:
-            UserError: the file cannot be written.
+            UserError: the file cannot be written, or a foreign file has its name.
         """
         path = checkpoint.step_path(self.path, description["step"])
         if not path.exists():
             checkpoint.save(path, description, state)
             checkpoint.keep_newest(self.path)
+        elif not checkpoint.is_own(path):
+            raise UserError(f"{path}: not a checkpoint of its step, and not replaced: move it away")
         return path
 
     # ---- reading --------------------------------------------------------------------------------------------------
@@ -198,8 +204,9 @@ class RunFolder:
     def rewind(self, step: int) -> tuple[str, ...]:
         """Prepare the folder for a run that continues from `step`.
 
-        Later checkpoints are damaged, or they would have been loaded: they are renamed. Later lines of the log are
-        removed. The log serves plots alone, so a damaged one stops nothing.
+        Later checkpoints are damaged, or they would have been loaded: they are renamed. A file whose header does not
+        show that it was written here stays. Later lines of the log are removed. The log serves plots alone, so a
+        damaged one stops nothing.
 
         Args:
             step: the step that was loaded.
@@ -211,9 +218,9 @@ class RunFolder:
             UserError: a checkpoint cannot be renamed.
         """
         for path in self.checkpoints():
-            if checkpoint.step_of(path) > step:
+            if checkpoint.step_of(path) > step and checkpoint.has_own_header(path):
                 try:
-                    path.replace(path.with_name(f"{path.name}.damaged"))
+                    path.rename(_aside(path))
                 except OSError as error:
                     raise self._unwritable(error) from None
         try:
@@ -231,8 +238,8 @@ class RunFolder:
         notes: tuple[str, ...] = ()
         unread = steps[: -1 if lines and not lines[-1].endswith(b"\n") else None].count(None)
         if unread:
-            aside = self.log_file.with_name(f"{self.log_file.name}.damaged")
-            self.log_file.replace(aside)
+            aside = _aside(self.log_file)
+            self.log_file.rename(aside)
             notes = (f"{self.log_file}: {unread} of {len(lines)} lines cannot be read; it is kept as {aside.name}",)
         write_atomically(self.log_file, kept)
         return notes
@@ -266,6 +273,12 @@ def must_agree(given: RunSettings, run: RunFolder) -> None:
                 f"--{option}: {run.path} was begun with {shorten(old)} and cannot continue with {shorten(new)}: "
                 "leave the option out, or begin anew in another --out"
             )
+
+
+def _aside(path: Path) -> Path:
+    """Return a name for a damaged file that no file has yet."""
+    names = (f"{path.name}.damaged{f'-{n}' if n > 1 else ''}" for n in itertools.count(1))
+    return next(file for file in map(path.with_name, names) if not os.path.lexists(file))
 
 
 def _step_of(line: bytes) -> float | None:

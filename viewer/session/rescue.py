@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import NoReturn
 
 from nerf_core.common.signals import Signals
@@ -69,11 +70,24 @@ class Rescue:
             self._timer.cancel()
 
     def _watch(self) -> None:
+        saving = False  # in another thread, so that a second signal is seen
         while numbers := self._ours.recv(16):
             asked = sorted(set(numbers) & set(map(int, Signals.NUMBERS)))
+            if asked and saving:
+                os._exit(128 + asked[0])
             if asked and not self._attended():
-                _tell("the window hangs")
-                self._save_and_end(128 + asked[0])
+                self._forget_waiting()
+                _tell("the window hangs: saving without it")
+                threading.Thread(target=self._save_and_end, args=(128 + asked[0],), daemon=True).start()
+                saving = True
+
+    def _forget_waiting(self) -> None:
+        """Drop the signals of the time in which nothing told that the first one was seen."""
+        self._ours.setblocking(False)
+        with suppress(BlockingIOError):
+            while self._ours.recv(16):
+                pass
+        self._ours.setblocking(True)
 
     def _attended(self) -> bool:
         """Wait up to STUCK_SECONDS for the main thread to save and end. If it does not, take that over."""

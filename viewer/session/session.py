@@ -13,12 +13,12 @@ import platformdirs
 
 from nerf_core.common.errors import UserError
 from nerf_core.common.files import clear_leftovers
-from nerf_core.common.signals import Signals
+from nerf_core.common.signals import Interrupted, Signals
 from nerf_core.datasets.capture import DATASETS
 from nerf_core.live.messages import CancelExport, Notice, SaveCheckpoint, Train
 from nerf_core.live.worker import Worker
 from nerf_core.methods import METHODS
-from nerf_core.training.last_save import autosave_folder, forget_old_autosaves, spare_files
+from nerf_core.training.last_save import clear_spare_leftovers, forget_old_autosaves, spare_files, telling
 from nerf_core.training.settings import RunSettings
 
 from ..app.app import App
@@ -32,8 +32,7 @@ APP = "nerf-viewer"
 UNATTENDED_SECONDS = 60.0  # training time of an offscreen run without --steps or --seconds
 UNATTENDED_ORBIT_SECONDS = 120.0  # about how long it takes to draw its orbit
 KEPT = 3  # autosaves of one scene: the newest
-TELL_SECONDS = 2.0  # between two lines about a save that takes long
-CLOSE_SECONDS = 4.0  # limit for the worker's end when nothing is to be saved
+CLOSE_SECONDS = 4.0  # a worker that has nothing to save ends sooner, unless it is in the middle of a huge step
 
 
 @dataclass
@@ -52,10 +51,10 @@ class Session:
         # --format is for the capture on the command line; later ones are recognised by their content
         self.app.state.settings = replace(self.settings, load=replace(self.settings.load, format="auto"))
         self._asked: Path | None = None  # the file of --save
+        self._patience = CLOSE_SECONDS  # limit for the worker's end when nothing is to be saved
         self._rescue = Rescue(lambda: self._save_unsaved(self._asked))
         self.window.when_lost(self._rescue.lost)
-        if folder := autosave_folder():
-            clear_leftovers(folder)
+        clear_spare_leftovers()
         self.worker.start()
         self.signals.be_polite()
 
@@ -63,10 +62,15 @@ class Session:
         """Fulfil the wishes, then, in a window without requested files, serve the user. Returns the exit status."""
         script = Script(self.app, self.worker, wishes, lambda: self.signals.received is not None, self.say)
         self._asked = wishes.save
+        if wishes.save is not None:
+            clear_leftovers(wishes.save.parent)
         status = 2  # of an error
         try:
             status = self._run(script, data, wishes)
             return status
+        except Interrupted as error:  # a second signal: whoever sent it does not want to wait for anything
+            status, self._patience = error.status, 0.0
+            raise
         finally:
             self._rescue.attend()
             self._rescue.closing(status)
@@ -112,34 +116,32 @@ class Session:
         snapshot = self.worker.snapshot()
         if snapshot.scene is None or not unsaved_steps(snapshot):
             return
-        forget_old_autosaves(snapshot.scene, KEPT - 1)
         first, *spare = [*filter(None, [asked]), *spare_files(snapshot.scene)]
         self.worker.send(CancelExport())
         number = self.worker.send(SaveCheckpoint(first, tuple(spare)))
-        begin = told = time.monotonic()
-        while not self.worker.stop(0.2):
-            now = time.monotonic()
-            if now - told > TELL_SECONDS:
-                told = now
-                print(
-                    f"{APP}: saving step {snapshot.step:,} to {first} takes {now - begin:.0f} s so far; "
-                    "Ctrl-C ends without saving",
-                    file=sys.stderr,
-                )
-        for notice in self.worker.notices():
-            if notice.command != number:
-                continue
+        with telling(snapshot.step, _complain, asked=self.signals.received is not None):
+            while not self.worker.stop(0.2):
+                pass
+        replies = [notice for notice in self.worker.notices() if notice.command == number]
+        for notice in replies:
             if notice.kind == "saved":
                 self.say(f"saved to {notice.path}; continue with --load {notice.path}")
+                forget_old_autosaves(snapshot.scene, KEPT)  # only now, because a save may fail
             else:
-                print(f"{APP}: {notice.text}", file=sys.stderr)
+                _complain(notice.text)
+        if not replies:
+            _complain(f"step {snapshot.step:,} is not saved: the thread that trains has ended before")
 
     def close(self) -> None:
         """Free what the session holds. A worker that does not end is left to `viewer.cli.command`."""
-        self.worker.stop(CLOSE_SECONDS)
+        self.worker.stop(self._patience)
         self.app.close()
         self.window.close()
         self._rescue.close()
+
+
+def _complain(text: str) -> None:
+    print(f"{APP}: {text}", file=sys.stderr, flush=True)
 
 
 def unattended(wishes: Wishes) -> Wishes:

@@ -182,6 +182,41 @@ def test_a_foreign_log_is_not_replaced(tmp_path: Path) -> None:
         assert error_of(run.must_be_new) == f"{run.log_file}: not written by a training: choose another --out"
 
 
+@pytest.mark.parametrize("name", ["metrics.json", "eval", "config.json"])
+def test_foreign_files_with_a_runs_names_are_refused(tmp_path: Path, name: str) -> None:
+    file = tmp_path / name
+    file.write_text('{"settings": {"editor": "vi"}}', encoding="utf-8")
+    assert error_of(RunFolder(tmp_path).must_be_new) == f"{file}: not written by a training: choose another --out"
+
+
+def test_a_foreign_file_named_as_a_checkpoint_is_neither_renamed_nor_taken_for_one(
+    run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+    foreign = checkpoint.step_path(run.path, 3)
+    foreign.write_bytes(b"of another program")
+    trainer, notes = run.restore()
+    assert (trainer.step_count, len(notes)) == (2, 1)
+    run.rewind(2)
+    warnings: list[str] = []
+    train_run(run, trainer, Goal(3), warn=warnings.append)
+    assert foreign.read_bytes() == b"of another program"
+    assert f"{foreign}: not a checkpoint of its step, and not replaced: move it away" in warnings
+    assert "step 3 is saved to " in warnings[-1]
+
+
+def test_an_own_checkpoint_that_is_cut_short_is_renamed_and_replaces_nothing(run: RunFolder) -> None:
+    newest = run.checkpoints()[-1]
+    newest.write_bytes(newest.read_bytes()[:-100])
+    other = newest.with_name(f"{newest.name}.damaged")
+    other.write_bytes(b"an earlier one")
+    assert run.restore()[0].step_count == 1
+    run.rewind(1)
+    assert not newest.exists()
+    assert other.read_bytes() == b"an earlier one"
+    assert newest.with_name(f"{newest.name}.damaged-2").exists()
+
+
 @pytest.mark.parametrize(
     "damage",
     [b"\xff\xfe", b"[" * 100_000, b'{"step": "two"}', b'{"step": null}', b"[1]", b"{}", b"\0" * 50, b'{"step": [1]}'],
@@ -193,6 +228,9 @@ def test_a_damaged_log_stops_no_run(run: RunFolder, damage: bytes) -> None:
     run.log_file.write_bytes(whole)
     (note,) = run.rewind(2)
     assert note == f"{run.log_file}: 1 of 3 lines cannot be read; it is kept as log.jsonl.damaged"
+    run.log_file.write_bytes(damage + b"\n")
+    assert run.rewind(2)[0].endswith("it is kept as log.jsonl.damaged-2")
+    run.log_file.write_bytes(2 * line)
     assert run.log_file.read_bytes() == 2 * line
     assert run.log_file.with_name("log.jsonl.damaged").read_bytes() == whole
 

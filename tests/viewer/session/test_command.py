@@ -307,12 +307,16 @@ def test_the_newest_autosaves_of_a_scene_are_kept(tmp_path: Path, monkeypatch: p
     folder = tmp_path / "nerf-viewer" / "autosave"
     trainer = Trainer(scene, RunSettings(method="nerf", device="cpu"))
     for k in range(5):
-        checkpoint.save(folder / f"{k}.safetensors", trainer.describe(), trainer.state())
-        os.utime(folder / f"{k}.safetensors", (k, k))
+        name = spare_files(scene)[0].name.replace(f"-{os.getpid()}.", f"-{k}.")
+        for file in (folder / name, folder / f"copy {k}.safetensors"):
+            checkpoint.save(file, trainer.describe(), trainer.state())
+            os.utime(file, (k, k))
     (folder / "mine.safetensors").write_bytes(b"of another program")
     os.utime(folder / "mine.safetensors", (0, 0))
     forget_old_autosaves(scene, 2)
-    assert sorted(path.stem for path in folder.iterdir()) == ["3", "4", "mine"]
+    forget_old_autosaves(scene, 3)  # there are fewer
+    kept = sorted(path.stem.rpartition("-")[2] for path in folder.iterdir())
+    assert kept == ["3", "4", *(f"copy {k}" for k in range(5)), "mine"]  # the user's own copies stay
     file, temporary = spare_files(scene)
     assert file.parent == folder
     assert not file.exists()
