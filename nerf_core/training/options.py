@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -13,6 +14,8 @@ from nerf_core.datasets.capture import DATASETS
 from nerf_core.methods import METHODS
 from nerf_core.training.loop import Goal
 from nerf_core.training.settings import RunSettings
+
+MOST_NAME_BYTES = 255  # of a file or folder: the limit of common systems
 
 
 @dataclass(frozen=True)
@@ -97,8 +100,14 @@ class TrainOptions:
 
 
 def run_name(data: Path | None, method: str) -> str:
-    """Return the default name of a run: the scene's folder and the method, joined by a hyphen."""
+    """Return the default name of a run: the scene's folder and the method, joined by a hyphen.
+
+    The folder's name is cut at its end where the whole would be longer than systems allow.
+    """
     if data is None:
         return f"demo-{method}"
     folder = data.parent if data.is_file() else data
-    return f"{folder.resolve().name}-{method}"
+    name = folder.resolve().name
+    while len(os.fsencode(f"{name}-{method}")) > MOST_NAME_BYTES:
+        name = name[:-1]
+    return f"{name}-{method}"

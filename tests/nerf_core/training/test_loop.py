@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import re
 import shutil
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 import torch
 
-from nerf_core.training import checkpoint
+from nerf_core.training import checkpoint, last_save
 from nerf_core.training.loop import Goal, Progress, train_run
 from nerf_core.training.run_folder import RunFolder
 from nerf_core.training.settings import RunSettings
@@ -164,6 +167,20 @@ def test_a_failed_save_during_training_is_a_warning(run: RunFolder, make_trainer
     assert str(folder / "step_00000001.safetensors") in warnings[0]
     assert [p.stem for p in run.checkpoints()] == ["step_00000002", "step_00000003"]
     shutil.rmtree(folder)
+
+
+@pytest.mark.parametrize(("stopped", "advice"), [(True, "Ctrl-C"), (False, "Ctrl-C twice")])
+def test_a_slow_last_save_is_told_of(
+    stopped: bool, advice: str, run: RunFolder, make_trainer: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(last_save, "TELL_SECONDS", 0.2)
+    real = os.fsync
+    monkeypatch.setattr(os, "fsync", lambda number: (time.sleep(0.5), real(number)))  # a slow disk
+    trainer, warnings = make_trainer(), []
+    train_run(run, trainer, Goal(1), warn=warnings.append, save_every=1e9, stop=lambda: stopped)
+    step = 0 if stopped else 1
+    assert re.fullmatch(rf"saving step {step} takes 0\.[2-4] s so far; {advice} ends without saving", warnings[0])
+    assert checkpoint.newest(run.path)[1]["step"] == step
 
 
 def test_a_run_whose_folder_takes_nothing_is_saved_elsewhere(

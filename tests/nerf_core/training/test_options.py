@@ -72,3 +72,14 @@ def test_runs_are_named_after_the_scene(tmp_path: Path) -> None:
     file.parent.mkdir()
     file.touch()
     assert [run_name(p, "nerf") for p in (None, file.parent, file)] == ["demo-nerf", "fox-nerf", "fox-nerf"]
+
+
+@pytest.mark.parametrize("name", ["x" * 255, "ü" * 127, "\udcff" * 255], ids=["letters", "two bytes", "not UTF-8"])
+def test_the_name_of_a_run_fits(name: str, tmp_path: Path) -> None:
+    """Also if the capture's name has the 255 bytes that systems allow."""
+    folder = tmp_path / name
+    folder.mkdir()
+    run = run_name(folder, "voxels")
+    (tmp_path / run).mkdir()
+    assert run.endswith("-voxels")
+    assert run.startswith(name[:100])
