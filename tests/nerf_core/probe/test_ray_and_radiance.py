@@ -18,7 +18,7 @@ from nerf_core.common.errors import UserError
 from nerf_core.geometry.ndc import Ndc
 from nerf_core.geometry.scene import Scene
 from nerf_core.kernels.torch_voxels import TorchVoxels
-from nerf_core.methods import traced
+from nerf_core.methods import Radiant, traced
 from nerf_core.methods.guided.method import GuidedNerf
 from nerf_core.methods.hash.method import Hash
 from nerf_core.methods.nerf.config import NerfConfig
@@ -471,6 +471,7 @@ def test_under_ndc_a_ray_is_recomputed_from_its_exported_arrays(scene: Scene, me
         background = (1 - weights.sum()) * np.array(told["background"])
         np.testing.assert_allclose(weights @ last["rgb"] + background, told["color"], atol=1e-5)
         points = torch.from_numpy(origin + last["t"][:, None] * direction)
+        assert isinstance(trainer.method, Radiant)
         rgb = trainer.method.radiance(points, torch.from_numpy(direction)[None])[:, 0].cpu().numpy()
         np.testing.assert_allclose(weights @ rgb + background, told["color"], atol=1e-5)
         # t′ / (1 − t′) of the distance t, with the near plane at told["ndc"]["near"]
