@@ -14,12 +14,19 @@ def number(value: float | None, digits: int = 4) -> str:
     """Format with `digits` significant digits and a real minus sign; a dash for None, NaN and infinity."""
     if value is None or not math.isfinite(value):
         return NOTHING
-    return f"{value:.{digits}g}".replace("-", "−")
+    return f"{value or 0.0:.{digits}g}".replace("-", "−")  # a zero has no sign
+
+
+def decimal(value: float, decimals: int = 3) -> str:
+    """Format with fixed decimals, space for the sign and a real minus sign; a value that rounds to zero has no sign."""
+    if not math.isfinite(value):
+        return NOTHING
+    return f"{round(float(value), decimals) or 0.0: .{decimals}f}".replace("-", "−")
 
 
 def vector(values: Sequence[float] | np.ndarray, decimals: int = 3) -> str:
     """Format with fixed decimals and space for the sign, so that columns of figures do not jump."""
-    return " ".join(f"{float(v): .{decimals}f}".replace("-", "−") if math.isfinite(v) else NOTHING for v in values)
+    return " ".join(decimal(v, decimals) for v in values)
 
 
 def triple(rgb: np.ndarray) -> str:

@@ -12,6 +12,8 @@ from typing import Protocol
 from nerf_core.live.budget import Account, Budget
 from nerf_core.live.shares import DEFAULT_SHARE, SHARES, Situation
 
+LEAST_SECONDS = 0.1  # of training, fading: a rate of less is that of a few steps, or of long ago
+
 
 class Trainee(Protocol):
     """What the scheduler needs to know about a run.
@@ -92,10 +94,19 @@ class Scheduler:
         if number in self._accounts:
             self._accounts[number].add(seconds, rays)
 
+    def forget(self, number: int) -> None:
+        """Begin the account of a run anew: it has another model, whose speed is not known yet."""
+        self._accounts.pop(number, None)
+
     def rays_per_second(self, number: int) -> float:
-        """Return the rays per second that a run is trained on. The time of pictures and of other runs counts, too."""
+        """Return the rays per second that a run is trained on. The time of pictures and of other runs counts, too.
+
+        0 as long as there is too little training lately to tell.
+        """
         account, total = self._accounts.get(number), self.budget.total()
-        if account is None or total <= 0:
+        if account is None:
             return 0.0
         account.fade()
+        if account.seconds < LEAST_SECONDS:
+            return 0.0
         return account.rays / total

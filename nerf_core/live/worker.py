@@ -175,7 +175,11 @@ class Worker:
             case messages.CloseRun():
                 self._close_run(self._run(command.run))
             case _:
-                self._run(command.run).obey(command, self._command)
+                run = self._run(command.run)
+                before = run.trainer
+                run.obey(command, self._command)
+                if run.trainer is not before:
+                    self._scheduler.forget(run.number)
 
     # ---- runs -------------------------------------------------------------------------------------------------------
 

@@ -233,7 +233,7 @@ def states() -> dict[str, AppState]:
     failed.notices += [
         ShownNotice(Notice("info", "saved step 12,400 to run/last.safetensors", Path("run/last.safetensors")), 99),
         ShownNotice(Notice("warning", "the loss is not a number: went back to step 12,000"), 40),
-        ShownNotice(Notice("error", "out of memory", detail="Traceback …\n  line 1"), 0),
+        ShownNotice(Notice("error", "out of memory", detail="Traceback …\n  line 1"), 95),
     ]
     found["training"].show_help = True
     return found

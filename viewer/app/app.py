@@ -97,8 +97,11 @@ class App:
 
     def frame(self, force: bool = False) -> bool:
         """Make one turn of the loop. Returns whether it drew. force: draw although nothing changed."""
-        self.state.time = now = self._time()
+        before, self.state.time = self.state.time, self._time()
+        now = self.state.time
         self._read()
+        if any(before < shown.ends <= now for shown in self.state.notices):
+            self._pacer.note(now, figures=True)  # a toast ends
         moved = self.state.camera.update(now)
         self._pacer.note(now, user=moved or force)
         drew = False
@@ -128,6 +131,8 @@ class App:
                 self.state.camera.set_scene(new.scene)
                 self.state.inspect = self.state.current_view = None
                 self.state.checkpoint_file = ""
+                for shown in self.state.notices:  # what went wrong with another scene is over
+                    shown.dismissed |= shown.notice.level == "error"
         self._focus_behind()
         for notice in notices:
             self._actions.tell(notice)

@@ -122,7 +122,8 @@ def _figures(ui: PanelUi, state: AppState) -> list[tuple[str, ImVec4]]:
     if len(snapshot.history.psnr):
         found.append((f"{float(snapshot.history.psnr[-1]):.1f} dB", theme.text))
     if snapshot.status == "training":
-        found.append((f"{rate(snapshot.rays_per_second)} rays/s", theme.text))
+        if snapshot.rays_per_second:
+            found.append((f"{rate(snapshot.rays_per_second)} rays/s", theme.text))
         if snapshot.seconds_left is not None:
             found.append((f"{duration(snapshot.seconds_left)} left", theme.text))
     elif snapshot.status == "failed":

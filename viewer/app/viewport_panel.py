@@ -16,6 +16,7 @@ from ..commands.pointer import ViewportInput
 from ..commands.registry import USER_COMMANDS
 from ..draw.imgui_renderer import ImguiRenderer
 from ..draw.overlays import NEAR, Overlay, axis_directions, frusta
+from ..draw.photo import NearestPhoto
 from ..draw.viewport import ViewportPicture
 from ..model.state import AppState, SampleRef
 from ..ui.layout import VIEWPORT
@@ -33,6 +34,7 @@ class ViewportPanel:
         self._renderer = renderer
         self.input = ViewportInput()
         self.stale = False
+        self._photo, self._photo_name = NearestPhoto(), ""
         self._named: moderngl.Texture | None = None  # the texture that the renderer knows
 
     def draw(self, ui: PanelUi, state: AppState, alone: bool) -> None:
@@ -69,7 +71,7 @@ class ViewportPanel:
         state.viewport_rect = (origin.x, origin.y, float(width), float(height))
         camera = state.camera.camera(width, height)
         draw = imgui.get_window_draw_list()
-        self._draw_picture(draw, state, camera, origin)
+        self._draw_picture(ui, draw, state, camera, origin)
         imgui.set_cursor_screen_pos(origin)
         buttons = imgui.ButtonFlags_
         every = buttons.mouse_button_left | buttons.mouse_button_right | buttons.mouse_button_middle
@@ -85,10 +87,14 @@ class ViewportPanel:
                 _point_at(ui, state, overlay, ray)
         self._draw_words(ui, state, draw, origin, ImVec2(width, height))
 
-    def _draw_picture(self, draw: imgui.ImDrawList, state: AppState, camera: Camera, origin: ImVec2) -> None:
+    def _draw_picture(
+        self, ui: PanelUi, draw: imgui.ImDrawList, state: AppState, camera: Camera, origin: ImVec2
+    ) -> None:
         snapshot = state.snapshot
         preview, scene = snapshot.preview, snapshot.scene
-        self.stale = False
+        self.stale, self._photo_name = False, ""
+        if scene is not None and preview is None and snapshot.status != "failed":
+            self._photo_name = self._photo.draw(ui, draw, scene, camera, origin)
         if preview is None or scene is None:
             return
         self.stale = self._picture.draw(preview, camera, scene.background)
@@ -133,6 +139,10 @@ class ViewportPanel:
 
     def _draw_words(self, ui: PanelUi, state: AppState, draw: imgui.ImDrawList, origin: ImVec2, size: ImVec2) -> None:
         snapshot = state.snapshot
+        if self._photo_name:
+            words = f"{icons.ICON_FA_IMAGE}  photo {self._photo_name}: the first picture is on its way"
+            _chip(ui, draw, ImVec2(origin.x + 0.6 * ui.em, origin.y + size.y - 2.2 * ui.em), words)
+            return
         if snapshot.preview is None:
             _centred(ui, draw, origin, size, _why_empty(state))
             return

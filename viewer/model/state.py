@@ -93,11 +93,23 @@ class FilmForm:
     file: str = "film.mp4"
 
 
+TOAST_SECONDS = 10.0  # time for which a result is shown over the picture; an error is for three times as long
+READ_PER_SECOND = 8  # letters, about half of what people read, because they look at the picture first
+
+
 @dataclass
 class ShownNotice:
     notice: Notice
     born: float  # seconds on the app's clock
     dismissed: bool = False
+
+    @property
+    def ends(self) -> float:
+        """When it is no longer shown over the picture, on the app's clock. The notices panel keeps it."""
+        reading = len(self.notice.text) / READ_PER_SECOND
+        if self.notice.level == "error":
+            return self.born + 3 * TOAST_SECONDS + reading
+        return self.born + (TOAST_SECONDS + reading if self.notice.path is not None else 0.0)
 
 
 class SampleRef(NamedTuple):

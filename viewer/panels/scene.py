@@ -23,7 +23,7 @@ from ..ui.contract import PANELS, Ui
 from ..ui.widgets import Confirmation, Row, button, exists, field_beside, field_width, figures, hint, same_line_if_fits
 
 DOWNSCALE, MOST = "downscale", 64
-OPEN, DEMO = f"{icons.ICON_FA_FOLDER_OPEN}  Open", "Demo"
+OPEN, PAUSED, DEMO = f"{icons.ICON_FA_FOLDER_OPEN}  Open and train", "Open paused", "Demo"
 
 
 @PANELS.register("scene")
@@ -36,6 +36,7 @@ class ScenePanel:
         self._confirmation, self._change = Confirmation(), Confirmation()
         self._other = ""  # the method of the second confirmation
         self._wanted: Path | None = None  # the capture of the confirmation; None: the demo scene
+        self._train = True  # whether to train it
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
         snapshot, scene = state.snapshot, state.snapshot.scene
@@ -61,21 +62,25 @@ class ScenePanel:
         if state.focus_open and not state.raise_panel:
             imgui.set_keyboard_focus_here()
             state.focus_open = False
-        field_beside(ui, OPEN, DEMO)
+        field_beside(ui, OPEN)
         flags = imgui.InputTextFlags_.enter_returns_true
         entered, state.open_path = imgui.input_text_with_hint("##path", "folder of a capture", state.open_path, flags)
         ui.mark("scene.path")
         same_line_if_fits(OPEN)
         path = state.open_path.strip()
         if (button(ui, OPEN, "scene.open", enabled=bool(path)) or entered) and path:
-            yield from self._ask(state, Path(path))
+            yield from self._ask(state, Path(path), train=True)
+        asking = self._confirmation.asking  # a tooltip would cover the question
+        tip = "" if asking else "show the photos and cameras first; Train begins"
+        if button(ui, PAUSED, "scene.open_paused", enabled=bool(path), tip=tip) and path:
+            yield from self._ask(state, Path(path), train=False)
         same_line_if_fits(DEMO)
-        if button(ui, DEMO, "scene.demo", tip="" if self._confirmation.asking else "open the demo scene"):
-            yield from self._ask(state, None)
+        if button(ui, DEMO, "scene.demo", tip="" if asking else "open the demo scene and train"):
+            yield from self._ask(state, None, train=True)
         unsaved = unsaved_steps(state.snapshot)
         question = f"Opening another scene forgets {unsaved:,} unsaved training steps."
         if self._confirmation.draw(ui, question, "Forget them and open", "scene.open", needed=unsaved > 0):
-            yield OpenScene(self._wanted, state.settings, train=True)
+            yield OpenScene(self._wanted, state.settings, train=self._train)
 
     def _method(self, ui: Ui, state: AppState) -> Iterator[Action]:
         """The method of the open scene, and a choice of another."""
@@ -100,14 +105,14 @@ class ScenePanel:
             state.settings = replace(state.settings, method=self._other, preset="auto", changes={})
             yield UseMethod(self._other, train=True)
 
-    def _ask(self, state: AppState, path: Path | None) -> Iterator[Action]:
-        self._wanted = path
+    def _ask(self, state: AppState, path: Path | None, train: bool) -> Iterator[Action]:
+        self._wanted, self._train = path, train
         there = path is None or exists(
             path
         )  # if it does not exist nothing is forgotten, and the worker says what is wrong
         self._confirmation.asking = there and unsaved_steps(state.snapshot) > 0
         if not self._confirmation.asking:
-            yield OpenScene(path, state.settings, train=True)
+            yield OpenScene(path, state.settings, train=train)
 
 
 def _rows(scene: Scene) -> list[Row]:

@@ -1,4 +1,7 @@
-"""Toasts over a corner of the picture: errors until they are dismissed, results for a few seconds."""
+"""Toasts over a corner of the picture: errors and results, for as long as it takes to read them.
+
+The notices panel keeps them.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,6 @@ from ..model.state import Action, AppState, ShownNotice
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import button, keep_in_front, notice_text, path_line
 
-SECONDS = 10.0  # time for which a result stays
 MOST = 3  # the panel lists the others
 WIDTH_EM = 26.0
 FLAGS = (
@@ -29,7 +31,7 @@ class Toasts:
     order = 0
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
-        shown = [(i, n) for i, n in enumerate(state.notices) if _wanted(n, state.time)][-MOST:]
+        shown = [(i, n) for i, n in enumerate(state.notices) if not n.dismissed and state.time < n.ends][-MOST:]
         if not shown or state.viewport_rect is None:
             return
         x, y, width, height = state.viewport_rect
@@ -49,13 +51,6 @@ class Toasts:
             imgui.pop_id()
         imgui.end()
         yield from ()
-
-
-def _wanted(shown: ShownNotice, now: float) -> bool:
-    """True for errors until they are dismissed, and for a while for written files. The panel has all notices."""
-    if shown.dismissed:
-        return False
-    return shown.notice.level == "error" or (shown.notice.path is not None and now - shown.born < SECONDS)
 
 
 def _toast(ui: Ui, shown: ShownNotice, mark: str) -> None:

@@ -100,11 +100,12 @@ class Session:
         return 128 + self.signals.received if self.signals.received else 0
 
     def _attend(self, wishes: Wishes) -> None:
-        """Start training, and serve the user until the window closes."""
+        """Serve the user until the window closes. A capture trains; a loaded checkpoint does if that is asked for."""
         for problem in (*METHODS.problems, *DATASETS.problems):
             self.app.tell(Notice("warning", problem))
         left = None if wishes.steps is None else wishes.steps - self.worker.snapshot().step
-        if left is None or left > 0:
+        wanted = wishes.load is None or wishes.steps is not None or wishes.seconds is not None
+        if wanted and (left is None or left > 0):
             self.worker.send(Train(left, wishes.seconds))
         self.app.run(lambda: self.signals.received is not None)
 

@@ -15,3 +15,8 @@ def test_texts_of_figures() -> None:
     assert [number(v) for v in (None, float("inf"), -0.00012345, 3.0)] == ["–", "–", "−0.0001234", "3"]
     assert vector(np.array([0.5, -1.25])) == " 0.500 −1.250"
     assert triple(np.array([0.5, -1.25, 0.0])) == "0.500 −1.250 0.000"
+
+
+def test_zero_has_no_sign() -> None:
+    assert vector(np.array([-0.0001, -0.0, 0.0, -0.0006])) == " 0.000  0.000  0.000 −0.001"
+    assert number(-0.0) == "0"

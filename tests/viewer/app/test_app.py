@@ -15,6 +15,7 @@ from PIL import Image
 
 from nerf_core.common.errors import UserError
 from nerf_core.geometry.paths import PATHS
+from nerf_core.geometry.photos import Photos
 from nerf_core.live.messages import (
     CancelExport,
     Inspect,
@@ -33,6 +34,7 @@ from nerf_core.probe import Verdict
 from nerf_core.rendering.export.requests import ExportModel, ExportPath
 from viewer.app.app import App
 from viewer.commands.perform import film_export
+from viewer.draw.photo import nearest_photo
 from viewer.model.state import (
     Action,
     AppState,
@@ -579,6 +581,51 @@ def test_a_new_scene_closes_the_ray_and_moves_the_camera(start: Start) -> None:
     assert app.state.inspect is None
     assert app.state.current_view is None
     np.testing.assert_allclose(app.state.camera.c2w(), home)
+
+
+def test_a_new_scene_ends_the_errors_of_the_one_before(start: Start) -> None:
+    app, worker = start()
+    app.tell(Notice("error", "captures/nowhere: no such folder"))
+    app.settle()
+    assert "toasts.0.dismiss" in app.widgets
+    worker.current = replace(worker.current, loaded=2)
+    app.settle()
+    assert "toasts.0.dismiss" not in app.widgets
+    assert len(app.state.notices) == 1  # the panel keeps it
+
+
+def test_a_toast_leaves_an_idle_window_by_itself(start: Start) -> None:
+    app, _ = start()
+    app.tell(Notice("error", "out of memory"))
+    app.settle(10)
+    drew = [app.frame() for _ in range(60 * 40)]
+    assert "toasts.0.dismiss" not in app.widgets
+    assert 0 < sum(drew) < 30  # and that costs few frames
+
+
+def test_a_scene_without_a_picture_shows_its_nearest_photo_dimmed(start: Start) -> None:
+    """It is never the warped picture of another scene."""
+    app, worker = start()
+    plain = worker.current.scene
+    assert plain is not None
+    steps = np.linspace(0, 65535, 40).astype(np.uint16)
+    ramp = np.broadcast_to(steps[None, :, None], (30, 40, 3))
+    scene = replace(plain, photos=Photos.of([ramp for _ in plain.views]))
+    worker.answering = False
+    worker.current = replace(worker.current, scene=scene, loaded=2, preview=None, opened=None)
+    app.perform(GoToView(1))
+    app.settle(40)
+    left, top, right, bottom = (int(v) for v in app.widgets["viewport"])
+    shown = app.pixels()[top:bottom, left:right].astype(float) / 255
+    height, width = shown.shape[:2]
+    scale = min(width / 40, height / 30)
+    row, first = shown[int(height / 2 - 10 * scale)], (width - 40 * scale) / 2
+    columns = (first + (np.arange(40) + 0.5) * scale).astype(int)
+    apart = np.abs(row[columns] - 0.45 * ramp[0].astype(float) / 65535)
+    assert np.median(apart) < 0.01
+    assert not app.stale
+    for index in scene.split("train"):
+        assert nearest_photo(scene, scene.views[index].camera) == index
 
 
 # ---- frames ---------------------------------------------------------------------------------------------------------

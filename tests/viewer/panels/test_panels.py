@@ -65,6 +65,7 @@ from viewer.model.state import (
     SampleRef,
     SetDisc,
     SetPointDepth,
+    ShownNotice,
     StartFilmExport,
 )
 from viewer.panels.walk import Space
@@ -266,6 +267,8 @@ def test_opening_a_folder_keeps_the_options(screen: Screen) -> None:
     state.settings = RunSettings(LoadOptions(downscale=4), seed=3)
     opened = OpenScene(Path("captures/fox"), state.settings, train=True)
     assert screen.click(PANELS.get("scene")(), state, "scene.open") == [opened]
+    paused = replace(opened, train=False)
+    assert screen.click(PANELS.get("scene")(), state, "scene.open_paused") == [paused]
 
 
 def test_the_next_capture_is_opened_at_the_size_that_was_chosen(screen: Screen) -> None:
@@ -1001,16 +1004,20 @@ def test_the_view_panel_uses_the_names_of_the_commands(screen: Screen, monkeypat
 # ---- notices ----------------------------------------------------------------------------------------------------
 
 
-def test_an_error_stays_until_it_is_dismissed(screen: Screen) -> None:
+def test_a_toast_stays_as_long_as_it_takes_to_read_it(screen: Screen) -> None:
     panel, state = PANELS.get("toasts")(), states()["failed"]
-    for now, shown in ((100.0, {0, 2}), (5000.0, {2})):  # warnings are only in the panel and the status bar
+    error = state.notices[2]
+    # warnings are only in the panel and the status bar
+    for now, shown in ((100.0, {0, 2}), (error.born + 30.0, {2}), (error.born + 5000.0, set())):
         state.time = now
         for _ in range(3):
             screen.frame(panel, state)
         assert {int(name.split(".")[1]) for name in screen.widgets if name.endswith("dismiss")} == shown
+    longer = ShownNotice(replace(error.notice, text=100 * error.notice.text), error.born)
+    assert longer.ends > error.ends
+    state.time = 100.0
     screen.click(panel, state, "toasts.2.dismiss")
     assert state.notices[2].dismissed
-    assert not screen.widgets
 
 
 @pytest.mark.parametrize("name", ["toasts", "notices"])

@@ -13,7 +13,7 @@ import scripted
 from nerf_core.common.errors import UserError
 from nerf_core.common.signals import Signals
 from nerf_core.datasets.capture import DATASETS
-from nerf_core.live.messages import Command, Inspect, Notice
+from nerf_core.live.messages import Command, Inspect, Notice, Train
 from nerf_core.methods import METHODS
 from nerf_core.training.settings import RunSettings
 from viewer.app.app import App
@@ -40,6 +40,26 @@ def test_the_window_shows_which_plugins_cannot_be_loaded(
         ("warning", "the method nope cannot be loaded"),
         ("warning", "the dataset never cannot be loaded"),
     ]
+
+
+@pytest.mark.parametrize(
+    ("wishes", "trains"),
+    [(Wishes(), True), (Wishes(load=Path("x")), False), (Wishes(load=Path("x"), seconds=5.0), True)],
+)
+def test_a_checkpoint_that_is_only_looked_at_stays_as_it_is(
+    offscreen: Callable[..., Window], wishes: Wishes, trains: bool
+) -> None:
+    with Signals() as signals:
+        session = Session(offscreen((320, 200)), RunSettings(), signals, print)
+        try:
+            signals.received = signal.SIGTERM  # so that the window closes at once
+            sent: list[Command] = []
+            session.worker.send = lambda command: sent.append(command) or 0
+            session._attend(wishes)
+            assert [type(command) for command in sent] == ([Train] if trains else [])
+        finally:
+            del session.worker.send
+            session.close()
 
 
 class Refusing(scripted.ScriptedWorker):

@@ -1,0 +1,59 @@
+"""Show a training photo where there is no picture of the model yet."""
+
+from __future__ import annotations
+
+import numpy as np
+from imgui_bundle import ImVec2, ImVec4, imgui
+
+from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.scene import Scene
+
+from ..ui.contract import Ui
+from ..ui.widgets import packed
+
+DIMMED = ImVec4(0.45, 0.45, 0.45, 1.0)  # so that nobody takes the photo for what the model has learnt
+TEXTURE = "viewport.photo"
+
+
+def nearest_photo(scene: Scene, camera: Camera) -> int | None:
+    """Return the index of the training photo that was taken from nearest to a camera; None if there is none.
+
+    The distance is that of the centres in units of the scene's radius, plus one minus the cosine of the angle between
+    the directions in which they look.
+    """
+    train = scene.split("train")
+    if not train:
+        return None
+    c2w = np.stack([scene.views[k].camera.c2w for k in train])
+    apart = np.linalg.norm(c2w[:, :, 3] - camera.c2w[:, 3], axis=1) / scene.radius
+    return train[int(np.argmin(apart + 1 - c2w[:, :, 2] @ camera.c2w[:, 2]))]
+
+
+class NearestPhoto:
+    """Draws the photo that is nearest to the camera, dimmed, in the middle of the viewport."""
+
+    def __init__(self) -> None:
+        self._made: tuple[Scene, int, np.ndarray] | None = None
+
+    def draw(self, ui: Ui, draw: imgui.ImDrawList, scene: Scene, camera: Camera, origin: ImVec2) -> str:
+        """Draw it as large as fits into the viewport; return the photo's name, "" if there is none."""
+        index = nearest_photo(scene, camera)
+        if index is None:
+            return ""
+        if self._made is None or self._made[0] is not scene or self._made[1] != index:
+            self._made = scene, index, _pixels(scene.photos.images[index], max(camera.width, camera.height))
+        rgba = self._made[2]
+        scale = min(camera.width / rgba.shape[1], camera.height / rgba.shape[0])
+        width, height = rgba.shape[1] * scale, rgba.shape[0] * scale
+        low = ImVec2(origin.x + (camera.width - width) / 2, origin.y + (camera.height - height) / 2)
+        high = ImVec2(low.x + width, low.y + height)
+        ends = ImVec2(0, 0), ImVec2(1, 1)
+        draw.add_image(ui.texture(TEXTURE, rgba), low, high, *ends, packed(DIMMED))
+        return scene.views[index].name
+
+
+def _pixels(photo: np.ndarray, most: int) -> np.ndarray:
+    """Return a photo (H, W, 3) uint16 as uint8 RGBA with sides of about `most` pixels at most."""
+    step = max(1, -(-max(photo.shape[:2]) // most))
+    rgb = (photo[::step, ::step] >> 8).astype(np.uint8)
+    return np.dstack([rgb, np.full(rgb.shape[:2], 255, np.uint8)])
