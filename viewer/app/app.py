@@ -130,7 +130,7 @@ class App:
             if new.loaded != old.loaded and new.scene is not None:
                 self.state.camera.set_scene(new.scene)
                 self.state.inspect = self.state.current_view = None
-                self.state.checkpoint_file = ""
+                self.state.checkpoint_file = self.state.not_opened = ""
                 for shown in self.state.notices:  # what went wrong with another scene is over
                     shown.dismissed |= shown.notice.level == "error"
         self._focus_behind()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import textwrap
+
 import moderngl
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
@@ -199,14 +201,19 @@ def _why_empty(state: AppState) -> tuple[str, str]:
             return "No picture: the worker failed", "see Notices"
         case "empty":
             keys = ", ".join(USER_COMMANDS.get("file.open").keys)
+            if state.not_opened:
+                return "Nothing is open", f"{state.not_opened}\n{keys} opens another folder of posed photos"
             return "Nothing is open", f"{keys} opens a folder of posed photos"
         case _:
             return "The first picture is on its way", ""
 
 
 def _centred(ui: PanelUi, draw: imgui.ImDrawList, origin: ImVec2, size: ImVec2, lines: tuple[str, str]) -> None:
+    """A line, and quieter ones under it, which are wrapped to the viewport's width."""
+    room = max(int((size.x - 2 * ui.em) / (0.5 * ui.em)), 20)  # letters; few are wider than half an em
+    quiet = [part for line in lines[1].splitlines() for part in textwrap.wrap(line, room)]
     y = origin.y + 0.5 * size.y - ui.em
-    for line, color in zip(lines, (ui.theme.text, ui.theme.muted), strict=True):
+    for line, color in [(lines[0], ui.theme.text), *((part, ui.theme.muted) for part in quiet)]:
         width = imgui.calc_text_size(line).x
         x = origin.x + max(0.5 * (size.x - width), 0.5 * ui.em)
         draw.add_text(ImVec2(int(x), int(y)), packed(color), line)

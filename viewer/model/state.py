@@ -138,6 +138,7 @@ class AppState:
     rays_file: str = "rays.json"  # *
     model_file: str = ""  # *
     open_path: str = ""  # *
+    not_opened: str = ""  # why the capture of the command line is not open
     settings: RunSettings = field(default_factory=RunSettings)  # * settings for the next capture
     focus_open: bool = False  # * give the scene panel's path field the keyboard in the next frame
     raise_panel: str = ""  # * title of the panel whose tab comes to the front in the next frame

@@ -76,13 +76,23 @@ class Session:
             self._rescue.closing(status)
 
     def _run(self, script: Script, data: Path | None, wishes: Wishes) -> int:
+        serving = self.window.has_display and not wishes.any_file()
         try:
-            script.open(data, self.settings)
+            try:
+                script.open(data, self.settings)
+            except UserError as error:
+                if not serving:
+                    raise
+                self._say_in_window(str(error))
+                self._rescue.attend()
+                self._save_unsaved(wishes.save)  # of what was opened instead
+                nothing = self.worker.snapshot().scene is None
+                return 128 + self.signals.received if self.signals.received else 2 * nothing
             script.prepare()
             if wishes.folder is not None:
                 files = "a screenshot, an orbit and the inspection of one ray"
                 self.say(f"training first, then {files} go to {wishes.folder}")
-            if self.window.has_display and not wishes.any_file():
+            if serving:
                 self._attend(wishes)
             else:
                 script.run()
@@ -98,6 +108,14 @@ class Session:
             self._rescue.attend()
             self._save_unsaved(wishes.save)
         return 128 + self.signals.received if self.signals.received else 0
+
+    def _say_in_window(self, error: str) -> None:
+        """Serve the user, with a window that says why the capture was not opened: a launcher shows no terminal."""
+        print(f"{APP}: {error}", file=sys.stderr)
+        self.app.state.not_opened = error
+        for shown in self.app.state.notices:
+            shown.dismissed = True  # the viewport says it
+        self.app.run(lambda: self.signals.received is not None)
 
     def _attend(self, wishes: Wishes) -> None:
         """Serve the user until the window closes. A capture trains; a loaded checkpoint does if that is asked for."""

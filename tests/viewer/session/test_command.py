@@ -28,13 +28,14 @@ from nerf_core.common.errors import UserError
 from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.cameras import camera_rays
-from nerf_core.live.messages import MOST_PINS
+from nerf_core.live.messages import MOST_PINS, OpenScene
 from nerf_core.rendering.images import to_bytes
 from nerf_core.rendering.modes import COLOR, mode_names
 from nerf_core.training import checkpoint
 from nerf_core.training.last_save import forget_old_autosaves, spare_files
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
+from viewer.app.app import App
 from viewer.cli import main
 from viewer.session.script import Script
 from viewer.session.wishes import Wishes
@@ -362,15 +363,46 @@ def test_closing_a_training_window_loses_nothing(screen: dict[str, str], tmp_pat
     assert not list(tmp_path.glob("*.mp4"))
 
 
-def test_a_window_ends_with_one_line_about_a_mistake(screen: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrong_option_ends_the_window_with_one_line(screen: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in screen.items():
         monkeypatch.setenv(name, value)
-    done = viewer("nowhere")
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert "nowhere" in done.stderr
     done = viewer("--scale", "2")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "--scale 2" in done.stderr
+
+
+def test_a_window_says_why_a_capture_is_not_open(
+    screen: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From a launcher there is no terminal to read it in."""
+    for name, value in screen.items():
+        monkeypatch.setenv(name, value)
+    photos = tmp_path / "holiday"
+    photos.mkdir()
+    iio.imwrite(photos / "a.png", np.zeros((8, 8, 3), np.uint8))
+    shot = tmp_path / "window.png"
+
+    def look(app: App, _: object) -> None:
+        assert str(photos) in app.state.not_opened
+        app.screenshot(shot)
+        assert "toasts.0.dismiss" not in app.widgets  # the viewport says it
+        app.perform(OpenScene(None, RunSettings(load=LoadOptions(downscale=8))))
+        limit = time.monotonic() + PATIENCE
+        while app.state.snapshot.scene is None and time.monotonic() < limit:
+            app.window.poll(0.02)
+            app.frame(force=True)
+        assert app.state.not_opened == ""
+
+    monkeypatch.setattr(App, "run", look)
+    done = viewer(*TINY, str(photos))
+    assert (done.returncode, done.stderr.count("\n")) == (0, 1)  # another scene was opened
+    assert str(photos) in done.stderr
+    monkeypatch.setattr(App, "run", lambda *_: None)
+    assert viewer(*TINY, str(photos)).returncode == 2
+    assert shot.is_file()
+    done = viewer(*TINY, str(photos), "--screenshot", str(tmp_path / "other.png"))  # writes files: nobody looks
+    assert done.returncode == 2
+    assert not (tmp_path / "other.png").exists()
 
 
 def test_offscreen_without_requests_a_picture_an_orbit_and_a_ray_are_written(
