@@ -5,12 +5,14 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from nerf_core.common.errors import shorten
 from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.coverage import Coverage
 from nerf_core.geometry.ndc import Ndc
 from nerf_core.geometry.photos import Photos
 
@@ -82,6 +84,21 @@ class Scene:
             if self.split(name):
                 return name, self.split(name)
         return "test", ()
+
+    @cached_property
+    def coverage(self) -> Coverage:
+        """The space that training rays cross."""
+        cameras = [self.views[i].camera for i in self.split("train")]
+        return Coverage.of(cameras, self.near, self.far, self.center, self.radius)
+
+    @cached_property
+    def poses(self) -> np.ndarray:
+        """The poses of all cameras, (N, 3, 4)."""
+        return np.array([view.camera.c2w for view in self.views], dtype=np.float64).reshape(-1, 3, 4)
+
+    def owns(self, camera: Camera) -> bool:
+        """Return whether a camera stands where one of the capture's cameras stood, and looks the same way."""
+        return bool((self.poses == camera.c2w).all((1, 2)).any())
 
     def summary(self) -> str:
         """Describe in words what the loading options decide."""

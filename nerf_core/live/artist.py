@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import time
 
-from nerf_core.geometry.cameras import camera_rays
+import torch
+
+from nerf_core.geometry.view_rays import view_rays
 from nerf_core.live.messages import Inspect, Pin, Preview, ViewRequest
 from nerf_core.live.opened_ray import OpenedRay
 from nerf_core.live.pins import Pins
@@ -100,15 +102,15 @@ class Artist:
             self._level = 0, 0.0
         begin = time.perf_counter()
         cells = picture.take(self._model.tile)
-        rays = camera_rays(picture.camera, trainer.scene.near, trainer.scene.far, picture.pixels(cells))
+        rays = view_rays(trainer.scene, picture.camera, picture.pixels(cells))
         if picture.mode == COLOR:
             drawn = self._model.render(rays, picture.quality)
             color = drawn.color.cpu().numpy()
         else:
             trace = traced(self._model, rays)
             drawn, color = trace.rendering, shaded(self._model, rays, trace, picture.mode)
-        # distance along the ray → depth along the optical axis: `far`, never 0, is that axis' bound on every ray
-        z = drawn.depth.cpu() * trainer.scene.far / rays.far
+        # distance along the ray → depth along the optical axis, −z of the camera
+        z = drawn.depth.cpu() * (rays.directions @ -torch.from_numpy(picture.camera.c2w[:, 2]).float())
         picture.write(cells, color, z.numpy(), self._model_step)
         if picture.level_done and picture.coherent():  # the next piece may be of the next level, with other weights
             self._ready = picture.image()

@@ -10,6 +10,7 @@ from nerf_core.common.errors import UserError
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.rays import Rays, Samples, Trace
 from nerf_core.geometry.scene import Scene
+from nerf_core.geometry.view_rays import beginning
 from nerf_core.methods import Method, traced
 from nerf_core.probe.records import PassProbe, RayProbe
 from nerf_core.rendering.images import tile_rays
@@ -113,4 +114,5 @@ def open_ray(method: Method, scene: Scene, camera: Camera, pixel: tuple[int, int
         depth_strongest=float(last.t[int(np.argmax(last.weights))]) if opacity > 0 else None,
         rendered_color=rendered.color[i].cpu().numpy(),
         background=background,
+        begins=beginning(scene, camera, float(rays.near[i])),
     )

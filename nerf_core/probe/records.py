@@ -48,8 +48,8 @@ class RayProbe:
     pixel: integer column and row in the camera's picture.
     origin: (3,) the camera's centre, in world units.
     direction: (3,) unit, from the camera outwards.
-    near, far: the scene's bounds on this ray, extended to where passes have weight; far is at most FARTHEST times the
-        scene's bound.
+    near, far: the bounds of this ray (`nerf_core.geometry.view_rays`), extended to where passes have weight; far is at
+        most FARTHEST times the bound.
     passes: coarse before fine. The last one makes the pixel.
     color: (3,) composited from the last pass over the background: Σ w c + (1 − Σ w) background (NeRF Eq. 3).
     opacity: Σ w of the last pass, at most 1.
@@ -58,6 +58,7 @@ class RayProbe:
     depth_strongest: the sample with the largest weight. None if no sample has any.
     rendered_color: (3,) the same pixel as the renderer draws it.
     background: (3,) the scene's background colour.
+    begins: why the ray begins at `near`, in words.
     """
 
     step: int
@@ -74,6 +75,7 @@ class RayProbe:
     depth_strongest: float | None
     rendered_color: np.ndarray
     background: np.ndarray
+    begins: str = ""
 
     def point_t(self) -> float:
         """Return the default distance of the ray's point.

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from nerf_core.geometry.camera import Camera
-from nerf_core.geometry.cameras import camera_rays
 from nerf_core.geometry.rays import Rays, Rendering
 from nerf_core.geometry.scene import Scene
+from nerf_core.geometry.view_rays import view_rays
 from nerf_core.methods import Method
 
 
@@ -26,9 +26,12 @@ def tiles(method: Method, camera: Camera, scene: Scene) -> Iterator[Rays]:
 
 
 def tile_rays(camera: Camera, scene: Scene, start: int, count: int) -> Rays:
-    """Return the rays of `count` pixels from pixel `start` on, counted row by row; fewer at the end of the picture."""
+    """Return the rays of `count` pixels from pixel `start` on, counted row by row; fewer at the end of the picture.
+
+    Their bounds are those of `view_rays`.
+    """
     flat = np.arange(start, min(start + count, camera.width * camera.height))
-    return camera_rays(camera, scene.near, scene.far, np.stack([flat % camera.width, flat // camera.width], -1))
+    return view_rays(scene, camera, np.stack([flat % camera.width, flat // camera.width], -1))
 
 
 def render_camera(

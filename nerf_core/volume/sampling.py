@@ -11,17 +11,20 @@ PDF_FLOOR = 1e-5
 
 
 def spaced(
-    near: Float[Tensor, " R"], far: Float[Tensor, " R"], count: int, disparity: bool
+    near: Float[Tensor, " R"], far: Float[Tensor, " R"], count: int, disparity: bool, trained: float = 0.0
 ) -> Float[Tensor, "R count"]:
     """Evenly spaced depths from near to far, both included.
 
     near, far: (R,). count: depths a ray. disparity: space them evenly in 1/t in place of t.
+    trained: the least `near` of a training ray. A ray that begins nearer is spaced evenly in 1/(t + s), with
+    s = trained − near: its first steps are as long as a training ray's, also if it begins at 0.
     Returns (R, count).
     """
     u = torch.linspace(0, 1, count, device=near.device, dtype=near.dtype)
     near, far = near[:, None], far[:, None]
     if disparity:
-        return 1 / ((1 - u) / near + u / far)
+        shift = (trained - near).clamp(min=0)
+        return 1 / ((1 - u) / (near + shift) + u / (far + shift)) - shift
     return near + (far - near) * u
 
 

@@ -136,6 +136,8 @@ class RayPanel:
         ]
         for label, name, glyph in DEPTHS:
             rows.append((label, number(getattr(ray, name), 5), partial(_glyph, ui, glyph)))
+        if ray.begins:
+            rows.append(("t begins", f"{number(ray.near, 3)}, {ray.begins}"))
         counts = " + ".join(f"{len(p.t):,}" for p in ray.passes)
         rows.append(("samples", f"{counts} at step {ray.step:,}"))
         figures(ui, "ray figures", rows)

@@ -53,7 +53,7 @@ class NerfModel(MlpModel):
     def __init__(self, scene: Scene, config: NerfConfig, device: torch.device, seed: int) -> None:
         names = ("coarse", "fine") if config.fine_samples else ("coarse",)
         super().__init__(scene, config, device, torch.Generator(device).manual_seed(seed), names)
-        self.disparity = scene.disparity
+        self.disparity, self.near = scene.disparity, scene.near
         self.tile = config.tile or self._fitting_tile()
         self._alive = dict.fromkeys(self.networks, 1.0)
 
@@ -69,7 +69,7 @@ class NerfModel(MlpModel):
 
     def coarse_u(self, p: Parametrised, random: bool) -> Tensor:
         """Return the parameters u (R, N_c) of the coarse samples: evenly spaced, or each at random in its bin."""
-        u = spaced(p.near, p.far, self.config.coarse_samples, self.disparity and self.ndc is None)
+        u = spaced(p.near, p.far, self.config.coarse_samples, self.disparity and self.ndc is None, self.near)
         return stratified(u, self.generator) if random else u
 
     def _fine_u(self, coarse_u: Tensor, weights: Tensor, random: bool) -> Tensor:
