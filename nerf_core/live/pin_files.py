@@ -23,7 +23,10 @@ from nerf_core.probe.history import BINS
 T = TypeVar("T")
 D = TypeVar("D")
 FIELD = "watched"
-MOST_RAYS, MOST_RECORDS = 64, 5000  # a schedule makes some 280 records of a ray; twice its steps, some 30 more
+MOST_RAYS, MOST_RECORDS = (
+    64,
+    5000,
+)  # a schedule of 30,000 steps makes some 400 records of a ray; twice its steps, some 40 more
 N = -1  # records
 SHAPES = {"edges": (BINS + 1,), "steps": (N,), "weights": (N, BINS), "color": (N, 3), "depth": (N,), "opacity": (N,)}
 

@@ -2,30 +2,28 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from nerf_core.probe.records import RayHistory, RayProbe
 
 BINS = 96  # bins over t in a record
-RECORDS = 240  # records over a whole schedule, spaced evenly in log(step)
+# A record follows another after 1 / SHARE of the steps since the first. So they are even in log(step), without a look
+# at how long the schedule is: every step up to 100, over 200 by step 1,000, and some 400 by step 30,000.
+SHARE = 50
 
 
 class HistoryRecorder:
-    """Collects the records of one ray, at training steps that are spaced evenly in their logarithm."""
+    """Collects the records of one ray, at training steps that are spaced evenly in their logarithm; see SHARE."""
 
     def __init__(self, first: int, last: int) -> None:
-        """Plan the steps at which records are due.
+        """Begin without records.
 
         Args:
             first: the training step at which the ray is watched first.
-            last: the step at which the training schedule ends. Later records go on at the same rate.
+            last: the step at which the training schedule ends: a record is due there, too.
         """
-        span = max(last - first, 1)
-        self._first, self._factor = first, math.expm1(math.log1p(max(last, RECORDS)) / RECORDS)
-        self._due = first + log_spaced(span, RECORDS)
-        self._next = 0  # the next of those steps, as an index
+        self._first, self._asked = first, {last}  # the latter: steps besides the regular ones
+        self._due = first  # the step at which the next record is due
         self._edges: np.ndarray | None = None
         self._rows: list[tuple[int, np.ndarray, np.ndarray, float, float]] = []
         self._view: RayHistory | None = None
@@ -40,7 +38,7 @@ class HistoryRecorder:
             last: the step at which the training schedule ends.
         """
         recorder = HistoryRecorder(int(history.steps[0]), last)
-        recorder._due = np.union1d(recorder._due, [step])
+        recorder._asked.add(step)
         recorder._edges = history.edges
         steps, depth, opacity = history.steps.tolist(), history.depth.tolist(), history.opacity.tolist()
         recorder._rows = list(zip(steps, history.weights, history.color, depth, opacity, strict=True))
@@ -49,10 +47,7 @@ class HistoryRecorder:
 
     def due(self, step: int) -> bool:
         """Return whether a record is due at a training step."""
-        if self._next == len(self._due):  # training continues past its schedule
-            beyond = int(self._due[-1]) - self._first
-            self._due = np.append(self._due, self._first + beyond + max(1, round(beyond * self._factor)))
-        return step >= int(self._due[self._next])
+        return step >= self._due
 
     def add(self, ray: RayProbe) -> None:
         """Add a record of the ray; ask `due` before. It is ignored unless its step is later than the last record's."""
@@ -63,13 +58,20 @@ class HistoryRecorder:
         depth = np.nan if ray.depth_median is None else ray.depth_median
         self._rows.append((ray.step, binned(ray, self._edges), ray.color, depth, ray.opacity))
         self._view = None
-        self._next = int(np.searchsorted(self._due, ray.step, "right"))
+        self._due = self._after(ray.step)
 
     def rewind(self, step: int) -> None:
         """Drop the records after `step`, because training went back to it. They become due again."""
         self._rows = [row for row in self._rows if row[0] <= step]
-        self._next = int(np.searchsorted(self._due, self._rows[-1][0], "right")) if self._rows else 0
+        self._due = self._after(self._rows[-1][0]) if self._rows else self._first
         self._view = None
+
+    def _after(self, step: int) -> int:
+        """Return the first step after `step` at which a record is due. The regular ones do not depend on the others."""
+        due = self._first
+        while due <= step:
+            due += max(1, (due - self._first) // SHARE)
+        return min([due, *(asked for asked in self._asked if asked > step)])
 
     def view(self) -> RayHistory | None:
         """Return the records so far; None if there are none."""
@@ -100,18 +102,3 @@ def binned(ray: RayProbe, edges: np.ndarray) -> np.ndarray:
     total = np.concatenate([[0], np.cumsum(np.nan_to_num(last.weights), dtype=np.float64)])
     knots = np.maximum.accumulate(np.stack([t, until], -1).ravel() + 1e-12 * np.arange(2 * len(t)))
     return np.diff(np.interp(edges, knots, np.stack([total[:-1], total[1:]], -1).ravel())).astype(np.float32)
-
-
-def log_spaced(last: int, count: int) -> np.ndarray:
-    """Return at least min(count, last + 1) different integers k from 0 to `last`, ascending.
-
-    They are spaced evenly in log(1 + k), except where rounding to integers prevents this.
-    """
-    if last + 1 <= count:
-        return np.arange(last + 1)
-    more = count
-    while True:
-        found = np.unique(np.round(np.expm1(np.linspace(0, np.log1p(last), more))).astype(np.int64))
-        if len(found) >= count:
-            return found
-        more = int(1.2 * more) + 1
