@@ -148,7 +148,7 @@ def test_an_exception_is_reported_once_and_the_thread_lives(
     desk = open_desk()
     scene = desk.worker.snapshot().scene
     with monkeypatch.context() as context:
-        context.setattr("nerf_core.live.artist.camera_rays", boom)
+        context.setattr("nerf_core.live.artist.view_rays", boom)
         desk.worker.request_view(view_of(scene, 1))
         notice = desk.until_told("the worker failed: RuntimeError: boom")
         assert notice.detail.startswith("Traceback")

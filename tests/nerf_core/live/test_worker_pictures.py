@@ -204,7 +204,7 @@ def test_a_picture_without_memory_does_not_stop_training(
     training = desk.until(lambda s: s.step > 1)
     scene = training.scene
     with monkeypatch.context() as context:
-        context.setattr("nerf_core.live.artist.camera_rays", full)
+        context.setattr("nerf_core.live.artist.view_rays", full)
         desk.worker.request_view(view_of(scene, 1))
         desk.until_told("out of device memory for a picture (2 GiB are free): ")
     with monkeypatch.context() as context:
