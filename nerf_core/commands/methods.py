@@ -20,7 +20,7 @@ class Methods:
 
     order: ClassVar[int] = 5
 
-    name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME", help="A method; none: list them.")] = ""
+    name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[NAME]", help="A method; none: list them.")] = ""
 
     def run(self, signals: Signals) -> int:
         if not self.name:

@@ -35,7 +35,7 @@ class Train:
     order: ClassVar[int] = 0
 
     training: TrainOptions
-    data: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="DATA", help=DATA_HELP)] = None
+    data: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[DATA]", help=DATA_HELP)] = None
     out: Path | None = None
     """The run folder; by default runs/SCENE-METHOD."""
     resume: bool = False

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -29,7 +29,7 @@ class View:
     camera: Camera
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Scene:
     """Posed photos in the trainer's frame. It is frozen, so that threads can share it.
 
@@ -54,7 +54,7 @@ class Scene:
     name: str
     format: str
     views: tuple[View, ...]
-    photos: Photos = field(repr=False)
+    photos: Photos
     splits: dict[str, tuple[int, ...]]
     near: float
     far: float
@@ -68,6 +68,9 @@ class Scene:
     ndc: Ndc | None = None
     notes: tuple[str, ...] = ()
     landmarks: tuple[tuple[str, float, float], ...] = ()
+
+    def __repr__(self) -> str:
+        return f"Scene({self.name!r}, {self.format}: {self.summary()})"
 
     @property
     def images(self) -> tuple[np.ndarray, ...]:

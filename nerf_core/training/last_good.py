@@ -38,9 +38,7 @@ class LastGood:
         state = {name: value.detach().to("cpu", copy=True) for name, value in trainer.state().items()}
         broken = [n for n, v in state.items() if v.is_floating_point() and not bool(v.isfinite().all())]
         if broken:
-            raise Diverged(
-                f"step {trainer.step_count}: {broken[0]} is not finite; lower the learning rate (--set learning_rate=…)"
-            )
+            raise Diverged(f"step {trainer.step_count}: {broken[0]} is not finite; {trainer.advice}")
         self.description, self.state, self._time = trainer.describe(), state, time.monotonic()
 
     def restore(self, trainer: Trainer) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from nerf_core.common.configs import constants
 from nerf_core.common.device import pick_device, usable_cores
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.geometry.scene import IDENTITY, Scene
@@ -140,6 +141,13 @@ class Trainer:
         """The method's configuration as it is now: the chunk size may have been halved."""
         return self.method.config
 
+    @property
+    def advice(self) -> str:
+        """What to do about a loss or weights that are not finite, in a few words."""
+        rates = [name for name in constants(type(self.config)) if "rate" in name]
+        ways = " or ".join(f"--set {name}=…" for name in rates)
+        return f"lower the learning rate ({ways})" if ways else "take other constants (--set)"
+
     def step(self, yield_callback: Callable[[], None] = nothing) -> Report:
         """Do one optimiser step.
 
@@ -180,9 +188,7 @@ class Trainer:
         self.seconds += seconds
         self.step_count += 1
         if not math.isfinite(loss):
-            raise Diverged(
-                f"step {self.step_count}: the loss is {loss}; lower the learning rate (--set learning_rate=…)"
-            )
+            raise Diverged(f"step {self.step_count}: the loss is {loss}; {self.advice}")
         self.history.add(self.step_count, loss)
         note = ""
         if self.config != config:

@@ -68,7 +68,7 @@ class Actions:
             case SetDisc(around):
                 return 0 if state.inspect is None else self._perform(state.inspect.again(around=around))
             case SaveScreenshot(path):
-                self.screenshots.append(path)
+                self.screenshots.append(path.absolute())  # the notice says in which folder it is
             case StartFilmExport():
                 if scene is None:
                     raise UserError("there is no scene to film: open one first")

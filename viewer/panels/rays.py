@@ -67,7 +67,7 @@ def _draw_pin(ui: Ui, pin: Pin) -> Iterator[Action]:
     if button(ui, eye, f"rays.hide {pin.id}", tip="show in the viewport" if pin.hidden else "hide in the viewport"):
         yield EditPin(pin.id, hidden=not pin.hidden)
     imgui.same_line()
-    if button(ui, icons.ICON_FA_MAGNIFYING_GLASS, f"rays.open {pin.id}", tip="open this ray in the panels below"):
+    if button(ui, icons.ICON_FA_MAGNIFYING_GLASS, f"rays.open {pin.id}", tip="open this ray in the panels"):
         yield pin.inspect()
     imgui.same_line()
     if button(ui, icons.ICON_FA_XMARK, f"rays.remove {pin.id}", tip="remove it and its history"):

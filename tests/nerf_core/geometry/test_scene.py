@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.ndc import Ndc
 from nerf_core.geometry.photos import Photos
@@ -61,3 +62,9 @@ def test_an_older_checkpoint_is_taken_with_a_warning_where_its_hash_differs(roun
     assert "its poses are not compared" in rounded_scene.doubt(older)
     assert not rounded_scene.is_of(older | {"scene_name": "cubes"})
     assert not rounded_scene.is_of(older | {"scene_summary": "photos of 9×9 pixels"})
+
+
+def test_a_scene_is_printed_in_a_line() -> None:
+    scene = load_scene(None, LoadOptions(downscale=8))
+    assert repr(scene).startswith("Scene('demo', demo: photos of 25×25 pixels (")
+    assert len(repr(scene)) < 200

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from nerf_core.datasets import load_scene
 from nerf_core.training import checkpoint, last_save
 from nerf_core.training.loop import Goal, Progress, train_run
 from nerf_core.training.run_folder import RunFolder
@@ -196,3 +197,11 @@ def test_a_run_whose_folder_takes_nothing_is_saved_elsewhere(
     assert [text.partition(": cannot be written: ")[0] for text in warnings[:-1]] == [str(own)]
     assert warnings[-1] == f"step 2 is saved to {saved}: move it to {own}, to continue the run"
     assert checkpoint.load(saved)[0]["step"] == 2
+
+
+@pytest.mark.parametrize(("method", "names"), [("voxels", ["rate_color", "rate_density"]), ("nerf", ["learning_rate"])])
+def test_the_advice_names_constants_that_the_method_has(
+    capture: Path, tiny: RunSettings, method: str, names: list[str]
+) -> None:
+    trainer = Trainer(load_scene(capture, tiny.load), RunSettings(method=method, device="cpu", load=tiny.load))
+    assert trainer.advice == f"lower the learning rate ({' or '.join(f'--set {name}=…' for name in names)})"
