@@ -9,16 +9,32 @@ PILLOW_BYTES = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2, "I;16L": 2, "LA":
 PACKED_BITS = {"I;16": 16, "LA": 16, "RGB": 24, "RGBA": 32}  # grey and palettes may take one bit a pixel
 
 
-def least_bytes(kind: str, mode: str, pixels: int) -> int:
+# The most bytes that a stored byte can stand for, by Pillow's names of the compressions of TIFF and BMP. A code of LZW
+# has 9 bits or more and stands for 4,096 bytes at most. Fax compressions have no bound.
+MOST_PER_BYTE: dict[object, int] = {
+    "raw": 1,
+    "packbits": 64,
+    "tiff_lzw": 3641,
+    "tiff_adobe_deflate": DEFLATE,
+    "tiff_deflate": DEFLATE,
+    0: 1,
+}
+
+
+def least_bytes(kind: str, mode: str, pixels: int, compression: object = None) -> int:
     """Return the fewest bytes that a sound file can have, or 0 where the format has no such bound.
 
     Args:
         kind: Pillow's name of the format.
         mode: Pillow's name of the pixel type. Grey and palettes may be stored with one bit a pixel.
         pixels: width times height.
+        compression: Pillow's name of the compression, for formats that have several.
     """
+    stored = pixels * PACKED_BITS.get(mode, 1) // 8
     if kind == "PNG":
-        return pixels * PACKED_BITS.get(mode, 1) // 8 // DEFLATE
+        return stored // DEFLATE
+    if kind in ("TIFF", "BMP") and compression in MOST_PER_BYTE:
+        return stored // (2 if kind == "BMP" else 1) // MOST_PER_BYTE[compression]  # a BMP packs colour into 16 bits
     return pixels // HUFFMAN_PIXELS if kind == "JPEG" else 0
 
 

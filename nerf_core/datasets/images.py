@@ -76,7 +76,8 @@ def measure(path: Path) -> Header:
     with _opened(path) as image, _damage_named(path):
         pixels = image.width * image.height
         _refuse_bomb(path, pixels)
-        stored, least = path.stat().st_size, least_bytes(image.format or "", image.mode, pixels)
+        compression = image.info.get("compression")
+        stored, least = path.stat().st_size, least_bytes(image.format or "", image.mode, pixels, compression)
         if stored < least:
             raise OSError(f"claims {image.width}×{image.height} pixels, which its {stored:,} bytes cannot hold")
         return Header(*image.size, _orientation(image), image.has_transparency_data)

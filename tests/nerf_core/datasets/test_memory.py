@@ -68,6 +68,29 @@ def test_the_best_compressed_png_is_no_damage(tmp_path: Path) -> None:
     assert measure(tmp_path / "flat.jpg").width == 3000
 
 
+def test_a_tiff_or_bmp_that_cannot_hold_its_pixels_is_damaged(tmp_path: Path) -> None:
+    width = (123).to_bytes(2, "little")
+    for name in ("hollow.tiff", "hollow.bmp"):
+        path = tmp_path / name
+        Image.new("RGB", (123, 20)).save(path)
+        data = bytearray(path.read_bytes())
+        at = data.index(width, 8)  # where the header has the width
+        data[at : at + len(width)] = (30_000).to_bytes(2, "little")
+        path.write_bytes(data)
+        with pytest.raises(UnreadableError, match=r"claims 30000×20 pixels, which its [\d,]+ bytes cannot hold"):
+            measure(path)
+
+
+def test_the_best_compressed_tiff_or_bmp_is_no_damage(tmp_path: Path) -> None:
+    for compression in ("raw", "packbits", "tiff_lzw", "tiff_adobe_deflate", "tiff_deflate"):
+        for mode in ("1", "L", "P", "RGB", "RGBA", "I;16"):
+            Image.new(mode, (3000, 3000)).save(tmp_path / "flat.tiff", compression=compression)
+            assert measure(tmp_path / "flat.tiff").width == 3000
+    for mode in ("1", "L", "P", "RGB", "RGBA"):
+        Image.new(mode, (3000, 3000)).save(tmp_path / "flat.bmp")
+        assert measure(tmp_path / "flat.bmp").width == 3000
+
+
 def exr(path: Path, side: int, size: int, compression: int = 3) -> Path:
     def attribute(name: bytes, kind: bytes, value: bytes) -> bytes:
         return name + b"\0" + kind + b"\0" + struct.pack("<i", len(value)) + value
