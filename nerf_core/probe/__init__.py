@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from nerf_core.probe.ray import open_ray
     from nerf_core.probe.records import Opened, PassProbe, RayHistory, RayProbe, Truth
     from nerf_core.probe.report import check_format, inspection, write_inspection
-    from nerf_core.probe.sightings import FAR_DEGREES, Sightings, diffuse_of, unseen
+    from nerf_core.probe.sightings import FAR_DEGREES, Sightings, mean_emitted, unseen
     from nerf_core.probe.standing import Layer, Standing, Verdict
     from nerf_core.probe.verdict import judge
     from nerf_core.probe.walkthrough import truth_of, walk
@@ -30,7 +30,7 @@ _HOMES = {
     "ray": ("open_ray",),
     "records": ("Opened", "PassProbe", "RayHistory", "RayProbe", "Truth"),
     "report": ("check_format", "inspection", "write_inspection"),
-    "sightings": ("FAR_DEGREES", "Sightings", "diffuse_of", "unseen"),
+    "sightings": ("FAR_DEGREES", "Sightings", "mean_emitted", "unseen"),
     "standing": ("Layer", "Standing", "Verdict"),
     "verdict": ("judge",),
     "walkthrough": ("truth_of", "walk"),
@@ -53,11 +53,11 @@ __all__ = [
     "Truth",
     "Verdict",
     "check_format",
-    "diffuse_of",
     "disc_grid",
     "inspection",
     "judge",
     "layers_of",
+    "mean_emitted",
     "open_pixel",
     "open_radiance",
     "open_ray",

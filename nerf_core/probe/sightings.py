@@ -59,15 +59,15 @@ class Sightings:
         return replace(self, **{f.name: getattr(self, f.name)[index] for f in fields(self) if f.name not in rows})
 
 
-def diffuse_of(sightings: Sightings) -> np.ndarray | None:
-    """Return the part of a point's colour that does not depend on the view, (3,).
+def mean_emitted(sightings: Sightings) -> np.ndarray | None:
+    """Return the mean colour that a point emits towards the photos that see it, (3,).
 
-    It is, for each channel, the minimum over the photos that see the point. The rest is specular: it is added to the
-    diffuse colour and depends on the view. None if fewer than FEWEST_LOOKS photos see the point, or if the method has
-    no radiance at a point.
+    What a direction emits beside this mean, positive or negative, depends on the view. Directions that no photo
+    observed do not count: nothing tells the model what to emit there. None if fewer than FEWEST_LOOKS photos see the
+    point, or if the method has no radiance at a point.
     """
     emitted = sightings.emitted[sightings.seen]
-    return emitted.min(0) if len(emitted) >= FEWEST_LOOKS and not np.isnan(emitted).any() else None
+    return emitted.mean(0) if len(emitted) >= FEWEST_LOOKS and not np.isnan(emitted).any() else None
 
 
 def unseen(directions: np.ndarray, evidence: Sightings | None) -> np.ndarray:

@@ -18,8 +18,8 @@ from nerf_core.probe import (
     SPHERE_ROWS,
     RadianceProbe,
     Sightings,
-    diffuse_of,
     disc_grid,
+    mean_emitted,
     unseen,
 )
 
@@ -148,13 +148,12 @@ def _choices(ui: Ui, state: AppState) -> Iterator[Action]:
 
 
 def _numbers(ui: Ui, state: AppState, pictures: Pictures) -> None:
-    """How view-dependent the point is, and the part of its colour that all directions share."""
+    """How view-dependent the point is, and its mean colour over the directions in which photos saw it."""
     rows: list[Row] = [("view-dependence", number(pictures.probe.dependence, 3))]
-    diffuse = diffuse_of(pictures.evidence) if pictures.evidence is not None else None
-    if diffuse is not None:
-        rest = np.maximum(pictures.probe.back_rgb - diffuse, 0)
-        rows.append(("diffuse", triple(diffuse), partial(swatch, ui, diffuse)))
-        rows.append(("specular in this ray", triple(rest), partial(swatch, ui, rest)))
+    mean = mean_emitted(pictures.evidence) if pictures.evidence is not None else None
+    if mean is not None:
+        rows.append(("observed mean", triple(mean), partial(swatch, ui, mean)))
+        rows.append(("difference here", vector(pictures.probe.back_rgb - mean)))  # signed: it has no colour
     if state.frozen_ray:
         hint(ui, "These are of the point alone:")
     figures(ui, "numbers", rows)

@@ -23,7 +23,7 @@ from panel_states import (
 )
 
 from nerf_core.common.configs import constants
-from nerf_core.common.text import triple
+from nerf_core.common.text import triple, vector
 from nerf_core.datasets import LoadOptions
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.lens import Lens
@@ -781,7 +781,7 @@ def test_directions_far_from_every_photo_are_hatched() -> None:
 
 
 @pytest.mark.parametrize("around", ["viewer", "normal"])
-def test_specular_is_the_colour_on_the_ray_minus_the_diffuse_one(
+def test_the_difference_is_the_colour_on_the_ray_minus_the_mean_of_the_observed(
     screen: Screen, around: Literal["viewer", "normal"], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """However the disc is turned, and wherever the camera has moved since."""
@@ -796,8 +796,9 @@ def test_specular_is_the_colour_on_the_ray_minus_the_diffuse_one(
     turned = replace(radiance, around=around, directions=-radiance.directions[::-1], rgb=radiance.rgb[::-1])
     state.snapshot = replace(state.snapshot, opened=replace(opened, radiance=turned))
     screen.frame(PANELS.get("radiance")(), state)
-    expected = np.maximum(radiance.back_rgb - evidence.emitted[evidence.seen].min(0), 0)
-    assert shown["specular in this ray"] == triple(expected)
+    mean = evidence.emitted[evidence.seen].mean(0)
+    assert shown["observed mean"] == triple(mean)
+    assert shown["difference here"] == vector(radiance.back_rgb - mean)
 
 
 def test_a_slice_shows_the_models_colours_and_those_of_the_photos_near_it(
