@@ -19,6 +19,7 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from captures import orbit_pose
@@ -148,7 +149,7 @@ def readers(base: Path) -> dict[str, Reader]:  # noqa: PLR0915  a list of reader
     found: dict[str, Reader] = {}
     pixels = np.random.default_rng(0).integers(0, 256, (16, 24, 3), dtype=np.uint8)
 
-    def photo(name: str, suffix: str, image: Image.Image, **options: object) -> None:
+    def photo(name: str, suffix: str, image: Image.Image, **options: Any) -> None:
         file = base / f"{name}.{suffix}"
         image.save(file, **options)
 
