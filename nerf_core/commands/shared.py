@@ -17,10 +17,10 @@ MOVED_HELP = "Where the capture is now, if it moved."
 
 
 @contextmanager
-def loading() -> Iterator[Callable[[int, int], None]]:
-    """A progress display for photos; yields what to call as (photos done, photos in all)."""
+def loading() -> Iterator[Callable[[str, int, int], None]]:
+    """A progress display for photos; yields what to call as (what is done, photos done, photos in all)."""
     with Display("loading") as display:
-        yield lambda done, total: display.show(done / total, f"{done} of {total} photos")
+        yield lambda words, done, total: display.show(done / total, f"{words}: {done:,} of {total:,}")
 
 
 def restored(run: RunFolder, data: Path | None, device: str) -> Trainer:

@@ -19,11 +19,13 @@ from PIL import ExifTags, Image, ImageCms, ImageFile
 from nerf_core.common.errors import UserError
 from nerf_core.datasets.claims import HEAVY_BYTES, decoding_bytes, least_bytes
 from nerf_core.datasets.exr import exr_header, exr_pixels
-from nerf_core.datasets.resample import composite
+from nerf_core.datasets.resample import Rows, composite
 
 MAX_PIXELS = 200_000_000  # no camera has more: a file that claims more is a decompression bomb
-MAX_EXR_PIXELS = 50_000_000  # decoding one takes some 60 bytes a pixel
+EXR_BYTES = 60  # a pixel: ffmpeg's picture, and the planes in float
+MAX_EXR_PIXELS = 50_000_000
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".exr")
+EIGHT_BITS = ("1", "L", "P", "RGB", "CMYK", "YCbCr")  # Pillow's names of opaque pixel types
 DEEP_GREY = ("I;16", "I;16B", "I;16L")
 BROKEN = (
     OSError,
@@ -54,12 +56,21 @@ class UnreadableError(Exception):
 
 @dataclass(frozen=True)
 class Header:
-    """A photo's header: stored size in pixels, EXIF orientation (1: upright), whether it has alpha."""
+    """A photo's header.
+
+    width, height: the stored size in pixels.
+    orientation: of EXIF; 1 is upright.
+    alpha: whether it has transparency.
+    memory: the bytes that decoding it takes.
+    eight_bits: whether its colours have 8 bits, also after alpha and profile.
+    """
 
     width: int
     height: int
     orientation: int
     alpha: bool
+    memory: int
+    eight_bits: bool
 
 
 def measure(path: Path) -> Header:
@@ -72,7 +83,7 @@ def measure(path: Path) -> Header:
         with _damage_named(path):
             width, height, alpha = exr_header(path)
         _refuse_bomb(path, width * height, MAX_EXR_PIXELS)
-        return Header(width, height, 1, alpha)
+        return Header(width, height, 1, alpha, EXR_BYTES * width * height, False)
     with _opened(path) as image, _damage_named(path):
         pixels = image.width * image.height
         _refuse_bomb(path, pixels)
@@ -80,7 +91,9 @@ def measure(path: Path) -> Header:
         stored, least = path.stat().st_size, least_bytes(image.format or "", image.mode, pixels, compression)
         if stored < least:
             raise OSError(f"claims {image.width}×{image.height} pixels, which its {stored:,} bytes cannot hold")
-        return Header(*image.size, _orientation(image), image.has_transparency_data)
+        alpha = image.has_transparency_data
+        eight_bits = not alpha and image.mode in EIGHT_BITS and ";16" not in _packing(image)
+        return Header(*image.size, _orientation(image), alpha, decoding_bytes(image.mode, pixels), eight_bits)
 
 
 def damage_notes(damaged: Sequence[str]) -> tuple[str, ...]:
@@ -111,22 +124,27 @@ def read_photo(
         UnreadableError: for damaged files.
     """
     if path.suffix.lower() == ".exr":
-        with _damage_named(path), HEAVY:  # ffmpeg and the planes in float take 60 bytes a pixel
-            return composite(exr_pixels(path), size, background)
-    with _opened(path) as image, _damage_named(path):
-        orientation = _orientation(image)
-        wanted = (size[1], size[0]) if upright and orientation >= 5 else size
+        with HEAVY:
+            with _damage_named(path):
+                linear = exr_pixels(path)
+            return composite(linear, size, background)
+    with _opened(path) as image:
         heavy = decoding_bytes(image.mode, image.width * image.height) > HEAVY_BYTES
         with HEAVY if heavy else nullcontext():
-            if heavy:
-                _draft(image, wanted)
-            if heavy and _plain(image) and not (upright and orientation > 1):
-                image.load()
-                return composite(Strips(image), size, background)
-            pixels = _decoded(image, path)
-            if upright:
-                pixels = _turned(pixels, orientation)
+            with _damage_named(path):
+                pixels = _rows(image, path, size, upright, heavy)
             return composite(pixels, size, background)
+
+
+def _rows(image: ImageFile.ImageFile, path: Path, size: tuple[int, int], upright: bool, heavy: bool) -> Rows:
+    """Decode a photo. A heavy one is decoded near the wanted size where its format can, and copied by rows."""
+    orientation = _orientation(image) if upright else 1
+    if heavy:
+        _draft(image, (size[1], size[0]) if orientation >= 5 else size)
+    if heavy and _plain(image) and orientation == 1:
+        image.load()
+        return Strips(image)
+    return _turned(_decoded(image, path), orientation)
 
 
 class Strips:
@@ -141,13 +159,17 @@ class Strips:
 
 def _plain(image: ImageFile.ImageFile) -> bool:
     """Whether Pillow's pixels are those that `composite` takes: 8-bit sRGB, with or without alpha."""
-    packing = str(image.tile[0].args) if image.format == "PNG" and image.tile else ""
     return (
         image.mode in ("RGB", "RGBA")
         and "transparency" not in image.info
-        and ";16" not in packing
+        and ";16" not in _packing(image)
         and _foreign_profile(image) is None
     )
+
+
+def _packing(image: ImageFile.ImageFile) -> str:
+    """How a PNG stores a pixel, in Pillow's words ("RGB;16B"); empty for other formats."""
+    return str(image.tile[0].args) if image.format == "PNG" and image.tile else ""
 
 
 def _draft(image: ImageFile.ImageFile, wanted: tuple[int, int]) -> None:
@@ -231,7 +253,7 @@ def _deep(image: ImageFile.ImageFile, path: Path) -> np.ndarray | None:
     """
     if image.mode in DEEP_GREY:
         return np.asarray(image).astype(np.uint16)[..., None]
-    packing = str(image.tile[0].args) if image.format == "PNG" and image.tile else ""
+    packing = _packing(image)
     if packing in ("RGB;16B", "RGBA;16B"):
         high = np.asarray(image)
         return high.astype(np.uint16) << 8 | _repacked(path, packing[:-1] + "L")

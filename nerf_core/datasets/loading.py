@@ -12,17 +12,17 @@ from typing import TypeVar
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.datasets.calibration import fitted, oddities
 from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions
+from nerf_core.datasets.claims import HEAVY_BYTES
 from nerf_core.datasets.geometry import normalise
 from nerf_core.datasets.images import Header, UnreadableError, damage_notes, measure, read_photo
 from nerf_core.datasets.recognise import recognise
 from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene, View
 
-Progress = Callable[[int, int], None]
+Progress = Callable[[str, int, int], None]
 T = TypeVar("T")
 WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 LARGEST_SIDE = 1_000_000  # in pixels: no photo has more
-BYTES_PER_PIXEL = 6  # uint16 RGB
 THREADS = min(
     4, os.cpu_count() or 1
 )  # decoders release the GIL; each holds a whole photo, so that more threads would take much memory
@@ -34,7 +34,8 @@ def load_scene(path: Path | None, options: LoadOptions, progress: Progress | Non
     Args:
         path: a folder or a .json file; None opens the demo scene.
         options: the user's choices.
-        progress: called as (photos done, photos in all) from this thread; it may raise to cancel.
+        progress: called as (what is done, photos done, photos in all) from this thread, first "checking photos", then
+            "loading photos"; it may raise to cancel.
 
     Returns:
         The scene. `Scene.notes` has warnings about what is odd but harmless.
@@ -46,11 +47,12 @@ def load_scene(path: Path | None, options: LoadOptions, progress: Progress | Non
     try:
         source, name, notes = recognise(path, options.format)
         capture = DATASETS.get(name).read(source, options)
-        capture, headers, damaged = _readable(capture)
-        capture, upright, size_notes = _sized(capture, headers, options)
+        capture, headers, damaged = _readable(capture, progress)
+        capture, upright, eight_bits, size_notes = _sized(capture, headers, options)
+        _refuse_heavy(capture, headers, options)
         normalised = normalise(capture, options)
         background = _background(capture, headers, options)
-        photos, kept, more_damaged = _photos(capture, upright, background, progress)
+        photos, kept, more_damaged = _photos(capture, upright, eight_bits, background, progress)
     except OSError as error:
         raise UserError(
             f"{error.filename or path}: {error.strerror or error}: check the path and its rights"
@@ -90,9 +92,9 @@ def check_options(options: LoadOptions) -> None:
         raise UserError(f"--memory-gb is {options.memory_gb}: give how many GB the photos may take, more than 0")
 
 
-def _readable(capture: Capture) -> tuple[Capture, list[Header], list[str]]:
+def _readable(capture: Capture, progress: Progress | None) -> tuple[Capture, list[Header], list[str]]:
     """Drop the photos that are not images. Returns the rest, their headers, and the fault of each dropped photo."""
-    found = _map(lambda i: measure(capture.photos[i].path), range(len(capture.photos)), None)
+    found = _map(lambda i: measure(capture.photos[i].path), range(len(capture.photos)), "checking photos", progress)
     damaged = [str(v) for v in found if isinstance(v, UnreadableError)]
     kept = [i for i, v in enumerate(found) if isinstance(v, Header)]
     if not kept:
@@ -100,10 +102,12 @@ def _readable(capture: Capture) -> tuple[Capture, list[Header], list[str]]:
     return capture.keeping(kept), [v for v in found if isinstance(v, Header)], damaged
 
 
-def _sized(capture: Capture, headers: Sequence[Header], options: LoadOptions) -> tuple[Capture, list[bool], list[str]]:
+def _sized(
+    capture: Capture, headers: Sequence[Header], options: LoadOptions
+) -> tuple[Capture, list[bool], bool, list[str]]:
     """Scale the cameras to the sizes at which photos will be loaded.
 
-    Returns the capture, which photos must be rotated by EXIF, and notes.
+    Returns the capture, which photos must be rotated by EXIF, whether 8 bits hold all photos, and notes.
     """
     notes = oddities([photo.camera for photo in capture.photos])
     upright = [fitted(p, h) for p, h in zip(capture.photos, headers, strict=True)]
@@ -118,7 +122,10 @@ def _sized(capture: Capture, headers: Sequence[Header], options: LoadOptions) ->
         1.0, options.downscale / capture.reduced
     )  # the folder may hold smaller photos than the user asked for
     further, sizes = 1, [_target(shape, options, downscale) for shape in shapes]
-    while BYTES_PER_PIXEL * sum(w * h for w, h in sizes) > options.memory_gb * 1e9:
+    while True:
+        eight_bits = sizes == shapes and all(h.eight_bits for h in headers)  # averaging makes more than 8
+        if (3 if eight_bits else 6) * sum(w * h for w, h in sizes) <= options.memory_gb * 1e9:
+            break
         further += 1
         sizes = [_target(shape, options, downscale, further) for shape in shapes]
     if further > 1:
@@ -127,7 +134,17 @@ def _sized(capture: Capture, headers: Sequence[Header], options: LoadOptions) ->
             f"{options.memory_gb:g} GB: raise --memory-gb to keep their size"
         )
     photos = tuple(replace(p, camera=p.camera.resized(*size)) for p, size in zip(capture.photos, sizes, strict=True))
-    return replace(capture, photos=photos), upright, notes
+    return replace(capture, photos=photos), upright, eight_bits, notes
+
+
+def _refuse_heavy(capture: Capture, headers: Sequence[Header], options: LoadOptions) -> None:
+    """Raise UserError if decoding a photo would take more than the photos may. Heavy ones are decoded one at a time."""
+    for photo, header in zip(capture.photos, headers, strict=True):
+        if header.memory > max(options.memory_gb * 1e9, HEAVY_BYTES):
+            raise UserError(
+                f"{photo.path}: decoding its {header.width}×{header.height} pixels takes {header.memory / 1e9:.1f} GB, "
+                f"--memory-gb allows {options.memory_gb:g}: raise it, or save the photo smaller"
+            )
 
 
 def _target(size: tuple[int, int], options: LoadOptions, downscale: float, further: int = 1) -> tuple[int, int]:
@@ -151,23 +168,29 @@ def _background(capture: Capture, headers: Sequence[Header], options: LoadOption
 
 
 def _photos(
-    capture: Capture, upright: Sequence[bool], background: tuple[float, float, float], progress: Progress | None
+    capture: Capture,
+    upright: Sequence[bool],
+    eight_bits: bool,
+    background: tuple[float, float, float],
+    progress: Progress | None,
 ) -> tuple[Photos, list[int], list[str]]:
     """Read all photos. Returns them, the indices of those that could be read, and the fault of each of the others."""
     sizes = [(photo.camera.width, photo.camera.height) for photo in capture.photos]
-    photos = Photos.empty(sizes)
+    photos = Photos.empty(sizes, eight_bits)
 
     def read(i: int) -> None:
-        photos.images[i][:] = read_photo(capture.photos[i].path, sizes[i], background, upright[i])
+        photos.put(i, read_photo(capture.photos[i].path, sizes[i], background, upright[i]))
 
-    found = _map(read, range(len(capture.photos)), progress)
+    found = _map(read, range(len(capture.photos)), "loading photos", progress)
     damaged = [str(v) for v in found if isinstance(v, UnreadableError)]
     if len(damaged) == len(found):
         raise UserError(f"none of the {len(found)} photos can be read ({damaged[0]}): save them as PNG or JPEG")
     return photos, [i for i, v in enumerate(found) if v is None], damaged
 
 
-def _map(work: Callable[[int], T], items: Sequence[int], progress: Progress | None) -> list[T | UnreadableError]:
+def _map(
+    work: Callable[[int], T], items: Sequence[int], words: str, progress: Progress | None
+) -> list[T | UnreadableError]:
     """Do `work` for all items in threads, in order. Damaged photos are returned as errors; other errors cancel."""
 
     def guarded(i: int) -> T | UnreadableError:
@@ -182,7 +205,7 @@ def _map(work: Callable[[int], T], items: Sequence[int], progress: Progress | No
         for result in pool.map(guarded, items):
             results.append(result)
             if progress is not None:
-                progress(len(results), len(items))
+                progress(words, len(results), len(items))
     finally:
         pool.shutdown(cancel_futures=True)
     return results

@@ -18,7 +18,8 @@ class Rows(Protocol):
     def __getitem__(self, rows: slice, /) -> np.ndarray: ...
 
 
-ROWS_AT_ONCE = 64  # input rows: few enough to stay in the processor's cache
+ROWS_AT_ONCE = 64  # input rows at least: few enough to stay in the processor's cache
+PIXELS_AT_ONCE = 1 << 16  # of narrow photos, whose rows would cost more by their number than by their pixels
 BAND_BYTES = 32_000_000  # of float rows in work at once: a whole large photo in float would take gigabytes
 
 
@@ -54,11 +55,13 @@ def composite(pixels: Rows, size: tuple[int, int], background: tuple[float, floa
 def _bands(blocks: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
     """Join blocks of rows into bands of about BAND_BYTES, because many small blocks cost time and one costs memory."""
     waiting: list[np.ndarray] = []
+    total = 0
     for block in blocks:
         waiting.append(block)
-        if sum(b.nbytes for b in waiting) >= BAND_BYTES:
+        total += block.nbytes
+        if total >= BAND_BYTES:
             yield np.concatenate(waiting)
-            waiting = []
+            waiting, total = [], 0
     if waiting:
         yield np.concatenate(waiting)
 
@@ -75,7 +78,7 @@ def average_rows(image: np.ndarray, count: int, decode: Decode) -> np.ndarray:
 def averaged_blocks(image: Rows, count: int, decode: Decode) -> Iterator[np.ndarray]:
     """Yield the result of `average_rows` a few rows at a time, from the top."""
     rows = image.shape[0]
-    at_once = max(1, ROWS_AT_ONCE * count // rows)
+    at_once = max(1, max(ROWS_AT_ONCE, PIXELS_AT_ONCE // image.shape[1]) * count // rows)
     for start in range(0, count, at_once):
         r = np.arange(start, min(start + at_once, count))
         first, last = r * rows // count, -(-(r + 1) * rows // count)

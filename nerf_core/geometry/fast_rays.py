@@ -8,6 +8,7 @@ from torch import Tensor
 
 from nerf_core.common.jit.cache import numba_obstacle
 from nerf_core.common.jit.shards import each_shard, shards_of, split
+from nerf_core.geometry.photos import WIDEN
 
 
 def fast_rays(
@@ -39,19 +40,20 @@ def photo_colors(index: Tensor, pixel: Tensor, widths: Tensor, starts: Tensor, f
         pixel: (R, 2) integer column and row.
         widths: (N,) the width of each photo.
         starts: (N,) the row of `flat` at which each photo begins.
-        flat: (P, 3) uint16, the pixels of all photos.
+        flat: (P, 3) uint8 or uint16 (full range = 1), the pixels of all photos.
 
     Returns:
         sRGB colours (R, 3), float32 in [0, 1].
     """
+    scale = WIDEN if flat.dtype == np.uint8 else 1
     if numba_obstacle():
         at = starts[index] + pixel[:, 1] * widths[index] + pixel[:, 0]
-        return torch.from_numpy(flat[at.numpy()].astype(np.float32) / 65535)
+        return torch.from_numpy(flat[at.numpy()].astype(np.float32) * scale / 65535)
     from nerf_core.geometry.numba_rays import colors
 
     count = len(index)
     found = torch.empty(count, 3)
     given, out = [v.contiguous().numpy() for v in (index, pixel, widths, starts)], found.numpy()
     shards = shards_of(count, torch.get_num_threads())
-    each_shard(shards, lambda s: colors(*given, flat, *split(count, shards, s), out))
+    each_shard(shards, lambda s: colors(*given, flat, scale, *split(count, shards, s), out))
     return found

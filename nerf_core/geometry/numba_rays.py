@@ -47,10 +47,12 @@ def rays(
 
 
 @jit
-def colors(index: Any, pixels: Any, widths: Any, starts: Any, flat: Any, first: Any, last: Any, found: Any) -> None:
-    """Write the colours of integer `pixels` of photos `index`. Photo n begins at starts[n] of `flat` (P, 3) uint16."""
+def colors(
+    index: Any, pixels: Any, widths: Any, starts: Any, flat: Any, scale: Any, first: Any, last: Any, found: Any
+) -> None:
+    """Write the colours of integer `pixels`. Photo n begins at starts[n] of `flat` (P, 3); 1 is 65535 / `scale`."""
     for r in range(first, last):
         n = index[r]
         at = starts[n] + pixels[r, 1] * widths[n] + pixels[r, 0]
         for c in range(3):
-            found[r, c] = np.float32(flat[at, c]) / np.float32(65535)
+            found[r, c] = np.float32(scale * flat[at, c]) / np.float32(65535)

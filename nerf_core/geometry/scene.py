@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -37,7 +37,7 @@ class Scene:
     format: a name of `DATASETS`.
     views: names and cameras of the photos.
     photos: one per view, sRGB-encoded, 65535 = 1, composited over `background`. 16 bits hold 8-bit and 16-bit photos
-        exactly, and averaged ones without visible error.
+        exactly, and averaged ones without visible error; photos that are all of 8 bits are kept in 8.
     splits: indices into `views` for each name of SPLITS that the capture has.
     near, far: the z-depths (along the optical axis, not the ray) that enclose the content, in scene units.
     background: the colour behind the content, in [0, 1], sRGB-encoded.
@@ -73,7 +73,7 @@ class Scene:
         return f"Scene({self.name!r}, {self.format}: {self.summary()})"
 
     @property
-    def images(self) -> tuple[np.ndarray, ...]:
+    def images(self) -> Sequence[np.ndarray]:
         """The photos of all views, uint16 (H, W, 3)."""
         return self.photos.images
 
@@ -154,12 +154,13 @@ class Scene:
             ndc = replace(ndc, focal=number(ndc.focal), near=number(ndc.near), far=number(ndc.far))
         digest.update(repr((*bounds, self.disparity, ndc)).encode())
         digest.update(repr(sorted((k, tuple(v)) for k, v in self.splits.items())).encode())
-        for view, image in zip(self.views, self.images, strict=True):
+        for k, (view, (width, height)) in enumerate(zip(self.views, self.photos.sizes.tolist(), strict=True)):
             digest.update(view.name.encode())
             digest.update(repr(tuple(number(v) for v in view.camera.intrinsics())).encode())
             c2w = [[number(v) for v in row] for row in view.camera.c2w.tolist()]
             digest.update(np.array(c2w, dtype="<f8").tobytes())
-            digest.update(
-                np.ascontiguousarray(image[:: max(1, image.shape[0] // 16), :: max(1, image.shape[1] // 16)]).tobytes()
+            sparse = self.photos.part(
+                k, slice(None, None, max(1, height // 16)), slice(None, None, max(1, width // 16))
             )
+            digest.update(np.ascontiguousarray(sparse).tobytes())
         return digest.hexdigest()

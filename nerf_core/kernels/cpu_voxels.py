@@ -194,4 +194,5 @@ def _compile() -> None:
     index, pair = torch.zeros(1, dtype=torch.long), torch.ones(1, 2, dtype=torch.float64)
     lens, c2w = torch.zeros(1, 5, dtype=torch.float64), torch.eye(4, dtype=torch.float64)[None, :3]
     fast_rays(index, pair, pair, pair, lens, c2w, 1.0, 2.0)
-    photo_colors(index, torch.zeros(1, 2, dtype=torch.long), index + 1, index, np.zeros((1, 3), np.uint16))
+    for pixels in (np.zeros((1, 3), np.uint8), np.zeros((1, 3), np.uint16)):
+        photo_colors(index, torch.zeros(1, 2, dtype=torch.long), index + 1, index, pixels)

@@ -8,7 +8,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 
-from nerf_core.live.messages import FIRST_RUN, Command, Notice, Quit, Snapshot, ViewRequest
+from nerf_core.live.messages import FIRST_RUN, CancelLoading, Command, Notice, Quit, Snapshot, ViewRequest
 
 
 class Mailbox:
@@ -34,6 +34,7 @@ class Mailbox:
         self._painted: deque[float] = deque(maxlen=1000)
         self._arrived = threading.Event()
         self._quit = threading.Event()
+        self._loads_until = 0  # the newest command that ends the loading of commands before it
 
     # ---- the window's side ------------------------------------------------------------------------------------------
 
@@ -44,6 +45,8 @@ class Mailbox:
             The command's number. Notices that answer it have it as `Notice.command`.
         """
         number = next(self._numbers)
+        if isinstance(command, Quit | CancelLoading):
+            self._loads_until = number
         self._commands.append((number, command))
         if isinstance(command, Quit):
             self._quit.set()
@@ -85,6 +88,10 @@ class Mailbox:
     def quitting(self) -> bool:
         """Whether Quit was sent. Commands before it are still done, but a scene that is loading is abandoned."""
         return self._quit.is_set()
+
+    def must_not_load(self, command: int) -> bool:
+        """Return whether what this command loads is no longer wanted: Quit or CancelLoading was sent after it."""
+        return self._loads_until > command
 
     # ---- the worker's side ------------------------------------------------------------------------------------------
 

@@ -69,6 +69,13 @@ class OpenScene(OfRun):
 
 
 @dataclass(frozen=True)
+class CancelLoading(OfRun):
+    """Abandon the loading that commands before this one began; the scene and the model that are open stay."""
+
+    quick: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
 class OpenRun(OfRun):
     """Add run number `run`: a fresh model of `method` on the scene of run `like`; then train it, if `train`."""
 
@@ -231,8 +238,9 @@ class Quit:
 
 
 Command = (
-    OpenScene | OpenRun | CloseRun | Train | Pause | Reset | UseMethod | SetShare | SaveCheckpoint | LoadCheckpoint
-    | Inspect | StopInspecting | PinRay | EditPin | UnpinRay | ExportRays | StartExport | CancelExport | Quit
+    OpenScene | CancelLoading | OpenRun | CloseRun | Train | Pause | Reset | UseMethod | SetShare | SaveCheckpoint
+    | LoadCheckpoint | Inspect | StopInspecting | PinRay | EditPin | UnpinRay | ExportRays | StartExport
+    | CancelExport | Quit
 )  # fmt: skip
 
 # ---- from the worker -----------------------------------------------------------------------------------------

@@ -127,8 +127,8 @@ class Run:
     def open(self, path: Path | None, settings: RunSettings) -> None:
         """Load a capture and make a model of it. If anything fails, the open scene and model stay."""
 
-        def progress(done: int, total: int) -> None:
-            self._busy_with(f"loading photos: {done} of {total}", now=False)
+        def progress(words: str, done: int, total: int) -> None:
+            self._busy_with(f"{words}: {done:,} of {total:,}", now=False)
 
         with self._busy(f"opening {path or 'the demo scene'}"):
             scene = load_scene(path, settings.load, progress)

@@ -155,7 +155,8 @@ class Worker:
         try:
             self._obey(command)
         except _Abandoned:
-            pass  # Quit waits
+            if not self._mailbox.quitting:
+                self._tell(Notice("info", "loading was cancelled: what was open stays open"))
         except Exception as error:
             self._fail(error, command.run if isinstance(command, messages.OfRun) else FIRST_RUN)
         finally:
@@ -166,6 +167,8 @@ class Worker:
         match command:
             case messages.SetShare(share, rule):
                 self._scheduler.set_share(share, rule)
+            case messages.CancelLoading():
+                pass  # what was loading has ended
             case messages.Quit():
                 self._ended = True
             case messages.OpenRun(method, like, train):
@@ -206,8 +209,8 @@ class Worker:
         self._mailbox.request_view(None, run.number)
 
     def _say_loading(self, now: bool) -> None:
-        """Show how far loading is. Raises _Abandoned if Quit waits."""
-        if self._mailbox.quitting:
+        """Show how far loading is. Raises _Abandoned if it is no longer wanted."""
+        if self._mailbox.must_not_load(self._command):
             raise _Abandoned
         self._publish(force=now)
 

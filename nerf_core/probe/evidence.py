@@ -131,7 +131,7 @@ class TrainingViews:
         """
         colors = np.zeros((len(index), 3), np.float32)
         for k, (view, (x, y)) in enumerate(zip(self.views[index], np.floor(pixels).astype(int), strict=True)):
-            colors[k] = self.scene.images[view][y, x] / np.float32(65535)
+            colors[k] = self.scene.photos.part(view, y, x) / np.float32(65535)
         return colors
 
     def _traced(

@@ -35,7 +35,7 @@ def truth_of(scene: Scene, camera: Camera, ray: RayProbe) -> Truth | None:
         width, height = view.camera.width, view.camera.height
         if z > 0 and 0 <= place[0] < width and 0 <= place[1] < height:  # false for NaN
             x, y = int(place[0]), int(place[1])
-            return Truth(k, (x, y), scene.images[k][y, x] / np.float32(65535))
+            return Truth(k, (x, y), scene.photos.part(k, y, x) / np.float32(65535))
     return None
 
 

@@ -133,9 +133,9 @@ def shrunk(photos: Photos, sizes: Sequence[tuple[int, int]], factor: int) -> Pho
         factor: the side of a block, in pixels.
     """
     small = Photos.empty(sizes)
-    for image, room in zip(photos.images, small.images, strict=True):
-        height, width = room.shape[:2]
+    for k, image in enumerate(photos.images):
+        width, height = sizes[k]
         side = min(factor, *image.shape[:2])
         blocks = image[: height * side, : width * side].reshape(height, side, width, side, 3)
-        room[:] = blocks.mean((1, 3), dtype=np.float32) + np.float32(0.5)
+        small.put(k, (blocks.mean((1, 3), dtype=np.float32) + np.float32(0.5)).astype(np.uint16))
     return small

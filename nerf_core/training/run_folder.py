@@ -177,14 +177,14 @@ class RunFolder:
         return data, _filled(RunSettings, Fields(given, self.config_file, "settings."))
 
     def restore(
-        self, data: Path | None = None, on: str = "auto", progress: Callable[[int, int], None] | None = None
+        self, data: Path | None = None, on: str = "auto", progress: Callable[[str, int, int], None] | None = None
     ) -> tuple[Trainer, tuple[str, ...]]:
         """Load the newest intact checkpoint with its scene.
 
         Args:
             data: where the dataset is now, if it has moved; None: where config.json says.
             on: the device, such as "cpu"; "auto" picks one.
-            progress: called as (photos done, photos in all) while photos load; it may raise to cancel.
+            progress: called as (what is done, photos done, photos in all) while photos load; it may raise to cancel.
 
         Returns:
             The trainer, which has the scene, and warnings for the user, a line each.

@@ -41,7 +41,7 @@ class NearestPhoto:
         if index is None:
             return ""
         if self._made is None or self._made[0] is not scene or self._made[1] != index:
-            self._made = scene, index, _pixels(scene.photos.images[index], max(camera.width, camera.height))
+            self._made = scene, index, scene.photos.small(index, max(camera.width, camera.height))
         rgba = self._made[2]
         scale = min(camera.width / rgba.shape[1], camera.height / rgba.shape[0])
         width, height = rgba.shape[1] * scale, rgba.shape[0] * scale
@@ -50,10 +50,3 @@ class NearestPhoto:
         ends = ImVec2(0, 0), ImVec2(1, 1)
         draw.add_image(ui.texture(TEXTURE, rgba), low, high, *ends, packed(DIMMED))
         return scene.views[index].name
-
-
-def _pixels(photo: np.ndarray, most: int) -> np.ndarray:
-    """Return a photo (H, W, 3) uint16 as uint8 RGBA with sides of about `most` pixels at most."""
-    step = max(1, -(-max(photo.shape[:2]) // most))
-    rgb = (photo[::step, ::step] >> 8).astype(np.uint8)
-    return np.dstack([rgb, np.full(rgb.shape[:2], 255, np.uint8)])

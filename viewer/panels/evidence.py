@@ -33,7 +33,7 @@ class EvidencePanel:
     def __init__(self) -> None:
         self._of: Sightings | None = None
         self._sheet = np.zeros((1, 1, 4), np.uint8)
-        self._photo_of: np.ndarray | None = None
+        self._photo_of: tuple[Scene, int] | None = None
         self._large = self._sheet
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
@@ -62,11 +62,8 @@ class EvidencePanel:
     def _photo(self, ui: Ui, scene: Scene, evidence: Sightings, k: int, ray: RayProbe) -> None:
         """The whole photo with the point and the ray's epipolar line."""
         view = int(evidence.views[k])
-        if self._photo_of is not scene.images[view]:
-            image = scene.images[view]
-            step = max(1, -(-max(image.shape[:2]) // PHOTO))
-            small = (image[::step, ::step] >> 8).astype(np.uint8)
-            self._photo_of, self._large = image, np.dstack([small, np.full(small.shape[:2], 255, np.uint8)])
+        if self._photo_of is None or self._photo_of[0] is not scene or self._photo_of[1] != view:
+            self._photo_of, self._large = (scene, view), scene.photos.small(view, PHOTO)
         camera = scene.views[view].camera
         if not imgui.begin_tooltip():
             return
@@ -154,11 +151,11 @@ def _sheet(scene: Scene, evidence: Sightings) -> np.ndarray:
     sheet = np.full((count, THUMBNAIL, THUMBNAIL, 4), 255, np.uint8)
     half = THUMBNAIL // 2
     for k, view in enumerate(evidence.views[:SHOWN].tolist()):
-        image = scene.images[view]
+        width, height = scene.photos.sizes[view]
         x, y = np.floor(evidence.pixels[k]).astype(int)
         rows = np.clip(
-            np.arange(y - half, y + half + 1), 0, image.shape[0] - 1
+            np.arange(y - half, y + half + 1), 0, height - 1
         )  # beyond the edge the border pixels are repeated
-        columns = np.clip(np.arange(x - half, x + half + 1), 0, image.shape[1] - 1)
-        sheet[k, ..., :3] = image[rows[:, None], columns] >> 8
+        columns = np.clip(np.arange(x - half, x + half + 1), 0, width - 1)
+        sheet[k, ..., :3] = scene.photos.part(view, rows[:, None], columns) >> 8
     return sheet.reshape(-1, THUMBNAIL, 4)

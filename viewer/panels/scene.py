@@ -14,7 +14,7 @@ from imgui_bundle import imgui
 from nerf_core.common.configs import Constant, constants
 from nerf_core.common.text import number
 from nerf_core.geometry.scene import SPLITS, Scene
-from nerf_core.live.messages import OpenScene, UseMethod
+from nerf_core.live.messages import CancelLoading, OpenScene, UseMethod
 from nerf_core.methods import METHODS
 
 from ..commands.registry import USER_COMMANDS, run, with_keys
@@ -24,6 +24,7 @@ from ..ui.widgets import Confirmation, Row, button, exists, field_beside, field_
 
 DOWNSCALE, MOST = "downscale", 64
 OPEN, PAUSED, DEMO = f"{icons.ICON_FA_FOLDER_OPEN}  Open and train", "Open paused", "Demo"
+CANCEL = f"{icons.ICON_FA_XMARK}  Cancel"
 
 
 @PANELS.register("scene")
@@ -44,6 +45,8 @@ class ScenePanel:
         if snapshot.status == "loading":
             words = snapshot.loading or "loading …"
             hint(ui, words[:1].upper() + words[1:], ui.theme.accent)
+            if button(ui, CANCEL, "scene.cancel", tip="stop loading; what is open stays open"):
+                yield CancelLoading()
         elif scene is None:
             hint(ui, "No scene is open. Type the folder of a capture, or open the demo scene.")
             _offer_methods(ui, state)

@@ -112,7 +112,7 @@ def test_damaged_photos_are_skipped_and_counted(transforms_folder: Folder) -> No
 
 def test_memory_decides_the_size(transforms_folder: Folder) -> None:
     folder, _ = transforms_folder
-    whole = 10 * 24 * 16 * 6 / 1e9
+    whole = 10 * 24 * 16 * 3 / 1e9  # 8 bits a channel
     assert not load_scene(folder, LoadOptions(memory_gb=whole)).notes
     scene = load_scene(folder, LoadOptions(memory_gb=whole / 2))
     assert scene.images[0].shape == (8, 12, 3)
@@ -153,14 +153,14 @@ def test_odd_calibrations_are_noted(transforms_folder: Folder) -> None:
 
 def test_progress_counts_photos_and_may_cancel(transforms_folder: Folder) -> None:
     folder, _ = transforms_folder
-    calls: list[tuple[int, int]] = []
-    load_scene(folder, AUTO, lambda done, total: calls.append((done, total)))
-    assert calls == [(i, 10) for i in range(1, 11)]
+    calls: list[tuple[str, int, int]] = []
+    load_scene(folder, AUTO, lambda *call: calls.append(call))
+    assert calls == [(words, i, 10) for words in ("checking photos", "loading photos") for i in range(1, 11)]
 
     class StopError(Exception):
         pass
 
-    def stop(done: int, total: int) -> None:
+    def stop(words: str, done: int, total: int) -> None:
         raise StopError
 
     with pytest.raises(StopError):

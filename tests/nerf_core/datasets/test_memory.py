@@ -7,6 +7,7 @@ import sys
 import time
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +15,11 @@ from PIL import Image
 
 from nerf_core.common.errors import UserError
 from nerf_core.common.json_files import read_json
+from nerf_core.datasets import load_scene
+from nerf_core.datasets.capture import LoadOptions
 from nerf_core.datasets.exr import MAGIC
 from nerf_core.datasets.images import UnreadableError, measure, read_photo
+from nerf_core.datasets.resample import composite
 
 PEAK = """
 import resource, sys
@@ -150,3 +154,74 @@ def test_ten_thousand_frames_are_no_damage(tmp_path: Path) -> None:
     frame = {"file_path": "a.png", "transform_matrix": np.eye(4).tolist()} | {f"k{i}": 0.5 for i in range(16)}
     (tmp_path / "transforms.json").write_text(json.dumps({"frames": [frame] * 10_000}))
     assert len(read_json(tmp_path / "transforms.json").children("frames")) == 10_000
+
+
+@pytest.mark.parametrize("size", [(1, 1_000_000), (1_000_000, 1)])
+def test_a_narrow_photo_is_averaged_in_time(size: tuple[int, int]) -> None:
+    rows = np.broadcast_to(np.array([[[0, 100, 200]]], np.uint8), (size[1], size[0], 3))
+    start = time.process_time()
+    found = composite(rows, (min(size[0], 800), min(size[1], 800)), (0, 0, 0))
+    whole = composite(rows, size, (0, 0, 0))
+    assert time.process_time() - start < 5  # it took 15 s
+    assert (found // 257 == [0, 100, 200]).all()
+    assert (whole // 257 == [0, 100, 200]).all()
+
+
+def test_a_fault_of_ours_is_not_called_damage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise IndexError("a fault of ours")
+
+    Image.new("RGB", (4, 4)).save(tmp_path / "a.png")
+    monkeypatch.setattr("nerf_core.datasets.images.composite", broken)
+    with pytest.raises(IndexError, match="a fault of ours"):
+        read_photo(tmp_path / "a.png", (4, 4), (0, 0, 0))
+
+
+def test_photos_of_eight_bits_are_kept_in_eight(transforms_folder: tuple[Path, dict[str, Any]]) -> None:
+    folder, _ = transforms_folder
+    scene, small = load_scene(folder, LoadOptions()), load_scene(folder, LoadOptions(downscale=2))
+    assert (scene.photos.flat.dtype, small.photos.flat.dtype) == (np.uint8, np.uint16)
+    paths = sorted(folder.glob("**/*.png"))
+    for view, image in zip(scene.views, scene.images, strict=True):
+        (path,) = (path for path in paths if path.name == Path(view.name).name)
+        size = image.shape[1], image.shape[0]
+        np.testing.assert_array_equal(image, read_photo(path, size, scene.background, upright=True))
+
+
+@pytest.mark.parametrize("mode", ["1", "L", "P", "RGB", "CMYK", "YCbCr", "LA", "RGBA", "I;16"])
+def test_what_is_said_to_have_eight_bits_has_no_more(tmp_path: Path, mode: str) -> None:
+    rng = np.random.default_rng(1)
+    image = Image.fromarray(rng.integers(0, 256, (9, 11, 3), dtype=np.uint8))
+    if mode == "I;16":
+        image = Image.fromarray(rng.integers(0, 65536, (9, 11), dtype=np.uint16))
+    elif mode in ("LA", "RGBA"):
+        image.putalpha(Image.fromarray(rng.integers(0, 256, (9, 11), dtype=np.uint8)))
+        image = image.convert(mode)
+    else:
+        image = image.convert(mode)
+    for suffix in ("png", "tiff", "jpg", "webp", "bmp"):
+        path = tmp_path / f"a.{suffix}"
+        try:
+            image.save(path)
+        except (OSError, ValueError):  # the format has no such pixels
+            continue
+        if measure(path).eight_bits:
+            assert (read_photo(path, (11, 9), (0, 0, 0)) % 257 == 0).all()
+        else:
+            assert mode in ("LA", "RGBA", "I;16")
+
+
+def test_a_photo_that_takes_more_memory_than_allowed_is_refused(tmp_path: Path) -> None:
+    frame = {"file_path": "a.webp", "transform_matrix": np.eye(4).tolist()}
+    document = {"fl_x": 9000.0, "cx": 6000.0, "cy": 6000.0, "w": 12_000, "h": 12_000, "frames": [frame]}
+    (tmp_path / "transforms.json").write_text(json.dumps(document))
+    bits = (1 << 28) | (11_999 << 14) | 11_999  # alpha is used; the sizes less one
+    body = b"\x2f" + struct.pack("<I", bits) + bytes([0x88, 0x88, 0x08])
+    chunk = b"VP8L" + struct.pack("<I", len(body)) + body
+    chunk += b"\0" * (len(body) % 2)
+    (tmp_path / "a.webp").write_bytes(b"RIFF" + struct.pack("<I", 4 + len(chunk)) + b"WEBP" + chunk)
+    assert measure(tmp_path / "a.webp").memory == 12 * 12_000**2
+    with pytest.raises(
+        UserError, match=r"a\.webp: decoding its 12000×12000 pixels takes 1\.7 GB, --memory-gb allows 1"
+    ):
+        load_scene(tmp_path, LoadOptions(memory_gb=1, max_size=100))

@@ -12,6 +12,7 @@ import torch
 from desk import PATIENCE, Desk, orbit, view_of
 
 from nerf_core.live.messages import (
+    CancelLoading,
     Command,
     LoadCheckpoint,
     OpenScene,
@@ -203,16 +204,39 @@ def test_the_worker_calls_wake(tiny: RunSettings, capture: Path) -> None:
 def test_closing_while_a_scene_loads_is_no_failure(open_desk: OpenDesk, monkeypatch: pytest.MonkeyPatch) -> None:
     desk = open_desk(opened=False)
 
-    def slow(path: object, options: object, progress: Callable[[int, int], None]) -> None:
+    def slow(path: object, options: object, progress: Callable[[str, int, int], None]) -> None:
         for done in range(100_000):
             time.sleep(0.01)
-            progress(done, 100_000)
+            progress("loading photos", done, 100_000)
 
     monkeypatch.setattr("nerf_core.live.run.load_scene", slow)
     desk.send(OpenScene(None, desk.settings))
     desk.until(lambda s: s.status == "loading")
     assert desk.worker.stop(PATIENCE)
     assert desk.worker.notices() == []
+
+
+def test_loading_can_be_cancelled_and_leaves_what_is_open(
+    open_desk: OpenDesk, capture: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk = open_desk()
+    before = desk.trained(2)
+
+    def slow(path: object, options: object, progress: Callable[[str, int, int], None]) -> None:
+        for done in range(100_000):
+            time.sleep(0.01)
+            progress("loading photos", done, 100_000)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("nerf_core.live.run.load_scene", slow)
+        desk.send(OpenScene(None, desk.settings))
+        desk.until(lambda s: s.loading.startswith("loading photos"))
+        desk.send(CancelLoading())
+        assert desk.until_told("cancelled").level == "info"
+    after = desk.until(lambda s: s.status == "paused")
+    assert (after.scene, after.step, after.loaded) == (before.scene, before.step, before.loaded)
+    desk.send(OpenScene(capture, desk.settings))  # what is sent after the cancelling is not cancelled
+    assert desk.until(lambda s: s.loaded == before.loaded + 1).step == 0
 
 
 def test_training_for_nothing_is_refused(open_desk: OpenDesk) -> None:
