@@ -7,10 +7,8 @@ repeat one mutation (`--reader NAME --seed S --mutations 1`). It prints a table.
 from __future__ import annotations
 
 import argparse
-import json
 import random
 import re
-import struct
 import sys
 import tempfile
 import time
@@ -19,14 +17,9 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from captures import orbit_pose
-from PIL import Image
 
 from nerf_core.common.errors import UserError
-from nerf_core.datasets.images import UnreadableError, measure, read_photo
+from nerf_core.datasets.images import UnreadableError
 
 SECONDS, MEGABYTES = 5.0, 1000.0  # the most that reading one changed file may take
 EDGES = [
@@ -45,10 +38,11 @@ EDGES = [
 
 @dataclass(frozen=True)
 class Reader:
-    """One reader. file: the valid file that is changed; work: reads it."""
+    """One reader. file: the valid file that is changed; work: reads it; change: (its bytes, seed) → changed bytes."""
 
     file: Path
     work: Callable[[], object]
+    change: Callable[[bytes, int], bytes] | None = None
 
 
 @dataclass
@@ -108,7 +102,7 @@ def run(reader: Reader, mutations: int, seed: int = 0) -> Result:
     reader.work()  # the valid file is accepted; imports are made here, outside the measurement
     start = _megabytes(reset=True)
     for number in range(seed, seed + mutations):
-        reader.file.write_bytes(mutated(valid, number))
+        reader.file.write_bytes((reader.change or mutated)(valid, number))
         began = time.perf_counter()
         try:
             reader.work()
@@ -134,111 +128,10 @@ def _megabytes(reset: bool = False) -> float:
     return int(found[1]) / 1024
 
 
-def readers(base: Path) -> dict[str, Reader]:  # noqa: PLR0915  a list of readers, one after the other
-    """Write one valid file of every kind into `base`. Returns {name: reader}."""
-    import torch
-
-    from nerf_core.common.json_files import read_json
-    from nerf_core.datasets import DATASETS, LoadOptions
-    from nerf_core.datasets.colmap_files import check_model
-    from nerf_core.datasets.formats.llff import read_table
-    from nerf_core.geometry.camera_files import camera_of
-    from nerf_core.training import checkpoint
-    from nerf_core.training.run_folder import RunFolder
-
-    found: dict[str, Reader] = {}
-    pixels = np.random.default_rng(0).integers(0, 256, (16, 24, 3), dtype=np.uint8)
-
-    def photo(name: str, suffix: str, image: Image.Image, **options: Any) -> None:
-        file = base / f"{name}.{suffix}"
-        image.save(file, **options)
-
-        def work() -> None:
-            header = measure(file)
-            read_photo(file, (min(8, header.width), min(8, header.height)), (0, 0, 0))
-
-        found[name] = Reader(file, work)
-
-    image = Image.fromarray(pixels)
-    photo("PNG", "png", image)
-    photo("palette PNG", "png", image.quantize(16))
-    photo("16-bit PNG", "png", Image.fromarray(pixels[..., 0].astype(np.uint16) * 200))
-    photo("JPEG", "jpg", image)
-    photo("TIFF", "tif", image)
-    photo("deflated TIFF", "tif", image, compression="tiff_deflate")
-    photo("WebP", "webp", image)
-    photo("BMP", "bmp", image)
-
-    for kind in ("transforms", "blender"):
-        folder = base / kind
-        folder.mkdir()
-        image.save(folder / "a.png")
-        frames = [{"file_path": "a.png", "transform_matrix": orbit_pose(0.5 * i).tolist()} for i in range(3)]
-        document = {"camera_angle_x": 0.7, "frames": frames} | ({"w": 24, "h": 16} if kind == "transforms" else {})
-        files = ["transforms.json"] if kind == "transforms" else [f"transforms_{s}.json" for s in ("train", "test")]
-        for name in files:
-            (folder / name).write_text(json.dumps(document))
-        data_set = DATASETS.get(kind)
-        found[f"{kind} JSON"] = Reader(folder / files[0], lambda d=data_set, f=folder: d.read(f, LoadOptions()))
-
-    table = base / "poses_bounds.npy"
-    np.save(table, np.random.default_rng(0).random((4, 17)))
-    found["LLFF table"] = Reader(table, lambda: read_table(table))
-
-    model = base / "model"
-    model.mkdir()
-    (model / "cameras.txt").write_text("1 PINHOLE 24 16 30 31 12 8\n")
-    (model / "images.txt").write_text("# Number of images: 1\n1 1 0 0 0 0 0 2 1 a.png\n1 2 1\n")
-    (model / "points3D.txt").write_text("1 0.5 0.5 0.5 9 9 9 0.5 1 0\n")
-    for name in ("cameras", "images", "points3D"):
-        found[f"COLMAP {name}.txt"] = Reader(model / f"{name}.txt", lambda: check_model(model))
-
-    binary = base / "binary"
-    binary.mkdir()
-    models = {
-        "cameras": struct.pack("<QiiQQ4d", 1, 1, 1, 24, 16, 30, 31, 12, 8),
-        "images": struct.pack("<QI7dI", 1, 1, 1, 0, 0, 0, 0, 0, 2, 1) + b"a.png\0" + struct.pack("<Qddq", 1, 1, 2, 1),
-        "points3D": struct.pack("<QQ3d3BdQII", 1, 1, 0.5, 0.5, 0.5, 9, 9, 9, 0.5, 1, 1, 0),
-    }
-    for name, data in models.items():
-        (binary / f"{name}.bin").write_bytes(data)
-        found[f"COLMAP {name}.bin"] = Reader(binary / f"{name}.bin", lambda: check_model(binary))
-
-    saved = base / "run.safetensors"
-    described = {name: kind() for name, (kind, _) in checkpoint.REQUIRED.items()}
-    checkpoint.save(saved, described, {"weights": torch.zeros(8, 8), "more": torch.zeros(3)})
-    found["checkpoint"] = Reader(saved, lambda: checkpoint.load(saved))
-
-    camera = base / "camera.json"
-    lens = {
-        "c2w": orbit_pose(0.5)[:3].tolist(),
-        "width": 24,
-        "height": 16,
-        "fx": 30.0,
-        "fy": 30.0,
-        "cx": 12.0,
-        "cy": 8.0,
-    }
-    camera.write_text(json.dumps(lens))
-
-    def read_camera() -> None:
-        try:
-            camera_of(read_json(camera).values)
-        except (TypeError, ValueError, OverflowError) as error:  # `picked_camera` names the file
-            raise UserError(" ".join(str(error).split())) from None
-
-    found["camera file"] = Reader(camera, read_camera)
-
-    folder = base / "run"
-    folder.mkdir()
-    log = RunFolder(folder)
-    log.log_file.write_text("".join(f'{{"step": {k}, "loss": 0.5}}\n' for k in range(20)))
-    found["log.jsonl"] = Reader(log.log_file, lambda: log.rewind(10))
-    return found
-
-
 def main() -> int:
     """Run all readers or one, and print the table."""
+    from fuzzed_readers import readers
+
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--mutations", type=int, default=20_000)
     parser.add_argument("--seed", type=int, default=0)

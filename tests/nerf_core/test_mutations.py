@@ -3,12 +3,14 @@
 from pathlib import Path
 
 import pytest
-from fuzzing import MEGABYTES, SECONDS, readers, run
+from fuzzed_readers import readers
+from fuzzing import MEGABYTES, SECONDS, run
 
 NAMES = [
-    "PNG", "palette PNG", "16-bit PNG", "JPEG", "TIFF", "deflated TIFF", "WebP", "BMP", "transforms JSON",
-    "blender JSON", "LLFF table", "COLMAP cameras.txt", "COLMAP images.txt", "COLMAP points3D.txt",
-    "COLMAP cameras.bin", "COLMAP images.bin", "COLMAP points3D.bin", "checkpoint", "camera file", "log.jsonl",
+    "PNG", "palette PNG", "16-bit PNG", "JPEG", "TIFF", "deflated TIFF", "WebP", "BMP", "EXR",
+    "transforms JSON", "blender JSON", "LLFF table", "COLMAP cameras.txt", "COLMAP images.txt", "COLMAP points3D.txt",
+    "COLMAP cameras.bin", "COLMAP images.bin", "COLMAP points3D.bin", "checkpoint", "model", "camera file", "log.jsonl",
+    "config.json",
 ]  # fmt: skip
 # Damaged lines of a log are dropped, and COLMAP's own reader, a process, refuses what the check before it lets pass.
 TOLERANT = ("log.jsonl", "COLMAP cameras.txt", "COLMAP points3D.txt")
