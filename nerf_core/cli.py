@@ -11,7 +11,7 @@ import tyro
 from nerf_core.commands import COMMANDS
 from nerf_core.common.command_line import parse
 from nerf_core.common.errors import UserError
-from nerf_core.common.output import forgiving_output, unprinted
+from nerf_core.common.output import complain, forgiving_output, unprinted
 from nerf_core.common.signals import Interrupted, Signals
 from nerf_core.training.trainer import Diverged
 
@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             status, text = 2, str(error)
         except Interrupted as error:
             status, text = error.status, f"interrupted ({error})"
-        print(f"nerf-core: {text}", file=sys.stderr)
+        complain(f"nerf-core: {text}")
         return status
 
 

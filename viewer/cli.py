@@ -14,7 +14,7 @@ import tyro
 
 from nerf_core.common.command_line import parse
 from nerf_core.common.errors import UserError, shorten
-from nerf_core.common.output import forgiving_output, unprinted
+from nerf_core.common.output import complain, forgiving_output, say, unprinted
 from nerf_core.common.signals import Interrupted, Signals
 from nerf_core.training.options import TrainOptions
 from nerf_core.training.settings import RunSettings
@@ -91,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             status, text = 2, str(error)
         except Interrupted as error:
             status, text = error.status, f"interrupted ({error})"
-        print(f"nerf-viewer: {text}", file=sys.stderr)
+        complain(f"nerf-viewer: {text}")
         return status
 
 
@@ -100,7 +100,7 @@ def run(options: ViewerOptions, signals: Signals) -> int:
     if options.doctor:
         from .session.doctor import examine
 
-        return 0 if examine(print) else 1
+        return 0 if examine(say) else 1
     from .window import DisplayError, load_libraries, open_offscreen, open_window
 
     load_libraries()  # before anything imports imgui, so that missing system packages are named
@@ -121,14 +121,15 @@ def run(options: ViewerOptions, signals: Signals) -> int:
     try:
         window = open_offscreen(size, scale) if options.headless else open_window("nerf-viewer", size)
     except DisplayError as error:
-        print(f"{error}\nworking offscreen")
+        say(str(error))
+        say("working offscreen")
         window = open_offscreen(size, scale)
     if not window.has_display:
         wishes = sessions.unattended(wishes)
     elif options.scale is not None:
         window.close()
         raise UserError(f"--scale {scale:g}: a window takes its screen's scale; this goes with --headless")
-    session = sessions.Session(window, settings, signals, print)
+    session = sessions.Session(window, settings, signals, say)
     try:
         return session.run(options.data, wishes)
     finally:

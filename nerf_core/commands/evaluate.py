@@ -13,6 +13,7 @@ from nerf_core.commands import COMMANDS
 from nerf_core.commands.shared import MOVED_HELP, restored, tell
 from nerf_core.common.console import Display
 from nerf_core.common.files import write_atomically
+from nerf_core.common.output import say
 from nerf_core.common.signals import Signals
 from nerf_core.training.evaluate import evaluate, select
 from nerf_core.training.metrics import Lpips
@@ -55,7 +56,7 @@ class Eval:
         write_atomically(file, json.dumps(metrics, indent=2, allow_nan=False) + "\n")
         _print_metrics(metrics, count)
         tell([trainer.method.stage] if trainer.method.stage else [])
-        print(f"wrote {file} and {run.path / 'eval'}")
+        say(f"wrote {file} and {run.path / 'eval'}")
         return 0
 
 
@@ -63,4 +64,4 @@ def _print_metrics(metrics: dict[str, Any], count: int) -> None:
     mean = metrics["mean"]
     lpips = "not computed (needs --lpips-weights)" if mean["lpips"] is None else f"{mean['lpips']:.4f}"
     of = f"{count} {metrics['split']} images" + (f" ({metrics['subset']})" if "subset" in metrics else "")
-    print(f"{of} at step {metrics['step']:,}: PSNR {mean['psnr']:.2f} dB, SSIM {mean['ssim']:.4f}, LPIPS {lpips}")
+    say(f"{of} at step {metrics['step']:,}: PSNR {mean['psnr']:.2f} dB, SSIM {mean['ssim']:.4f}, LPIPS {lpips}")

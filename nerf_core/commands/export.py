@@ -10,6 +10,7 @@ import tyro
 
 from nerf_core.commands import COMMANDS
 from nerf_core.commands.shared import MOVED_HELP, finished, restored
+from nerf_core.common.output import say
 from nerf_core.common.signals import Signals
 from nerf_core.rendering.export.models import EXPORTS, export_for
 from nerf_core.training.run_folder import RunFolder
@@ -34,7 +35,7 @@ class Export:
         trainer = restored(RunFolder(self.run_folder), self.data, self.device)
         signals.be_polite()
         finished(kind(trainer.method, trainer.scene, self.file), signals, "exporting", kind.label)
-        print(f"wrote {self.file}")
+        say(f"wrote {self.file}")
         return 0
 
 

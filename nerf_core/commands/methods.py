@@ -9,6 +9,7 @@ import tyro
 
 from nerf_core.commands import COMMANDS
 from nerf_core.common.configs import constants
+from nerf_core.common.output import say
 from nerf_core.common.signals import Signals
 from nerf_core.methods import METHODS
 
@@ -26,13 +27,14 @@ class Methods:
         if not self.name:
             width = max(map(len, METHODS.names()))
             for name in METHODS.names():
-                print(f"{name:{width}}  {METHODS.get(name).summary}")
+                say(f"{name:{width}}  {METHODS.get(name).summary}")
             return 0
         method = METHODS.get(self.name)
-        print(method.summary)
-        print(f"presets: {', '.join(('auto', *method.presets))}")
-        print("constants, with their defaults; some presets and devices have others:")
+        say(method.summary)
+        say(f"presets: {', '.join(('auto', *method.presets))}")
+        say("constants, with their defaults; some presets and devices have others:")
         for name, (default, about) in constants(method.constants).items():
             limits = f" ({about.range})" if about.range else ""
-            print(f"  {name} = {default}{limits}\n      {about.help}")
+            say(f"  {name} = {default}{limits}")
+            say(f"      {about.help}")
         return 0

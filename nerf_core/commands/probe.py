@@ -11,6 +11,7 @@ import tyro
 from nerf_core.commands import COMMANDS
 from nerf_core.commands.shared import MOVED_HELP, restored
 from nerf_core.common.errors import UserError
+from nerf_core.common.output import say
 from nerf_core.common.signals import Signals
 from nerf_core.geometry.camera_files import picked_camera
 from nerf_core.training.run_folder import RunFolder
@@ -52,11 +53,11 @@ class Probe:
             raise UserError(f"--{error}") from None
         ray, verdict = opened.ray, opened.verdict
         assert verdict is not None
-        print(f"{verdict.kind}: {'; '.join(verdict.reasons)}")
+        say(f"{verdict.kind}: {'; '.join(verdict.reasons)}")
         depth = "none" if ray.depth_median is None else f"{ray.depth_median:.4g}"
         color = ", ".join(f"{v:.3f}" for v in ray.color)
-        print(f"colour {color}; opacity {ray.opacity:.3f}; median depth {depth}; step {ray.step:,}")
+        say(f"colour {color}; opacity {ray.opacity:.3f}; median depth {depth}; step {ray.step:,}")
         for file in self.write:
             write_inspection([opened], file)
-            print(f"wrote {file}")
+            say(f"wrote {file}")
         return 0

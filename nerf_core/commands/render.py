@@ -11,6 +11,7 @@ import tyro
 from nerf_core.commands import COMMANDS
 from nerf_core.commands.shared import MOVED_HELP, finished, restored
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.output import say
 from nerf_core.common.signals import Signals
 from nerf_core.geometry.paths import DEFAULT_PATH, PATHS
 from nerf_core.rendering.export.film import FilmJob
@@ -82,5 +83,5 @@ class Render(PathOptions):
         signals.be_polite()
         job = FilmJob(trainer.method, trainer.scene, ExportPath(cameras, self.fps, self.out, self.png_frames))
         finished(job, signals, "rendering", f"{len(cameras)} frames")
-        print(f"wrote {self.out}: {len(cameras)} frames")
+        say(f"wrote {self.out}: {len(cameras)} frames")
         return 0

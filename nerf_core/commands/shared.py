@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 from nerf_core.common.console import Display
+from nerf_core.common.output import complain, say
 from nerf_core.common.signals import Signals
 from nerf_core.rendering.export.jobs import Job
 from nerf_core.training.run_folder import RunFolder
@@ -48,9 +48,9 @@ def finished(job: Job, signals: Signals, label: str, text: str) -> None:
 def tell(notes: Sequence[str]) -> None:
     """Print each note on a line."""
     for note in notes:
-        print(f"note: {note}")
+        say(f"note: {note}")
 
 
 def warn(text: str) -> None:
     """Print a warning on standard error."""
-    print(f"warning: {text}", file=sys.stderr, flush=True)
+    complain(f"warning: {text}")

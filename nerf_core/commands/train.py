@@ -14,6 +14,7 @@ from nerf_core.commands.shared import loading, restored, tell, warn
 from nerf_core.common.console import Display
 from nerf_core.common.device import describe, pick_device
 from nerf_core.common.errors import UserError
+from nerf_core.common.output import say
 from nerf_core.common.signals import Signals
 from nerf_core.common.text import duration
 from nerf_core.datasets import load_scene
@@ -57,7 +58,7 @@ class Train:
             if self.resume:
                 trainer = restored(run, self.data, settings.device)
                 tell(run.rewind(trainer.step_count))
-                print(f"continuing {run.path} at step {trainer.step_count:,}")
+                say(f"continuing {run.path} at step {trainer.step_count:,}")
             else:
                 run.must_be_new()
                 with loading() as progress:
@@ -71,14 +72,13 @@ class Train:
     def _train(self, run: RunFolder, trainer: Trainer, signals: Signals, loading: float) -> int:
         goal = self.training.goal(trainer.total_steps)
         if goal.reached(trainer):
-            print(f"nothing to do: {_summary(trainer)}; --steps and --seconds count from the beginning of the run")
+            say(f"nothing to do: {_summary(trainer)}; --steps and --seconds count from the beginning of the run")
             return 0
         signals.be_polite()
         views = len(trainer.scene.split("train"))
-        print(
+        say(
             f"training {trainer.method_name}{f' ({trainer.reason})' if trainer.reason else ''} on {trainer.scene.name} "
-            f"({views} photos), {describe(trainer.device)}",
-            flush=True,
+            f"({views} photos), {describe(trainer.device)}"
         )
         with Display("training") as display:
 
@@ -94,7 +94,7 @@ class Train:
         ending = "finished" if finished else "stopped"
         saved = step_path(run.path, trainer.step_count)
         where = f"; saved {saved}" if saved.exists() else ""  # else a warning said where it is
-        print(f"{ending}: {_summary(trainer)}; loading took {duration(loading)}{where}")
+        say(f"{ending}: {_summary(trainer)}; loading took {duration(loading)}{where}")
         return 0 if finished else 128 + (signals.received or 0)
 
 

@@ -15,6 +15,7 @@ import tyro
 
 from nerf_core import __version__
 from nerf_core.common.errors import UserError
+from nerf_core.common.output import say
 from nerf_core.common.user_paths import own_path
 
 CONFIG = (
@@ -49,7 +50,7 @@ def parse(kind: Any, prog: str, arguments: Sequence[str] | None, description: st
     """
     arguments = [_at_home(one) for one in (sys.argv[1:] if arguments is None else arguments)]
     if arguments == ["--version"]:
-        print(f"{prog} {__version__}")
+        say(f"{prog} {__version__}")
         raise SystemExit(0)
     options = [a.partition("=")[0].replace("_", "-") for a in arguments if a.startswith("--")]
     repeatable = set(_repeatable(kind))

@@ -6,6 +6,8 @@ import sys
 import time
 from types import TracebackType
 
+from nerf_core.common.names import printable
+from nerf_core.common.output import say
 from nerf_core.common.text import duration
 
 LINE_SECONDS, LINES_GROW, LONGEST_SECONDS = (
@@ -20,7 +22,7 @@ class Display:
     """A context manager that shows the progress of one piece of work. On a terminal the bar disappears at the end."""
 
     def __init__(self, title: str) -> None:
-        self._title = title
+        self._title = printable(title)
         self._bar = None
         self._every, self._shown = LINE_SECONDS, time.monotonic()
         if sys.stdout.isatty():
@@ -28,14 +30,14 @@ class Display:
             from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
             columns = (
-                TextColumn("{task.description}"),
+                TextColumn("{task.description}", markup=False),  # names may have square brackets
                 BarColumn(),
                 TaskProgressColumn(),
-                TextColumn("{task.fields[text]}"),
+                TextColumn("{task.fields[text]}", markup=False),
             )
             # auto_refresh would start a thread that competes with training
             self._bar = Progress(*columns, console=Console(), auto_refresh=False, transient=True)
-            self._task = self._bar.add_task(title, total=1.0, text="")
+            self._task = self._bar.add_task(self._title, total=1.0, text="")
             self._every, self._shown = FRAME_SECONDS, float("-inf")
 
     def __enter__(self) -> Display:
@@ -57,7 +59,7 @@ class Display:
             text += f", {duration(seconds_left)} left"
         if self._bar is None:
             self._every = min(self._every * LINES_GROW, LONGEST_SECONDS)
-            print(f"{self._title}: {fraction:.0%}, {text}", flush=True)
+            say(f"{self._title}: {fraction:.0%}, {text}")
         else:
-            self._bar.update(self._task, completed=fraction, text=text)
+            self._bar.update(self._task, completed=fraction, text=printable(text))
             self._bar.refresh()

@@ -1,8 +1,16 @@
 """The error for everything that the user can mend."""
 
+from nerf_core.common.names import printable
+
 
 class UserError(Exception):
-    """One line that says what was found, where (file, field) and what to do. Programs print it and exit with 2."""
+    """One line that says what was found, where (file, field) and what to do. Programs print it and exit with 2.
+
+    text: may hold names of files as they are; see `printable`.
+    """
+
+    def __init__(self, text: str) -> None:
+        super().__init__(printable(text))
 
 
 def shorten(value: object, limit: int = 60) -> str:

@@ -83,6 +83,18 @@ def write_atomically(path: Path, data: bytes | str) -> None:
 
 
 @contextmanager
+def utf8_path(path: Path) -> Iterator[Path]:
+    """Yield a path of an existing file for libraries that take only names in UTF-8. Raises OSError."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        with path.open("rb") as file:
+            yield Path(f"/dev/fd/{file.fileno()}")  # other names than in UTF-8 exist only where this does
+    else:
+        yield path
+
+
+@contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a new file beside `path`. It replaces `path` when the block succeeds and is deleted when it raises."""
     part = claim_part(path)

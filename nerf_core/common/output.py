@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, TextIO, cast
 
+from nerf_core.common.names import printable
+
 
 class Forgiving:
     """A text stream over another one. It goes silent at the first error of the system: a full disk, a closed pipe.
@@ -59,6 +61,16 @@ class Forgiving:
             nowhere = os.open(os.devnull, os.O_WRONLY)
             os.dup2(nowhere, number)
             os.close(nowhere)
+
+
+def say(text: str) -> None:
+    """Print a line on standard output, whatever names it holds."""
+    print(printable(text), flush=True)
+
+
+def complain(text: str) -> None:
+    """Print a line on standard error, whatever names it holds."""
+    print(printable(text), file=sys.stderr, flush=True)
 
 
 @contextmanager

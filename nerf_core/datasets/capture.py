@@ -44,7 +44,7 @@ class LoadOptions:
 class Photo:
     """One listed photo that exists as a regular file.
 
-    name: unique in the capture; the path relative to its folder with forward slashes.
+    name: unique in the capture; the path relative to its folder with forward slashes, which may be unprintable.
     camera: calibration and pose in the input's world frame, with OpenGL camera axes. Its pixels are those of the size
         that the input states; where the input states none, of the size that `images.measure` finds in the file.
     """

@@ -56,6 +56,22 @@ def image_count(folder: Path) -> int:
     return sum(1 for _ in _entries(file))
 
 
+def photo_names(folder: Path) -> dict[int, str]:
+    """Return the photo names of a model by image id. Raises UserError for entries that are not images.
+
+    pycolmap cannot read a name that is not UTF-8, and cuts one in a text at its first space.
+    """
+    file = folder / f"images{suffix_of(folder)}"
+    if file.suffix == ".bin":
+        with file.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            return {image: name.decode("utf-8", "surrogateescape") for image, name in _named(_Cursor(file, data))}
+    fields = [line.split(maxsplit=9) for line in _entries(file)]
+    try:
+        return {int(field[0]): field[9].strip().decode("utf-8", "surrogateescape") for field in fields}
+    except (ValueError, IndexError) as error:
+        raise UserError(f"{file} has entries that are not images: {AGAIN}") from error
+
+
 def check_model(folder: Path) -> None:
     """Raise UserError if a file of the model is cut off, has wrong counts or has an unknown camera model."""
     suffix = suffix_of(folder)
@@ -84,16 +100,6 @@ def _entries(file: Path) -> Iterator[bytes]:
             elif line.strip() and not line.lstrip().startswith(b"#"):
                 points = file.name == "images.txt"
                 yield line
-
-
-def text_names(folder: Path) -> dict[int, str]:
-    """Return the photo names of a text model by image id. pycolmap would cut a name at its first space."""
-    file = folder / "images.txt"
-    fields = [line.decode("utf-8", "replace").split(maxsplit=9) for line in _entries(file)]
-    try:
-        return {int(field[0]): field[9].strip() for field in fields}
-    except (ValueError, IndexError) as error:
-        raise UserError(f"{file} has entries that are not images: {AGAIN}") from error
 
 
 def _check_text(file: Path) -> None:
@@ -134,9 +140,11 @@ class _Cursor:
             )
         return number
 
-    def skip_text(self) -> None:
+    def text(self) -> bytes:
+        start = self.at
         end = self.data.find(b"\0", self.at)
         self.skip((end if end >= 0 else len(self.data)) + 1 - self.at)
+        return self.data[start:end]
 
 
 def _check_binary(file: Path, name: str) -> None:
@@ -158,10 +166,17 @@ def _cameras(cursor: _Cursor) -> None:
 
 
 def _images(cursor: _Cursor) -> None:
+    for _ in _named(cursor):
+        pass
+
+
+def _named(cursor: _Cursor) -> Iterator[tuple[int, bytes]]:
+    """Walk through the images, and yield the id and the name of each."""
     for _ in range(cursor.count(73)):
-        cursor.skip(64)  # id, rotation, translation, camera
-        cursor.skip_text()
+        (image,) = cursor.take("<I60x")  # then rotation, translation, camera
+        name = cursor.text()
         cursor.skip(24 * cursor.count(24))
+        yield image, name
 
 
 def _points(cursor: _Cursor) -> None:

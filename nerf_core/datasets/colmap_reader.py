@@ -6,6 +6,7 @@ SIGTERM handler.
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -15,13 +16,14 @@ PARAMETERS = 16  # the largest number of parameters of a camera model
 
 
 def main(model: str, out: str) -> None:
-    """Write the id, name, camera model, size, parameters and world-to-camera pose (3, 4) of each registered image.
+    """Write the id, camera model, size, parameters and world-to-camera pose (3, 4) of each registered image.
 
     The file also holds the sparse points (P, 3) and the lengths of their tracks (P,).
     """
     import pycolmap
 
-    reconstruction = pycolmap.Reconstruction(model)
+    os.chdir(model)  # pycolmap takes no path that is not UTF-8
+    reconstruction = pycolmap.Reconstruction(".")
     images = [image for image in reconstruction.images.values() if image.has_pose]
     cameras = [reconstruction.cameras[image.camera_id] for image in images]
     parameters = np.zeros((len(images), PARAMETERS))
@@ -31,7 +33,6 @@ def main(model: str, out: str) -> None:
     np.savez(
         Path(out),
         ids=np.array([image.image_id for image in images], dtype=np.int64),
-        names=np.array([image.name for image in images], dtype=str),
         models=np.array([camera.model.name for camera in cameras], dtype=str),
         sizes=np.array([(camera.width, camera.height) for camera in cameras], dtype=np.float64).reshape(-1, 2),
         parameters=parameters,

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.names import printable
 from nerf_core.datasets.calibration import fitted, oddities
 from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions
 from nerf_core.datasets.claims import HEAVY_BYTES
@@ -62,9 +63,9 @@ def load_scene(path: Path | None, options: LoadOptions, progress: Progress | Non
     notes += (*capture.notes, *size_notes, *damage_notes(damaged + more_damaged), *normalised.notes)
     folder = source if source.is_dir() else source.parent
     return Scene(
-        name="demo" if path is None else folder.resolve().name,
+        name="demo" if path is None else printable(folder.resolve().name),
         format=capture.format,
-        views=tuple(View(photo.name, camera) for photo, camera in zip(capture.photos, cameras, strict=True)),
+        views=tuple(map(View, _names(capture), cameras)),
         photos=photos.at(kept),
         splits=capture.splits or {},
         near=normalised.near,
@@ -77,7 +78,7 @@ def load_scene(path: Path | None, options: LoadOptions, progress: Progress | Non
         disparity=normalised.disparity,
         synthetic=capture.synthetic,
         ndc=normalised.ndc,
-        notes=notes,
+        notes=tuple(map(printable, notes)),
         landmarks=capture.landmarks,
     )
 
@@ -209,6 +210,13 @@ def _map(
     finally:
         pool.shutdown(cancel_futures=True)
     return results
+
+
+def _names(capture: Capture) -> list[str]:
+    """The photos' names as they are shown. Where two look alike, backslashes are doubled, which keeps them apart."""
+    names = [photo.name for photo in capture.photos]
+    shown = [printable(name) for name in names]
+    return shown if len(set(shown)) == len(shown) else [printable(name.replace("\\", "\\\\")) for name in names]
 
 
 def _with_splits(capture: Capture) -> Capture:

@@ -11,6 +11,7 @@ import numpy as np
 
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.json_files import read_json
+from nerf_core.common.names import printable
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.lens import Lens
 from nerf_core.geometry.scene import Scene
@@ -86,6 +87,7 @@ def picked_camera(scene: Scene, text: str) -> Camera:
         except (TypeError, ValueError, OverflowError) as error:
             what = f"holds no camera ({str(error)[:80]})"
             raise UserError(f"--camera {shorten(text, 300)}: {what}: {CAMERA_FILE} is needed") from None
+    text = printable(text)  # as the names of views are
     exact = [view for view in scene.views if view.name == text]
     found = exact or [
         view for view in scene.views if Path(view.name).stem in (Path(text).stem, Path(text).name) and text in view.name

@@ -23,7 +23,10 @@ DECIMALS = 6  # poses and bounds are some units: far more than rounding errors, 
 
 @dataclass(frozen=True)
 class View:
-    """One posed photo. `name` is unique in the scene (the path relative to its folder, as metrics report it)."""
+    """One posed photo.
+
+    name: unique in the scene: the path relative to its folder as `printable` shows it, as metrics report it.
+    """
 
     name: str
     camera: Camera
@@ -33,7 +36,7 @@ class View:
 class Scene:
     """Posed photos in the trainer's frame. It is frozen, so that threads can share it.
 
-    name: the name of the capture's folder; "demo" for the demo scene.
+    name: the name of the capture's folder as `printable` shows it; "demo" for the demo scene.
     format: a name of `DATASETS`.
     views: names and cameras of the photos.
     photos: one per view, sRGB-encoded, 65535 = 1, composited over `background`. 16 bits hold 8-bit and 16-bit photos

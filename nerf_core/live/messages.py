@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from nerf_core.common.names import printable
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
 from nerf_core.probe import Opened, RadianceProbe, RayHistory, RayProbe, Sightings
@@ -254,9 +255,9 @@ Kind = Literal["note", "loaded", "saved", "wrote", "exported", "failed"]
 class Notice:
     """Something that happened.
 
-    text: for people; it may be reworded.
+    text: a line for people; it may be reworded. It may be given with names of files as they are; see `printable`.
     path: the file that was written or read.
-    detail: a traceback.
+    detail: a traceback, likewise.
     kind: what happened, for programs.
     command: the number that `Worker.send` gave to the command that this answers; 0: it answers none.
     run: the run's number.
@@ -269,6 +270,10 @@ class Notice:
     kind: Kind = "note"
     command: int = 0
     run: int = FIRST_RUN
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "text", printable(self.text))
+        object.__setattr__(self, "detail", "\n".join(map(printable, self.detail.split("\n"))))
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import torch
 
 from nerf_core.common.device import enough_memory
 from nerf_core.common.errors import UserError
+from nerf_core.common.names import printable
 from nerf_core.datasets import load_scene
 from nerf_core.geometry.scene import Scene
 from nerf_core.kernels import choice as kernels
@@ -333,7 +334,7 @@ class Run:
             self.loading = ""
 
     def _busy_with(self, words: str, now: bool = True) -> None:
-        self.loading = words
+        self.loading = printable(words)
         self._say_loading(now)
 
     def close(self) -> None:

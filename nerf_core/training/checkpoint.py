@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from nerf_core.common.errors import UserError, shorten
-from nerf_core.common.files import write_atomically
+from nerf_core.common.files import utf8_path, write_atomically
 
 VERSION = 1
 SUFFIX = ".safetensors"
@@ -82,7 +82,7 @@ def _read(path: Path, *, tensors: bool) -> tuple[dict[str, str], dict[str, Tenso
     if not path.is_file():
         raise UserError(f"{path}: no such checkpoint; give a {SUFFIX} file that `nerf-core train` or Save wrote")
     try:
-        with safe_open(path, framework="pt") as file:
+        with utf8_path(path) as readable, safe_open(readable, framework="pt") as file:
             metadata = file.metadata() or {}
             arrays = {name: file.get_tensor(name) for name in file.keys()} if tensors else {}  # noqa: SIM118  no dict
     except (SafetensorError, OSError, ValueError):

@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.files import utf8_path
 
 SSIM_TAPS, SSIM_SIGMA = 11, 1.5
 SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2  # (K L)² with K = 0.01, 0.03 and L = 1
@@ -167,7 +168,7 @@ def _load(path: Path) -> dict[str, Tensor]:
         )
     weights: dict[str, Tensor] = {}
     try:
-        with safe_open(path, framework="pt") as file:
+        with utf8_path(path) as readable, safe_open(readable, framework="pt") as file:
             present = set(file.keys())
             for name, shape in _shapes().items():
                 if name not in present:

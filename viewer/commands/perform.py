@@ -69,10 +69,10 @@ class Actions:
                 return 0 if state.inspect is None else self._perform(state.inspect.again(around=around))
             case SaveScreenshot(path):
                 self.screenshots.append(path.absolute())  # the notice says in which folder it is
-            case StartFilmExport():
+            case StartFilmExport(file):
                 if scene is None:
                     raise UserError("there is no scene to film: open one first")
-                return self._link.send(StartExport(film_export(scene, state.film)))
+                return self._link.send(StartExport(film_export(scene, state.film, file)))
             case _:
                 return self._send(action)
         return 0
@@ -113,11 +113,14 @@ class Actions:
                 state.camera.frame()
 
 
-def film_export(scene: Scene, form: FilmForm) -> ExportPath:
-    """Return the command that the export form describes. Raises UserError for values that give no film."""
+def film_export(scene: Scene, form: FilmForm, file: Path | None = None) -> ExportPath:
+    """Return the command that the export form describes. Raises UserError for values that give no film.
+
+    file: where to; None: where the form says.
+    """
     if not (math.isfinite(form.fps) and form.fps > 0):
         raise UserError(f"a film of {form.fps:g} frames per second: the number must be greater than 0")
-    file = own_path(Path(form.file.strip()))
+    file = file or own_path(Path(form.file.strip()))
     if not file.name:
         raise UserError("the film has no file name: give one that ends in .mp4")
     numbers = (form.frames or None, form.width or None, form.height or None)

@@ -64,7 +64,9 @@ class SaveScreenshot:
 
 @dataclass(frozen=True)
 class StartFilmExport:
-    """Export the film that `AppState.film` describes."""
+    """Export the film that `AppState.film` describes. file: where to; None: where the form says."""
+
+    file: Path | None = None
 
 
 Action = (

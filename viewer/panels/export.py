@@ -11,6 +11,7 @@ from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.common.errors import UserError
+from nerf_core.common.names import printable
 from nerf_core.common.text import duration, number
 from nerf_core.geometry.paths import PATHS, CameraPath, Option
 from nerf_core.geometry.paths.steps import training_size
@@ -203,7 +204,7 @@ def _progress(ui: Ui, export: Export) -> None:
         left = f", {duration(export.seconds_left)} left" if export.seconds_left is not None else ""
         imgui.progress_bar(share, ImVec2(-1, 0), f"{100 * share:.0f} %")
         ui.mark("export.progress")
-        hint(ui, f"Exporting {export.file.name}: {100 * share:.0f} %{left}")
+        hint(ui, f"Exporting {printable(export.file.name)}: {100 * share:.0f} %{left}")
     elif export.state == "done":
         hint(ui, "Done:", ui.theme.good)
         path_line(ui, export.file, "export.copy")

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import NoReturn
 
+from nerf_core.common.output import complain
 from nerf_core.common.signals import Signals
 
 STUCK_SECONDS = 3.0  # a thread that does not end its work so long after a signal hangs; it looks 50 times a second
@@ -108,4 +109,4 @@ class Rescue:
 
 
 def _tell(text: str) -> None:
-    print(f"nerf-viewer: {text}", file=sys.stderr)
+    complain(f"nerf-viewer: {text}")

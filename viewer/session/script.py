@@ -198,7 +198,6 @@ class Script:
 
     def _film(self, file: Path, seconds: float | None) -> None:
         snapshot, form = self._snapshot(), self.app.state.film
-        form.file = str(file)
         if seconds is not None and snapshot.scene is not None:
             width, height = training_size(snapshot.scene)
             form.frames, form.fps = SHORT_FRAMES, SHORT_FPS
@@ -209,7 +208,7 @@ class Script:
             takes = duration(form.frames * form.width * form.height / speed)
             larger = f"; --orbit FILE writes one in the photos' {width}×{height}" if scale < 1 else ""
             self.say(f"orbit: {form.frames} frames of {form.width}×{form.height}, to take about {takes}{larger}")
-        self._export(StartFilmExport(), "orbit")
+        self._export(StartFilmExport(file), "orbit")
 
     def _export(self, action: Command | StartFilmExport, label: str) -> None:
         before = self._snapshot().export

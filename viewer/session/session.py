@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -13,6 +12,7 @@ import platformdirs
 
 from nerf_core.common.errors import UserError
 from nerf_core.common.files import clear_leftovers
+from nerf_core.common.output import complain
 from nerf_core.common.signals import Interrupted, Signals
 from nerf_core.datasets.capture import DATASETS
 from nerf_core.live.messages import CancelExport, Notice, SaveCheckpoint, Train
@@ -111,7 +111,7 @@ class Session:
 
     def _say_in_window(self, error: str) -> None:
         """Serve the user, with a window that says why the capture was not opened: a launcher shows no terminal."""
-        print(f"{APP}: {error}", file=sys.stderr)
+        _complain(error)
         self.app.state.not_opened = error
         for shown in self.app.state.notices:
             shown.dismissed = True  # the viewport says it
@@ -160,7 +160,7 @@ class Session:
 
 
 def _complain(text: str) -> None:
-    print(f"{APP}: {text}", file=sys.stderr, flush=True)
+    complain(f"{APP}: {text}")
 
 
 def unattended(wishes: Wishes) -> Wishes:

@@ -15,7 +15,10 @@ from imgui_bundle import ImVec2, ImVec4, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.common.colormaps import Name, colored
+from nerf_core.common.errors import UserError
+from nerf_core.common.names import printable
 from nerf_core.common.text import number, triple
+from nerf_core.common.user_paths import own_path
 from nerf_core.methods import lacking
 
 if TYPE_CHECKING:
@@ -53,7 +56,10 @@ def tints(rgb: np.ndarray, alpha: np.ndarray | float = 1.0) -> list[int]:
 
 def exists(path: Path) -> bool:
     """Return whether a path exists, as a user types it."""
-    return os.path.exists(os.path.expanduser(path))
+    try:
+        return os.path.exists(own_path(path))
+    except UserError:
+        return False
 
 
 # ---- widgets -------------------------------------------------------------------------------------------------
@@ -198,7 +204,7 @@ def notice_text(ui: Ui, notice: Notice) -> None:
     imgui.text_colored(color, LEVELS[notice.level])
     imgui.same_line()
     imgui.push_text_wrap_pos(0.0)
-    before = notice.text.removesuffix(f" {notice.path}")
+    before = notice.text.removesuffix(f" {printable(notice.path)}") if notice.path is not None else notice.text
     imgui.text_unformatted(notice.text if before == notice.text else f"{before.removesuffix(' to')}:")
     imgui.pop_text_wrap_pos()
 
@@ -213,10 +219,11 @@ def field_beside(ui: Ui, *labels: str) -> None:
 
 def path_line(ui: Ui, path: Path, mark: str) -> None:
     """Draw a path that wraps, and a button that copies it."""
-    if button(ui, icons.ICON_FA_COPY, mark, tip=f"copy the path: {path}"):
-        imgui.set_clipboard_text(str(path))
+    shown = printable(path)  # as the fields for paths take it; a clipboard holds no other text
+    if button(ui, icons.ICON_FA_COPY, mark, tip=f"copy the path: {shown}"):
+        imgui.set_clipboard_text(shown)
     imgui.same_line()
-    imgui.text_wrapped(str(path))
+    imgui.text_wrapped(shown)
 
 
 def axis_name(ui: Ui, text: str, *, right: bool = False, height: float = 0.0) -> None:

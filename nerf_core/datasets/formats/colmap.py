@@ -15,7 +15,7 @@ import numpy as np
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.subprograms import run_limited
 from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions, Photo
-from nerf_core.datasets.colmap_files import AGAIN, check_model, find_models, image_count, suffix_of, text_names
+from nerf_core.datasets.colmap_files import AGAIN, check_model, find_models, image_count, photo_names
 from nerf_core.datasets.photo_folders import PhotoFolder, choose_folder, photo_folders, photos_below
 from nerf_core.datasets.photo_paths import find_photos, photo_name
 from nerf_core.geometry.camera import Camera
@@ -105,16 +105,15 @@ def read_model(folder: Path) -> Model:
             raise UserError(f"{folder}: pycolmap cannot read the model ({shorten(done.reason, 200)}): {AGAIN}")
         with np.load(out, allow_pickle=False) as arrays:
             model = {name: arrays[name] for name in arrays.files}
-    if not len(model["names"]):
+    if not len(model["ids"]):
         raise UserError(f"{folder} has no photo with a pose: run COLMAP's mapper first")
     return _by_name(model, folder)
 
 
 def _by_name(model: Model, folder: Path) -> Model:
-    """The model with its photos sorted by their full names."""
-    if suffix_of(folder) == ".txt":
-        names = text_names(folder)
-        model["names"] = np.array([names[image] for image in model["ids"].tolist()])
+    """The model with the names of its photos, sorted by them."""
+    names = photo_names(folder)
+    model["names"] = np.array([names[image] for image in model["ids"].tolist()])
     order = np.argsort(model["names"], kind="stable")
     return {name: v if name in ("points", "tracks") else v[order] for name, v in model.items()}
 

@@ -1,3 +1,4 @@
+import os
 import shutil
 import subprocess
 import sys
@@ -7,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from captures import orbit_pose, write_photo
+from odd_names import needs_bytes
 
 from nerf_core.common.errors import UserError
 from nerf_core.datasets import DATASETS, Capture, LoadOptions, load_scene
@@ -131,6 +133,19 @@ def test_binary_models_with_and_without_rigs(folder: Path, binary: Path) -> None
     (model / "rigs.bin").unlink()
     (model / "frames.bin").unlink()
     assert_whole(read(folder))
+
+
+@needs_bytes
+@pytest.mark.parametrize("suffix", [".txt", ".bin"])
+def test_names_of_any_bytes_are_found(folder: Path, binary: Path, suffix: str) -> None:
+    odd, home = b"cam\xe9\x1b \xff", folder / os.fsdecode(b"\xe9\n")
+    names = [name.replace("cam ", os.fsdecode(odd)) for name in NAMES]
+    write_photos(home / "images", names)
+    (home / "sparse").mkdir()
+    for file in ((folder / "sparse/0") if suffix == ".txt" else binary).iterdir():
+        (home / "sparse" / file.name).write_bytes(file.read_bytes().replace(b"cam ", odd))
+    found = [photo.name for photo in read(home).photos]
+    assert found == sorted(f"images/{name}" for name in names)
 
 
 @pytest.mark.parametrize("place", ["sparse", "colmap/sparse/0", ".", "model of mine/0"])

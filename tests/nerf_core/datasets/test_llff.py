@@ -6,6 +6,7 @@ import pytest
 from captures import orbit_pose, write_photo
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from odd_names import ODD, SHOWN, needs_bytes
 
 from nerf_core.common.errors import UserError
 from nerf_core.datasets import DATASETS, Capture, LoadOptions, load_scene
@@ -55,6 +56,18 @@ def test_axes_and_intrinsics_are_turned_to_ours(folder: Path) -> None:
     assert (capture.ndc_capable, capture.notes) == (True, ())
     assert DATASETS.get("llff").matches(folder)
     assert not DATASETS.get("llff").matches(folder / "images")
+
+
+@needs_bytes
+def test_names_of_any_bytes_are_read(folder: Path) -> None:
+    home = folder / ODD
+    (home / "images").mkdir(parents=True)
+    (folder / "poses_bounds.npy").rename(home / "poses_bounds.npy")
+    for i, photo in enumerate(sorted((folder / "images").iterdir())):
+        photo.rename(home / "images" / f"{i}{ODD}.png")
+    assert [view.name for view in load_scene(home, LoadOptions()).views] == [
+        f"images/{i}{SHOWN}.png" for i in range(COUNT)
+    ]
 
 
 def sizes(folder: Path, downscale: int) -> tuple[str, tuple[int, ...], float]:
