@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.names import printable
 from nerf_core.datasets.images import SUFFIXES
 
 
@@ -122,8 +123,8 @@ def _inside(folder: Path, path: Path) -> bool:
 
 
 def _tried(folder: Path, entry: str) -> str:
-    text = str(folder / entry)
-    return text if text.isprintable() and len(text) < 500 else shorten(text)
+    text = printable(folder / entry)
+    return text if len(text) < 500 else shorten(text)
 
 
 def _mode(path: Path) -> int | None:

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from nerf_core.common.errors import UserError
+from nerf_core.common.names import printable
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.camera_files import camera_of, camera_values
 from nerf_core.live.messages import MOST_PINS, PIN_NAME_LENGTH, Inspect, Pin, PinRay
@@ -104,7 +105,7 @@ def _pin(values: Mapping[str, Any]) -> Pin:
     color = int(values["color"])
     if not (0 <= column < camera.width and 0 <= row < camera.height and 0 <= color < MOST_PINS):
         raise ValueError("not of the kind that is written")
-    name = "".join(c for c in str(values["name"]) if c.isprintable())[:PIN_NAME_LENGTH]
+    name = printable(str(values["name"]))[:PIN_NAME_LENGTH]
     return Pin(PinRay(camera, (column, row)).id, name, color, bool(values["hidden"]), camera, (column, row))
 
 

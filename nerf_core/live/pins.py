@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 from nerf_core.common.errors import UserError
+from nerf_core.common.names import printable
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
 from nerf_core.live.clock import RefreshClock
@@ -79,7 +80,7 @@ class Pins:
         """Rename, hide or show a pin. A name is cut to PIN_NAME_LENGTH characters. Unknown ids are ignored."""
         for pin in self._pins:
             if pin.id == change.id:
-                pin.name = pin.name if change.name is None else change.name[:PIN_NAME_LENGTH]
+                pin.name = pin.name if change.name is None else printable(change.name)[:PIN_NAME_LENGTH]
                 pin.hidden = pin.hidden if change.hidden is None else change.hidden
 
     def remove(self, number: int) -> None:
