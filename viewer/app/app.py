@@ -167,6 +167,7 @@ class App:
         if self.window.scale() != self._scale:
             self._scale = self.window.scale()
             self.theme.apply(self._scale)
+            self._layout.fit(self.theme.em, self.window.size())
         io = imgui.get_io()
         io.display_size = ImVec2(*self.window.size())
         io.delta_time = max(now - self._drawn_at, SHORTEST)

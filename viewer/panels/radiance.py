@@ -25,7 +25,7 @@ from nerf_core.probe import (
 
 from ..model.state import Action, AppState, SetDisc, SetPointDepth
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import Row, button, figures, hint, mono, nothing_yet, packed, swatch
+from ..ui.widgets import Row, button, figures, hint, mono, nothing_yet, packed, same_line_if_fits, swatch
 
 CAPTIONS = {"viewer": "facing its camera", "normal": "around the normal"}
 SPHERE_CAPTION = "all directions; hatched: unseen"
@@ -138,7 +138,7 @@ def _choices(ui: Ui, state: AppState) -> Iterator[Action]:
             state.frozen_ray = frozen
         ui.mark(f"radiance.{label}")
         imgui.set_item_tooltip(tip)
-        imgui.same_line()
+        same_line_if_fits("Normal" if frozen else "Whole ray", imgui.get_frame_height())
     around = state.inspect.around if state.inspect is not None else "viewer"
     changed, normal = imgui.checkbox("Normal", around == "normal")
     ui.mark("radiance.normal")

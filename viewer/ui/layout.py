@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,12 +11,15 @@ from pathlib import Path
 from imgui_bundle import ImVec2, ImVec4, imgui
 
 from .contract import Panel
+from .layout_scale import READABLE_EM, em_of_menu, fitted
 
 VIEWPORT = "Viewport"
 HEADER = "; nerf-viewer layout 1 "
 FRONT = "; in front: "  # imgui reads it as a comment
+EM = "; em: "  # the size of text in pixels: another screen may have another scale
 NOWHERE = "Pos=60,60\n"
-RIGHT_EM, BOTTOM_EM, BOTTOM_RIGHT_EM = 23.0, 17.5, 23.0
+RIGHT_EM, BOTTOM_EM = READABLE_EM
+BOTTOM_RIGHT_EM = RIGHT_EM
 BOTTOM_SHARE = 0.34  # least share of the height: a tall window has taller plots, not only a taller picture
 MIDDLE_EM = 23.9  # the second panel of the right column holds plots and buttons of fixed height
 TOP_SHARE = 0.47  # share of the column's rest for the panel above it; the last panels get the remainder as tabs
@@ -26,6 +30,8 @@ class Layout:
 
     def __init__(self, file: Path | None) -> None:
         self._file = file
+        self._em = 0.0  # the size of text that the docks are made for; 0: there are none yet
+        self._stored = ""
         self._build_next = True
         self._raise_next: tuple[str, ...] = ()  # windows whose tabs come to the front in the next frame
         self._raise_soon: tuple[str, ...] = ()  # windows that must exist first
@@ -33,7 +39,7 @@ class Layout:
         self._front: tuple[str, ...] = ()  # the panels that were in front of others in the last frame
 
     def load(self) -> str | None:
-        """Pass the stored layout to imgui, before its first frame. Returns a warning if the file is damaged."""
+        """Read the stored layout, which `fit` then shows. Returns a warning if the file is damaged."""
         imgui.get_io().set_ini_filename(None)  # imgui writes nothing by itself
         if self._file is None or not self._file.exists():
             return None
@@ -48,10 +54,20 @@ class Layout:
             except OSError as failure:
                 return f"{self._file}: the window layout cannot be read ({error}; {failure}); the default is shown"
             return f"{self._file}: the window layout was damaged; the default is shown, the old file is {backup.name}"
-        imgui.load_ini_settings_from_memory(body)
-        self._remembered = body
+        self._stored = body
         self._build_next = False
         return None
+
+    def fit(self, em: float, window: tuple[int, int]) -> None:
+        """Fit the docks to a size of text. Call it before the first frame, and where the screen's scale changes.
+
+        em: the size of text in pixels. window: the window's size in pixels.
+        """
+        text, old = (self._text(), self._em) if self._em else (self._stored, _em_of(self._stored))
+        self._em, self._stored = em, ""
+        if text and not self._build_next:
+            imgui.load_ini_settings_from_memory(text if old in (None, em) else fitted(text, old, em, window))
+            self._remembered = text
 
     def save_if_changed(self) -> str | None:
         """Write the layout if it changed. Returns a warning if that fails, and does not try again."""
@@ -63,9 +79,9 @@ class Layout:
 
     def save(self) -> str | None:
         """Write the layout now. Returns a warning if that fails."""
-        if self._file is None:
+        if self._file is None or not self._em:
             return None
-        body = f"{FRONT}{'|'.join(self._front)}\n{imgui.save_ini_settings_to_memory()}"
+        body = self._text()
         try:
             self._file.parent.mkdir(parents=True, exist_ok=True)
             part = self._file.with_suffix(f".{os.getpid()}.part")
@@ -75,6 +91,9 @@ class Layout:
             file, self._file = self._file, None
             return f"{file}: the window layout cannot be kept ({error.strerror})"
         return None
+
+    def _text(self) -> str:
+        return f"{FRONT}{'|'.join(self._front)}\n{EM}{self._em:g}\n{imgui.save_ini_settings_to_memory()}"
 
     def reset(self) -> None:
         """Show the default layout from the next frame on."""
@@ -129,6 +148,12 @@ def _has_place(body: str, title: str) -> bool:
     _, found, after = body.partition(f"[Window][{title}]\n")
     section = after.partition("\n\n")[0]
     return bool(found) and ("DockId=" in section or NOWHERE not in section)
+
+
+def _em_of(body: str) -> float | None:
+    """The size of text with which a layout was stored; None if it is not known."""
+    found = re.search(rf"^{EM}(\d+(?:\.\d+)?)$", body, re.MULTILINE)
+    return float(found[1]) if found else em_of_menu(body)
 
 
 def _checksum(body: str) -> str:

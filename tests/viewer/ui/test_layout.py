@@ -13,14 +13,15 @@ import scripted
 from imgui_bundle import imgui
 
 from viewer.app.app import App
-from viewer.ui.layout import HEADER, _checksum, _has_place
+from viewer.ui.layout import HEADER, VIEWPORT, _checksum, _has_place
+from viewer.ui.theme import TEXT_PIXELS
 from viewer.window import Window
 
 Offscreen = Callable[..., Window]
 SIZE = (1000, 700)
 
 
-Open = Callable[[Path | None], App]
+Open = Callable[..., App]
 
 
 @pytest.fixture
@@ -28,10 +29,10 @@ def opened(offscreen: Offscreen) -> Iterator[Open]:
     """A function that opens apps, one at a time. Those that a failed test leaves open are closed."""
     apps: list[App] = []
 
-    def open_app(file: Path | None) -> App:
+    def open_app(file: Path | None, size: tuple[int, int] = SIZE, scale: float = 1.0) -> App:
         clock = itertools.count(100.0, 0.5)  # imgui waits 5 seconds after a change before it asks to be saved
         worker = scripted.ScriptedWorker(scripted.make_scene())
-        app = App(offscreen(SIZE), worker, layout_file=file, time=lambda: next(clock))
+        app = App(offscreen(size, scale), worker, layout_file=file, time=lambda: next(clock))
         apps.append(app)
         app.settle(5)
         return app
@@ -77,6 +78,106 @@ def test_the_tab_in_front_is_in_front_again(opened: Open, tmp_path: Path, title:
     again = opened(file)
     again.settle(5)
     assert title in again._host.in_front
+
+
+CHANGES = (1.0, 1.5), (1.0, 2.0), (1.0, 3.0), (1.5, 1.0), (2.0, 1.0), (3.0, 1.0), (2.0, 3.0), (3.0, 2.0)  # of the scale
+
+
+def widths(app: App) -> dict[str, float]:
+    """The widths in em of the panels, a panel of each dock, and of the picture."""
+    found = {}
+    for title in (VIEWPORT, "Ray", "Radiance", "Scene", "Training", "View"):
+        window = imgui.internal.find_window_by_name(title)
+        found[title] = window.size.x / app.theme.em
+    return found
+
+
+def grown(scale: float) -> tuple[int, int]:
+    """A window of 70 × 45 em."""
+    em = round(TEXT_PIXELS * scale)
+    return 70 * em, 45 * em
+
+
+@pytest.mark.parametrize(("saved", "shown"), CHANGES)
+def test_a_layout_is_as_wide_in_em_at_every_scale(opened: Open, tmp_path: Path, saved: float, shown: float) -> None:
+    file = tmp_path / "layout.ini"
+    app = opened(file, grown(saved), saved)
+    move_the_divider(app)
+    before = widths(app)
+    app.close()
+    again = opened(file, grown(shown), shown)
+    assert widths(again) == pytest.approx(before, abs=0.3)
+    assert not again.state.notices
+
+
+@pytest.mark.parametrize(("saved", "shown"), CHANGES)
+def test_panels_are_readable_if_the_window_does_not_grow_with_the_scale(
+    opened: Open, tmp_path: Path, saved: float, shown: float
+) -> None:
+    """They are as wide as in the default layout, which gives them half of a window that is too small."""
+    file, size = tmp_path / "layout.ini", (1600, 1000)
+    default = widths(opened(None, size, shown))
+    opened(file, size, saved).close()
+    found = widths(opened(file, size, shown))
+    narrower = {title: width for title, width in found.items() if width < default[title] - 0.5}
+    assert not narrower, (default, found)
+
+
+def test_the_docks_follow_a_window_to_a_screen_of_another_scale(
+    opened: Open, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "layout.ini"
+    app = opened(file, grown(1.0))
+    app.state.raise_panel = "Export"
+    move_the_divider(app)
+    before, front = widths(app), app._host.in_front
+    for scale in (2.0, 1.5, 3.0, 1.0):
+        monkeypatch.setattr(app.window, "scale", lambda scale=scale: scale)
+        app.window.resize(*grown(scale))
+        app.settle(8)
+        assert widths(app) == pytest.approx(before, abs=0.4)
+        assert app._host.in_front == front
+        if scale == 3.0:
+            app._layout.save()
+            assert "\n; em: 45\n" in file.read_text("utf-8")
+
+
+def test_a_layout_of_a_version_that_stored_no_size_of_text_is_fitted_too(opened: Open, tmp_path: Path) -> None:
+    file = tmp_path / "layout.ini"
+    app = opened(file, grown(1.0))
+    move_the_divider(app)
+    before = widths(app)
+    app.close()
+    body = re.sub(r"; em: .*\n", "", file.read_text("utf-8").partition("\n")[2])
+    assert "em:" not in body
+    file.write_text(f"{HEADER}{_checksum(body)}\n{body}", "utf-8")
+    assert widths(opened(file, grown(2.0), 2.0)) == pytest.approx(before, abs=0.3)
+
+
+def test_a_panel_that_floats_grows_with_the_text(opened: Open, tmp_path: Path) -> None:
+    file = tmp_path / "layout.ini"
+    app = opened(file, grown(1.0))
+    for _ in range(2):  # undocking gives it the size of its dock
+        imgui.internal.dock_builder_dock_window("Training", 0)
+        imgui.set_window_pos("Training", imgui.ImVec2(100, 80))
+        imgui.set_window_size("Training", imgui.ImVec2(300, 120))
+        app.settle(5)
+    app.close()
+    opened(file, grown(2.0), 2.0)
+    window = imgui.internal.find_window_by_name("Training")
+    assert (window.pos.x, window.pos.y, window.size.x, window.size.y) == (200, 160, 600, 240)
+
+
+def test_a_window_that_closes_before_its_first_frame_keeps_the_layout(
+    opened: Open, offscreen: Offscreen, tmp_path: Path
+) -> None:
+    file = tmp_path / "layout.ini"
+    app = opened(file)
+    move_the_divider(app)
+    moved = viewport_of(app)
+    app.close()
+    App(offscreen(SIZE), scripted.ScriptedWorker(scripted.make_scene()), layout_file=file).close()
+    assert viewport_of(opened(file)) == pytest.approx(moved, abs=2)
 
 
 def test_a_layout_that_lacks_a_panel_gives_way_to_the_default(opened: Open, tmp_path: Path) -> None:
