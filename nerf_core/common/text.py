@@ -56,3 +56,11 @@ def rate(per_second: float) -> str:
         if per_second >= size:
             return f"{per_second / size:.3g}{letter}"
     return f"{per_second:.3g}"
+
+
+def size(count: float) -> str:
+    """Format a number of bytes with three significant digits: "512 MB", "1.2 GB". 1 MB is 10⁶ bytes."""
+    for unit, letter in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
+        if count >= 0.9995 * unit:
+            return f"{float(f'{count / unit:.3g}'):g} {letter}"
+    return f"{count:.0f} B"

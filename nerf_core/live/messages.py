@@ -62,11 +62,16 @@ class ViewRequest(OfRun):
 
 @dataclass(frozen=True)
 class OpenScene(OfRun):
-    """Load a capture (None: the demo scene) and build a fresh model for it; then train it, if `train`."""
+    """Load a capture and build a model for it; then train it, if `train`.
+
+    path: None: the demo scene.
+    checkpoint: the file that holds the model; None: a fresh one. If either cannot be loaded, neither is.
+    """
 
     path: Path | None
     options: RunSettings
     train: bool = False
+    checkpoint: Path | None = None
 
 
 @dataclass(frozen=True)

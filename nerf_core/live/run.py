@@ -7,8 +7,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import torch
+from torch import Tensor
 
 from nerf_core.common.device import enough_memory
 from nerf_core.common.errors import UserError
@@ -22,10 +24,19 @@ from nerf_core.live.exports import Exports
 from nerf_core.live.messages import Notice, ViewRequest
 from nerf_core.probe import check_format, write_inspection
 from nerf_core.training import checkpoint
+from nerf_core.training.autosaves import left_off, small_picture
 from nerf_core.training.last_good import LastGood
 from nerf_core.training.last_save import save_somewhere
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Diverged, Report, Trainer
+
+
+class Stored(NamedTuple):
+    """A checkpoint that was read: its file, description and tensors."""
+
+    file: Path
+    description: dict[str, Any]
+    state: dict[str, Tensor]
 
 
 class Run:
@@ -48,6 +59,7 @@ class Run:
         self.number, self.settings = number, settings
         self._tell_worker, self._say_loading = tell, say_loading
         self.scene: Scene | None = None
+        self.capture: Path | None = None  # where the scene was loaded from; None: the demo scene
         self.trainer: Trainer | None = None
         self.artist = Artist()
         self.skipped: ViewRequest | None = None  # a view that could not be drawn: tried again when asked anew
@@ -70,8 +82,8 @@ class Run:
         number: of the command, for answers that come after this returns.
         """
         match command:
-            case messages.OpenScene(path, options, train):
-                self.open(path, options)
+            case messages.OpenScene(path, options, train, file):
+                self.open(path, options, file)
                 if train:
                     self.train(None, None)
             case messages.Train(steps, seconds):
@@ -125,21 +137,29 @@ class Run:
 
     # ---- scenes and checkpoints -------------------------------------------------------------------------------------
 
-    def open(self, path: Path | None, settings: RunSettings) -> None:
-        """Load a capture and make a model of it. If anything fails, the open scene and model stay."""
+    def open(self, path: Path | None, settings: RunSettings, file: Path | None = None) -> None:
+        """Load a capture and make a model of it. If anything fails, the open scene and model stay.
+
+        file: the checkpoint that holds the model; None: it is a fresh one.
+        """
 
         def progress(words: str, done: int, total: int) -> None:
             self._busy_with(f"{words}: {done:,} of {total:,}", now=False)
 
         with self._busy(f"opening {path or 'the demo scene'}"):
+            stored = None if file is None else Stored(file, *checkpoint.load(file))
             scene = load_scene(path, settings.load, progress)
-            trainer = self._made(scene, settings)
+            trainer = self._made(scene, settings) if stored is None else self._resumed(scene, settings, stored)
             good = LastGood(trainer)
         self.artist = Artist()
         self._commit(scene, settings, trainer, good)
+        self.capture = path
         self.loaded += 1
         for note in (*scene.notes, *filter(None, [kernels.note(trainer.device)])):
             self._tell("warning", note)
+        if stored is not None:
+            self._take_over(stored, trainer)
+            return
         self.artist.pins.add_landmarks(scene, trainer)
         self.artist.pins.record(trainer)
 
@@ -170,13 +190,21 @@ class Run:
         self.artist.pins.record(trainer)
 
     def _load(self, path: Path) -> None:
-        description, state = checkpoint.load(path)
-        scene = self.need_scene()
-        if not scene.is_of(description):
-            raise UserError(f"{path}: {scene.difference(description)}")
-        trainer = Trainer.resume(scene, description, state, self.settings.device)
+        stored = Stored(path, *checkpoint.load(path))
+        trainer = self._resumed(self.need_scene(), self.settings, stored)
         self._adopt(trainer)
-        self._restore_pins(trainer, description, state)
+        self._take_over(stored, trainer)
+
+    @staticmethod
+    def _resumed(scene: Scene, settings: RunSettings, stored: Stored) -> Trainer:
+        if not scene.is_of(stored.description):
+            raise UserError(f"{stored.file}: {scene.difference(stored.description)}")
+        return Trainer.resume(scene, stored.description, stored.state, settings.device)
+
+    def _take_over(self, stored: Stored, trainer: Trainer) -> None:
+        """Take what a checkpoint has besides the model, which is adopted already, and tell of it."""
+        path, description = stored.file, stored.description
+        self._restore_pins(trainer, stored)
         for note in trainer.notes(description):
             self._tell("warning", note)
         self.saved_step = description["step"]
@@ -186,11 +214,11 @@ class Run:
             self._tell("warning", f"{held}: --method {asked} is not used")
         self._tell("info", f"loaded {path.name}: step {description['step']:,}", path, kind="loaded")
 
-    def _restore_pins(self, trainer: Trainer, description: dict, state: dict) -> None:
+    def _restore_pins(self, trainer: Trainer, stored: Stored) -> None:
         pins: list[messages.Pin] = []
         try:
-            pins = pin_files.restored_pins(description, self.artist.open_rays())
-            pins = pin_files.with_histories(pins, description, state)
+            pins = pin_files.restored_pins(stored.description, self.artist.open_rays())
+            pins = pin_files.with_histories(pins, stored.description, stored.state)
         except UserError as error:
             self._tell("warning", str(error))
         self.artist.pins.replace(pins, trainer)
@@ -200,7 +228,14 @@ class Run:
         trainer, pins = self.need_trainer(), list(self.artist.pins)
         description = trainer.describe() | pin_files.described(pins)
         tensors = trainer.state() | pin_files.tensors(pins)
-        path, reasons = save_somewhere(files, lambda file: checkpoint.save(file, description, tensors))
+        shown = self.artist.preview(None)
+
+        def write(file: Path) -> None:
+            own = left_off(file, self.capture, self.settings.load)
+            small = small_picture(file, None if shown is None else shown.rgba)
+            checkpoint.save(file, description | own, tensors | small)
+
+        path, reasons = save_somewhere(files, write)
         self.saved_step = trainer.step_count
         for reason in reasons:
             self._tell("warning", reason)

@@ -199,6 +199,7 @@ class Worker:
             raise UserError(f"run {number} is open already: close it first, or take another number")
         run = self._new_run(number)
         run.use_method(like.need_scene(), like.settings, method)
+        run.capture = like.capture
         self._runs[number] = run
 
     def _close_run(self, run: Run) -> None:

@@ -76,6 +76,17 @@ def describe(path: Path) -> dict[str, Any]:
     return _described(path, _read(path, tensors=False)[0]["nerf"])
 
 
+def tensor(path: Path, name: str) -> Tensor | None:
+    """Read one tensor alone, which is fast. Its checksum is not compared. None: there is none, or it is damaged."""
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, framework="pt") as file:
+            return file.get_tensor(name) if name in file.keys() else None  # noqa: SIM118  no dict
+    except (SafetensorError, OSError, ValueError):
+        return None
+
+
 def _read(path: Path, *, tensors: bool) -> tuple[dict[str, str], dict[str, Tensor]]:
     from safetensors import SafetensorError, safe_open
 
@@ -191,14 +202,23 @@ def keep_newest(folder: Path, count: int = 2) -> None:
 
 def has_own_header(path: Path) -> bool:
     """Return whether a file begins as the checkpoints of this program do, even if the rest is cut short or changed."""
+    return own_texts(path) is not None
+
+
+def own_texts(path: Path) -> dict[str, Any] | None:
+    """Read the texts of METADATA from a file's beginning, even if the rest is cut short or changed.
+
+    Returns:
+        The texts by name; None if the file does not begin as the checkpoints of this program do.
+    """
     try:
         with path.open("rb") as file:
             length = int.from_bytes(file.read(8), "little")
             header = json.loads(file.read(length)) if length <= MOST_HEADER_BYTES else None
     except (OSError, ValueError, RecursionError):
-        return False
+        return None
     metadata = header.get("__metadata__") if isinstance(header, dict) else None
-    return isinstance(metadata, dict) and set(metadata) >= METADATA
+    return metadata if isinstance(metadata, dict) and set(metadata) >= METADATA else None
 
 
 def is_own(path: Path) -> bool:

@@ -7,15 +7,17 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 
 from nerf_core.common import device
 from nerf_core.common.errors import UserError
 from nerf_core.training import checkpoint
+from nerf_core.training.autosaves import left_off, spare_files
 from nerf_core.training.checkpoint import step_path
 from nerf_core.training.last_good import LastGood
-from nerf_core.training.last_save import save_somewhere, spare_files, telling
+from nerf_core.training.last_save import save_somewhere, telling
 from nerf_core.training.run_folder import RunFolder
 from nerf_core.training.trainer import Diverged, Report, Trainer, psnr_of
 
@@ -181,7 +183,7 @@ class _Session:
             if file == own:
                 self._save()
             else:
-                checkpoint.save(file, good.description, good.state)
+                checkpoint.save(file, {**good.description, **self._left_off(file)}, good.state)
 
         with telling(good.description["step"], self.warn, asked=asked):
             file, reasons = save_somewhere([own, *spare_files(self.trainer.scene)], write)
@@ -189,6 +191,13 @@ class _Session:
             self.warn(reason)
         if reasons:
             self.warn(f"step {good.description['step']:,} is saved to {file}: move it to {own}, to continue the run")
+
+    def _left_off(self, file: Path) -> dict[str, Any]:
+        try:
+            data, settings = self.folder.config()
+        except UserError:  # weights are worth more than where their capture is
+            return {}
+        return left_off(file, data, settings.load)
 
     def _log(self) -> None:
         line = self._meter.line(self.trainer)

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, fields, replace
 from importlib import metadata
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, BinaryIO
 
 from torch import Tensor
 
@@ -22,10 +22,9 @@ from nerf_core.common.files import clear_leftovers, write_atomically
 from nerf_core.common.json_files import Fields, read_json
 from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.training import checkpoint
-from nerf_core.training.settings import RunSettings
+from nerf_core.training.settings import RunSettings, filled
 from nerf_core.training.trainer import Trainer
 
-T = TypeVar("T")
 CONFIG = "the object that `nerf-core train` wrote"
 CONFIG_FIELDS = {"data", "settings", "method", "device", "versions"}
 OPTION_NAMES = {"changes": "set"}  # options that have another name than their setting
@@ -171,10 +170,10 @@ class RunFolder:
         load = settings.get("load")
         if not isinstance(load, dict):
             raise document.error("settings.load", "an object is needed: was this file written by `nerf-core train`?")
-        options = _filled(LoadOptions, Fields(load, self.config_file, "settings.load."))
+        options = filled(LoadOptions, Fields(load, self.config_file, "settings.load."))
         given = {**settings, "load": options}
         data = Path(document.text("data")) if "data" in document else None
-        return data, _filled(RunSettings, Fields(given, self.config_file, "settings."))
+        return data, filled(RunSettings, Fields(given, self.config_file, "settings."))
 
     def restore(
         self, data: Path | None = None, on: str = "auto", progress: Callable[[str, int, int], None] | None = None
@@ -288,21 +287,6 @@ def _step_of(line: bytes) -> float | None:
     except (ValueError, KeyError, TypeError, RecursionError):
         return None
     return step if type(step) in (int, float) else None
-
-
-def _filled(kind: type[T], values: Fields) -> T:
-    """Make a settings dataclass from a JSON object. Raises UserError for a value of another type than its default."""
-    defaults = kind()
-    for f in fields(kind):  # pyright: ignore[reportArgumentType]: T is one of two dataclasses
-        default, value = getattr(defaults, f.name), values.values.get(f.name)
-        if isinstance(default, float) and type(value) is int:
-            continue
-        if type(value) is not type(default):
-            raise values.error(f.name, f"a {type(default).__name__} is needed: was this written by another version?")
-    known = {f.name for f in fields(kind)}  # pyright: ignore[reportArgumentType]
-    for name in sorted(set(values.values) - known):
-        raise values.error(name, "no such setting: was this written by another version?")
-    return kind(**values.values)
 
 
 def _versions() -> dict[str, str]:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from typing import TypeVar
 
+from nerf_core.common.json_files import Fields
 from nerf_core.datasets import LoadOptions
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -30,3 +34,26 @@ class RunSettings:
     seed: int = 0
     device: str = "auto"
     threads: int = 0
+
+
+def filled(kind: type[T], values: Fields) -> T:
+    """Make a dataclass of settings from a JSON object.
+
+    Args:
+        kind: `RunSettings` or `LoadOptions`.
+        values: a value for every field, and nothing else.
+
+    Raises:
+        UserError: a value has another type than its default, is missing, or has a name that is no field.
+    """
+    defaults = kind()
+    for f in fields(kind):  # pyright: ignore[reportArgumentType]: T is one of two dataclasses
+        default, value = getattr(defaults, f.name), values.values.get(f.name)
+        if isinstance(default, float) and type(value) is int:
+            continue
+        if type(value) is not type(default):
+            raise values.error(f.name, f"a {type(default).__name__} is needed: was this written by another version?")
+    known = {f.name for f in fields(kind)}  # pyright: ignore[reportArgumentType]
+    for name in sorted(set(values.values) - known):
+        raise values.error(name, "no such setting: was this written by another version?")
+    return kind(**values.values)

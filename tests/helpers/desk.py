@@ -47,6 +47,11 @@ class Desk:
         self.until(lambda _: any(text in notice.text for notice in self.heard))
         return next(notice for notice in self.heard if text in notice.text)
 
+    def until_answered(self, number: int) -> Notice:
+        """The first notice that answers a command."""
+        self.until(lambda _: any(notice.command == number for notice in self.heard))
+        return next(notice for notice in self.heard if notice.command == number)
+
     def trained(self, steps: int) -> Snapshot:
         before = self.worker.snapshot().step
         self.send(Train(steps))

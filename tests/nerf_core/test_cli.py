@@ -14,15 +14,17 @@ from typing import Any
 
 import imageio_ffmpeg
 import pytest
+import torch
 from desk import PATIENCE
 
 import nerf_core
 from nerf_core.cli import main
 from nerf_core.commands import COMMANDS
-from nerf_core.datasets import DATASETS
+from nerf_core.datasets import DATASETS, LoadOptions
 from nerf_core.methods import METHODS
 from nerf_core.rendering.export.models import EXPORTS
 from nerf_core.training import checkpoint
+from nerf_core.training.autosaves import left_off
 from nerf_core.training.run_folder import RunFolder
 
 TINY = [
@@ -334,3 +336,29 @@ def test_methods_are_listed_with_their_constants(capsys: pytest.CaptureFixture[s
     assert "  guide.growth = 1.7 (from 1.05 to 16)" in capsys.readouterr().out
     assert main(["methods", "wings"]) == 2
     assert "unknown method 'wings'" in capsys.readouterr().err
+
+
+def test_autosaves_are_listed_and_deleted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "t"))
+    assert main(["autosaves"]) == 0
+    assert capsys.readouterr().out == "0 autosaves, 0 B\n"
+    folder = tmp_path / "nerf-viewer" / "autosave"
+    file = folder / "chair-0123abcd-20260102-030405-7.safetensors"
+    left = left_off(file, tmp_path / "gone", LoadOptions())
+    described = {
+        "method": "voxels", "config": {}, "steps": 0, "seed": 0, "threads": 1, "step": 1234, "seconds": 61.0,
+        "scene": "0123abcd", "scene_name": "chair", "scene_summary": "", **left,
+    }  # fmt: skip
+    checkpoint.save(file, described, {"weights": torch.zeros(500_000)})
+    (folder / "mine.safetensors").write_bytes(file.read_bytes())
+    assert main(["autosaves"]) == 0
+    line, total = capsys.readouterr().out.splitlines()
+    assert "2 MB  chair, voxels, step 1,234, 1 min 1 s of training  " in line
+    assert line.endswith(f"{file} ({tmp_path / 'gone'} is no longer there)")
+    assert total == "1 autosave, 2 MB; --clear deletes them"
+    assert main(["autosaves", "--clear"]) == 0
+    assert "deleted 1 of 1 autosave, 2 MB" in capsys.readouterr().out
+    assert [path.name for path in folder.iterdir()] == ["mine.safetensors"]

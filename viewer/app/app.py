@@ -18,6 +18,7 @@ from ..commands.keyboard import Keyboard
 from ..commands.perform import Actions
 from ..draw.imgui_renderer import ImguiRenderer
 from ..draw.textures import TextureCache
+from ..model.left_off import LeftOff
 from ..model.link import Link
 from ..model.state import Action, AppState
 from ..ui.contract import Panel
@@ -54,7 +55,7 @@ class App:
         self.window = window
         self.link = link
         self._time = time
-        self.state = AppState(has_display=window.has_display, time=time())
+        self.state = AppState(has_display=window.has_display, time=time(), left_off=LeftOff(window.wake))
         self._context = imgui.create_context()
         imgui.set_current_context(self._context)  # creating a context does not make it current if there is an older one
         implot.create_context()
@@ -131,9 +132,13 @@ class App:
                 self.state.camera.set_scene(new.scene)
                 self.state.inspect = self.state.current_view = None
                 self.state.checkpoint_file = self.state.not_opened = ""
+                self.state.show_left_off = False
                 for shown in self.state.notices:  # what went wrong with another scene is over
                     shown.dismissed |= shown.notice.level == "error"
         self._focus_behind()
+        notices += self.state.left_off.notices()
+        if self.state.left_off.changed():
+            self._pacer.note(self.state.time, user=True)
         for notice in notices:
             self._actions.tell(notice)
         if notices:

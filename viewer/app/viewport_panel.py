@@ -145,6 +145,8 @@ class ViewportPanel:
             words = f"{icons.ICON_FA_IMAGE}  photo {self._photo_name}: the first picture is on its way"
             _chip(ui, draw, ImVec2(origin.x + 0.6 * ui.em, origin.y + size.y - 2.2 * ui.em), words)
             return
+        if snapshot.preview is None and state.show_left_off and snapshot.status == "empty":
+            return  # the offer to continue says what can be opened
         if snapshot.preview is None:
             _centred(ui, draw, origin, size, _why_empty(state))
             return

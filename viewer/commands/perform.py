@@ -28,6 +28,7 @@ from ..model.link import Link
 from ..model.state import (
     Action,
     AppState,
+    ClearAutosaves,
     FilmForm,
     FocusOn,
     FrameScene,
@@ -69,6 +70,8 @@ class Actions:
                 return 0 if state.inspect is None else self._perform(state.inspect.again(around=around))
             case SaveScreenshot(path):
                 self.screenshots.append(path.absolute())  # the notice says in which folder it is
+            case ClearAutosaves():
+                state.left_off.clear()
             case StartFilmExport(file):
                 if scene is None:
                     raise UserError("there is no scene to film: open one first")

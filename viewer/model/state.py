@@ -15,6 +15,7 @@ from nerf_core.rendering.modes import COLOR
 from nerf_core.training.settings import RunSettings
 
 from .camera_control import CameraControl
+from .left_off import LeftOff
 
 # ---- what a panel may ask of the app, besides the worker's commands -------------------------------------------
 
@@ -69,9 +70,14 @@ class StartFilmExport:
     file: Path | None = None
 
 
+@dataclass(frozen=True)
+class ClearAutosaves:
+    """Delete the autosaves that `AppState.left_off` lists."""
+
+
 Action = (
     Command | GoToView | FocusOn | ResetView | FrameScene | SetPointDepth | SetDisc | SaveScreenshot
-    | StartFilmExport
+    | StartFilmExport | ClearAutosaves
 )  # fmt: skip
 
 
@@ -141,6 +147,8 @@ class AppState:
     model_file: str = ""  # *
     open_path: str = ""  # *
     not_opened: str = ""  # why the capture of the command line is not open
+    left_off: LeftOff = field(default_factory=LeftOff)
+    show_left_off: bool = False  # * offer the autosaves
     settings: RunSettings = field(default_factory=RunSettings)  # * settings for the next capture
     focus_open: bool = False  # * give the scene panel's path field the keyboard in the next frame
     raise_panel: str = ""  # * title of the panel whose tab comes to the front in the next frame

@@ -18,7 +18,8 @@ from nerf_core.datasets.capture import DATASETS
 from nerf_core.live.messages import CancelExport, Notice, SaveCheckpoint, Train
 from nerf_core.live.worker import Worker
 from nerf_core.methods import METHODS
-from nerf_core.training.last_save import clear_spare_leftovers, forget_old_autosaves, spare_files, telling
+from nerf_core.training.autosaves import any_autosave, clear_spare_leftovers, forget_old_autosaves, spare_files
+from nerf_core.training.last_save import telling
 from nerf_core.training.settings import RunSettings
 
 from ..app.app import App
@@ -78,6 +79,11 @@ class Session:
     def _run(self, script: Script, data: Path | None, wishes: Wishes) -> int:
         serving = self.window.has_display and not wishes.any_file()
         try:
+            if serving and data is None and wishes == Wishes() and self.settings == RunSettings() and any_autosave():
+                self._offer_autosaves()
+                self._rescue.attend()
+                self._save_unsaved(None)
+                return 128 + self.signals.received if self.signals.received else 0
             try:
                 script.open(data, self.settings)
             except UserError as error:
@@ -109,6 +115,18 @@ class Session:
             self._save_unsaved(wishes.save)
         return 128 + self.signals.received if self.signals.received else 0
 
+    def _offer_autosaves(self) -> None:
+        """Serve the user, who has asked for nothing, with a window that offers to continue."""
+        self._tell_problems()
+        self.app.state.left_off.read()
+        self.app.state.show_left_off = True
+        self.app.run(lambda: self.signals.received is not None)
+
+    def _tell_problems(self) -> None:
+        """Show which plugins cannot be loaded."""
+        for problem in (*METHODS.problems, *DATASETS.problems):
+            self.app.tell(Notice("warning", problem))
+
     def _say_in_window(self, error: str) -> None:
         """Serve the user, with a window that says why the capture was not opened: a launcher shows no terminal."""
         _complain(error)
@@ -119,8 +137,7 @@ class Session:
 
     def _attend(self, wishes: Wishes) -> None:
         """Serve the user until the window closes. A capture trains; a loaded checkpoint does if that is asked for."""
-        for problem in (*METHODS.problems, *DATASETS.problems):
-            self.app.tell(Notice("warning", problem))
+        self._tell_problems()
         left = None if wishes.steps is None else wishes.steps - self.worker.snapshot().step
         wanted = wishes.load is None or wishes.steps is not None or wishes.seconds is not None
         if wanted and (left is None or left > 0):

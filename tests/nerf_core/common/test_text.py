@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nerf_core.common.text import duration, number, rate, triple, vector
+from nerf_core.common.text import duration, number, rate, size, triple, vector
 
 
 def test_texts_of_figures() -> None:
@@ -15,6 +15,8 @@ def test_texts_of_figures() -> None:
     assert [number(v) for v in (None, float("inf"), -0.00012345, 3.0)] == ["–", "–", "−0.0001234", "3"]
     assert vector(np.array([0.5, -1.25])) == " 0.500 −1.250"
     assert triple(np.array([0.5, -1.25, 0.0])) == "0.500 −1.250 0.000"
+    sizes = {0: "0 B", 999: "999 B", 12_345: "12.3 kB", 999_900: "1 MB", 512_400_000: "512 MB", 1.234e9: "1.23 GB"}
+    assert {count: size(count) for count in sizes} == sizes
 
 
 def test_zero_has_no_sign() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 import torch
 from desk import PATIENCE, Desk, orbit, view_of
 
+from nerf_core.datasets import LoadOptions
 from nerf_core.live.messages import (
     CancelLoading,
     Command,
@@ -68,6 +70,33 @@ def test_save_load_and_go_on(open_desk: OpenDesk, tmp_path: Path) -> None:
     (description_a, state_a), (description_b, state_b) = checkpoint.load(a), checkpoint.load(b)
     assert description_a == description_b
     assert [name for name in state_a if not torch.equal(state_a[name], state_b[name])] == []
+
+
+def test_a_capture_opens_with_its_model_or_not_at_all(open_desk: OpenDesk, capture: Path, tmp_path: Path) -> None:
+    desk, file = open_desk(), tmp_path / "ball-0123abcd-20260102-030405-1.safetensors"  # as an autosave is called
+    desk.trained(3)
+    desk.worker.request_view(view_of(desk.worker.snapshot().scene, 1))
+    desk.until(lambda s: s.preview is not None and s.preview.stride == 1 and s.preview.step == 3)
+    desk.send(SaveCheckpoint(file), SaveCheckpoint(tmp_path / "own.safetensors"))
+    desk.until_told(f"saved step 3 to {tmp_path / 'own'}")
+    description, tensors = checkpoint.load(file)
+    assert description["left_off"] == {"capture": str(capture), "load": asdict(desk.settings.load)}
+    assert tensors["picture"].shape == (13, 13, 3)
+    own, tensors = checkpoint.load(tmp_path / "own.safetensors")
+    assert ("left_off" in own, "picture" in tensors) == (False, False)
+    desk.trained(1)
+    number, *_ = desk.send(OpenScene(None, replace(desk.settings, load=LoadOptions(downscale=9)), checkpoint=file))
+    assert "trained on " in desk.until_answered(number).text
+    shown = desk.worker.snapshot()
+    assert shown.scene is not None
+    assert (shown.scene.name, shown.step, shown.loaded) == (capture.name, 4, 1)
+    desk.send(OpenScene(capture, desk.settings, checkpoint=file))
+    shown = desk.until(lambda s: s.loaded == 2)
+    assert (shown.step, shown.saved_step, shown.status) == (3, 3, "paused")
+    assert desk.until_told(f"loaded {file.name}: step 3").kind == "loaded"
+    desk.send(OpenScene(capture, desk.settings, checkpoint=tmp_path / "none.safetensors"))
+    desk.until_told("none.safetensors: no such checkpoint")
+    assert desk.worker.snapshot().step == 3
 
 
 def test_a_failed_load_leaves_the_model(open_desk: OpenDesk, tmp_path: Path) -> None:

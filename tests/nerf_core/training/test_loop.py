@@ -9,6 +9,7 @@ import re
 import shutil
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -197,6 +198,25 @@ def test_a_run_whose_folder_takes_nothing_is_saved_elsewhere(
     assert [text.partition(": cannot be written: ")[0] for text in warnings[:-1]] == [str(own)]
     assert warnings[-1] == f"step 2 is saved to {saved}: move it to {own}, to continue the run"
     assert checkpoint.load(saved)[0]["step"] == 2
+    assert "left_off" not in checkpoint.load(saved)[0]  # the run has no config.json that says where its capture is
+
+
+def test_what_is_saved_elsewhere_says_where_its_capture_is(
+    run: RunFolder,
+    make_trainer: Make,
+    capture: Path,
+    tiny: RunSettings,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+    trainer = make_trainer()
+    run.begin(capture, tiny, trainer)
+    (run.path / "checkpoints").rmdir()
+    (run.path / "checkpoints").touch()
+    train_run(run, trainer, Goal(1), save_every=1e9)
+    (saved,) = (tmp_path / "data").rglob("*.safetensors")
+    assert checkpoint.load(saved)[0]["left_off"] == {"capture": str(capture), "load": asdict(tiny.load)}
 
 
 @pytest.mark.parametrize(("method", "names"), [("voxels", ["rate_color", "rate_density"]), ("nerf", ["learning_rate"])])

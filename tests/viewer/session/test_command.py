@@ -32,7 +32,7 @@ from nerf_core.live.messages import MOST_PINS, OpenScene
 from nerf_core.rendering.images import to_bytes
 from nerf_core.rendering.modes import COLOR, mode_names
 from nerf_core.training import checkpoint
-from nerf_core.training.last_save import forget_old_autosaves, spare_files
+from nerf_core.training.autosaves import forget_old_autosaves, spare_files
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
 from viewer.app.app import App

@@ -16,7 +16,7 @@ from nerf_core.common.signals import Signals
 from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.live.messages import LoadCheckpoint, SaveCheckpoint
 from nerf_core.training import checkpoint
-from nerf_core.training.last_save import spare_files
+from nerf_core.training.autosaves import spare_files
 from nerf_core.training.settings import RunSettings
 from viewer.app.app import App
 from viewer.cli import main

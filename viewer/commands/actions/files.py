@@ -24,6 +24,14 @@ def show_path_field(state: AppState) -> list[Action]:
     return []
 
 
+@command("file.left_off", "Continue where you left off…", "File", 1, menu="File")
+def show_left_off(state: AppState) -> list[Action]:
+    """Offer the autosaves, read anew."""
+    state.left_off.read()
+    state.show_left_off = True
+    return []
+
+
 @command("file.save", "Save checkpoint", "File", 2, keys=("Ctrl+S",), menu="File", enabled=scene_is_open)
 def save(state: AppState) -> list[Action]:
     """Save to the file in the form; without one, to a new file with the scene's name, which the form then shows."""
