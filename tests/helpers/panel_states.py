@@ -8,6 +8,7 @@ from typing import get_args
 
 import numpy as np
 
+from nerf_core.datasets import LoadOptions
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene, View
@@ -27,6 +28,7 @@ from nerf_core.probe import (
     Verdict,
     disc_grid,
 )
+from nerf_core.training.autosaves import Autosave
 from viewer.model.state import AppState, ShownNotice
 
 
@@ -236,4 +238,20 @@ def states() -> dict[str, AppState]:
         ShownNotice(Notice("error", "out of memory", detail="Traceback …\n  line 1"), 95),
     ]
     found["training"].show_help = True
+    for name, snapshot, entries in (
+        ("left off, not read", alone, None),
+        ("left off", alone, _autosaves()),
+        ("left off, with a scene", full, _autosaves()),
+    ):
+        found[name] = make_state(snapshot)
+        found[name].show_left_off = True
+        found[name].left_off.entries = entries
+        found[name].left_off.pictures["0"] = np.zeros((1, 9, 4), np.uint8)
     return found
+
+
+def _autosaves() -> tuple[Autosave, ...]:
+    """One that can be continued, one that cannot, and one that cannot be read."""
+    good = Autosave(Path("0"), 73_600_000, 1.7e9, "chair", "voxels", 12_400, 71.0, Path("photos \udcff"), LoadOptions())
+    gone = replace(good, file=Path("1"), saved=0.0, problem="photos is no longer there" * 9)
+    return good, gone, Autosave(Path("2"), 5, 1.7e9, problem="cut short")

@@ -127,7 +127,7 @@ def _entry(ui: Ui, state: AppState, one: Autosave, mark: str) -> bool:
     imgui.end_disabled()
     ui.mark(mark)
     if imgui.is_item_hovered(imgui.HoveredFlags_.allow_when_disabled | imgui.HoveredFlags_.for_tooltip):
-        imgui.set_tooltip(printable(one.file))
+        imgui.set_tooltip("\n".join(filter(None, (printable(one.file), one.problem))))
     draw = imgui.get_window_draw_list()
     _picture(ui, draw, state, one, at, ImVec2(at.x + wide, at.y + tall))
     theme, line = ui.theme, tall / 4

@@ -11,7 +11,7 @@ from pathlib import Path
 from imgui_bundle import ImVec2, ImVec4, imgui
 
 from .contract import Panel
-from .layout_scale import READABLE_EM, em_of_menu, fitted
+from .layout_scale import EMS, READABLE_EM, em_of_menu, fitted
 
 VIEWPORT = "Viewport"
 HEADER = "; nerf-viewer layout 1 "
@@ -153,7 +153,8 @@ def _has_place(body: str, title: str) -> bool:
 def _em_of(body: str) -> float | None:
     """The size of text with which a layout was stored; None if it is not known."""
     found = re.search(rf"^{EM}(\d+(?:\.\d+)?)$", body, re.MULTILINE)
-    return float(found[1]) if found else em_of_menu(body)
+    em = float(found[1]) if found else em_of_menu(body)
+    return em if em in EMS else None
 
 
 def _checksum(body: str) -> str:

@@ -10,6 +10,9 @@ READABLE_EM = 23.0, 17.5  # a panel beside the picture, and one under it; they a
 SHORT_OF_ROOM = 0.49  # the default layout gives a panel half of a window that is too small
 LINE = re.compile(r"[ \t]*Dock(?:Space|Node) +ID=(\w+)(?: .*)?", re.MULTILINE)
 PAIR = re.compile(r"(?<=[ \n])(Pos|Size|SizeRef)=(-?\d+),(-?\d+)")
+SIZE = re.compile(r"\b(Size|SizeRef)=(-?\d+),(-?\d+)")
+SPLIT, PARENT = re.compile(r"\bSplit=([XY])"), re.compile(r"\bParent=(\w+)")
+MOST_PIXELS = 32767  # imgui keeps lengths in 16 bits
 EMS = range(7, 100)  # of scales from 0.5 to 6
 
 
@@ -42,7 +45,7 @@ def fitted(text: str, old_em: float, em: float, window: Size) -> str:
         x, y = (ratio * float(number) for number in numbers)
         if name == "Size":
             x, y = min(x, window[0]), min(y, window[1])
-        return f"{name}={round(x)},{round(y)}"
+        return f"{name}={_pixels(x)},{_pixels(y)}"
 
     nodes = _nodes(text)
     for node in nodes.values():
@@ -67,13 +70,16 @@ def _nodes(text: str) -> dict[str, _Node]:
     nodes: dict[str, _Node] = {}
     parents: dict[str, str] = {}
     for match in LINE.finditer(text):
-        values = dict(part.split("=", 1) for part in match[0].split() if "=" in part)
-        width, _, height = values.get("SizeRef", values.get("Size", "0,0")).partition(",")
-        number, parent, central = match[1], values.get("Parent", ""), "CentralNode" in values
-        nodes[number] = _Node((float(width), float(height)), values.get("Split", ""), parent not in nodes, central)
-        parents[number] = parent
-        if parent in nodes:
+        line, number = match[0], match[1]
+        if number in nodes:
+            continue  # the first one counts, so that no node lies below itself
+        size, split, above = SIZE.search(line), SPLIT.search(line), PARENT.search(line)
+        parent, central = above[1] if above else "", "CentralNode=1" in line
+        extent = (float(size[2]), float(size[3])) if size else (0.0, 0.0)
+        nodes[number] = _Node(extent, split[1] if split else "", parent not in parents, central)
+        if parent in parents:
             nodes[parent].halves.append(nodes[number])
+        parents[number] = parent
         while central and parent in nodes:
             nodes[parent].central = True
             parent = parents[parent]
@@ -108,4 +114,8 @@ def _fit(node: _Node, old: Size, new: Size, ratio: float, em: float) -> None:
 
 
 def _with_size(line: str, node: _Node) -> str:
-    return re.sub(r"\b(Size|SizeRef)=-?\d+,-?\d+", rf"\1={round(node.size[0])},{round(node.size[1])}", line)
+    return SIZE.sub(lambda match: f"{match[1]}={_pixels(node.size[0])},{_pixels(node.size[1])}", line)
+
+
+def _pixels(length: float) -> int:
+    return round(max(-MOST_PIXELS, min(length, MOST_PIXELS)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import random
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,7 +14,8 @@ import scripted
 from imgui_bundle import imgui
 
 from viewer.app.app import App
-from viewer.ui.layout import HEADER, VIEWPORT, _checksum, _has_place
+from viewer.ui.layout import HEADER, VIEWPORT, _checksum, _em_of, _has_place
+from viewer.ui.layout_scale import fitted
 from viewer.ui.theme import TEXT_PIXELS
 from viewer.window import Window
 
@@ -152,6 +154,30 @@ def test_a_layout_of_a_version_that_stored_no_size_of_text_is_fitted_too(opened:
     assert "em:" not in body
     file.write_text(f"{HEADER}{_checksum(body)}\n{body}", "utf-8")
     assert widths(opened(file, grown(2.0), 2.0)) == pytest.approx(before, abs=0.3)
+
+
+def test_a_text_of_any_kind_is_fitted(opened: Open, tmp_path: Path) -> None:
+    """A file with the right checksum may still hold anything."""
+    file = tmp_path / "layout.ini"
+    opened(file).close()
+    text, rng = file.read_text("utf-8"), random.Random(0)
+    lines = text.splitlines()
+    for _ in range(300):
+        mutated = list(lines)
+        for _ in range(rng.randrange(1, 6)):
+            at, change = rng.randrange(len(mutated)), rng.randrange(4)
+            if change == 0:
+                mutated[at] = mutated[rng.randrange(len(mutated))]
+            elif change == 1:
+                mutated[at] = re.sub(r"\d+", lambda _: str(rng.choice((0, 1, 10**12))), mutated[at])
+            elif change == 2:
+                mutated[at] = mutated[at][: rng.randrange(len(mutated[at]) + 1)]
+            else:
+                mutated.insert(at, mutated.pop(rng.randrange(len(mutated))))
+        body = "\n".join(mutated)
+        fitted(body, _em_of(body) or 15.0, 30.0, (800, 600))
+    assert fitted(text, 15.0, 30.0, (2000, 1400)) != text
+    assert [_em_of(f"; em: {em}\n") for em in ("0", "0.01", "1e9", "900", "x", "15")] == [None] * 5 + [15.0]
 
 
 def test_a_panel_that_floats_grows_with_the_text(opened: Open, tmp_path: Path) -> None:
