@@ -15,6 +15,7 @@ from nerf_core.common.console import Display
 from nerf_core.common.files import write_atomically
 from nerf_core.common.output import say
 from nerf_core.common.signals import Signals
+from nerf_core.common.text import counted
 from nerf_core.training.evaluate import evaluate, select
 from nerf_core.training.metrics import Lpips
 from nerf_core.training.run_folder import RunFolder
@@ -63,5 +64,5 @@ class Eval:
 def _print_metrics(metrics: dict[str, Any], count: int) -> None:
     mean = metrics["mean"]
     lpips = "not computed (needs --lpips-weights)" if mean["lpips"] is None else f"{mean['lpips']:.4f}"
-    of = f"{count} {metrics['split']} images" + (f" ({metrics['subset']})" if "subset" in metrics else "")
+    of = counted(count, f"{metrics['split']} image") + (f" ({metrics['subset']})" if "subset" in metrics else "")
     say(f"{of} at step {metrics['step']:,}: PSNR {mean['psnr']:.2f} dB, SSIM {mean['ssim']:.4f}, LPIPS {lpips}")

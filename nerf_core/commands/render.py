@@ -13,6 +13,7 @@ from nerf_core.commands.shared import MOVED_HELP, finished, restored
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.output import say
 from nerf_core.common.signals import Signals
+from nerf_core.common.text import counted
 from nerf_core.geometry.paths import DEFAULT_PATH, PATHS
 from nerf_core.rendering.export.film import FilmJob
 from nerf_core.rendering.export.requests import ExportPath
@@ -82,6 +83,6 @@ class Render(PathOptions):
         cameras = kind.cameras(trainer.scene, self.frames, self.width, self.height, **chosen)
         signals.be_polite()
         job = FilmJob(trainer.method, trainer.scene, ExportPath(cameras, self.fps, self.out, self.png_frames))
-        finished(job, signals, "rendering", f"{len(cameras)} frames")
-        say(f"wrote {self.out}: {len(cameras)} frames")
+        finished(job, signals, "rendering", counted(len(cameras), "frame"))
+        say(f"wrote {self.out}: {counted(len(cameras), 'frame')}")
         return 0

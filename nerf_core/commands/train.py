@@ -16,7 +16,7 @@ from nerf_core.common.device import describe, pick_device
 from nerf_core.common.errors import UserError
 from nerf_core.common.output import say
 from nerf_core.common.signals import Signals
-from nerf_core.common.text import duration
+from nerf_core.common.text import counted, duration
 from nerf_core.datasets import load_scene
 from nerf_core.kernels import choice as kernels
 from nerf_core.training.checkpoint import step_path
@@ -78,7 +78,7 @@ class Train:
         views = len(trainer.scene.split("train"))
         say(
             f"training {trainer.method_name}{f' ({trainer.reason})' if trainer.reason else ''} on {trainer.scene.name} "
-            f"({views} photos), {describe(trainer.device)}"
+            f"({counted(views, 'photo')}), {describe(trainer.device)}"
         )
         with Display("training") as display:
 

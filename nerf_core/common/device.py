@@ -10,6 +10,7 @@ from contextlib import contextmanager
 import torch
 
 from nerf_core.common.errors import UserError
+from nerf_core.common.text import counted
 
 
 def pick_device(name: str) -> torch.device:
@@ -33,7 +34,7 @@ def describe(device: torch.device) -> str:
     """Return the device's name for status lines."""
     if device.type == "cuda":
         return torch.cuda.get_device_name(device)
-    return f"CPU, {torch.get_num_threads()} threads"
+    return f"CPU, {counted(torch.get_num_threads(), 'thread')}"
 
 
 def fast_precision(device: torch.device) -> str:

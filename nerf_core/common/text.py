@@ -17,6 +17,11 @@ def number(value: float | None, digits: int = 4) -> str:
     return f"{value or 0.0:.{digits}g}".replace("-", "−")  # a zero has no sign
 
 
+def counted(count: int, noun: str) -> str:
+    """Format a number with its noun, whose plural ends in s: "1 photo", "1,200 photos"."""
+    return f"{count:,} {noun}{'' if count == 1 else 's'}"
+
+
 def decimal(value: float, decimals: int = 3) -> str:
     """Format with fixed decimals, space for the sign and a real minus sign; a value that rounds to zero has no sign."""
     if not math.isfinite(value):

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from nerf_core.common.errors import UserError
+from nerf_core.common.text import counted
 from nerf_core.datasets.capture import Photo
 from nerf_core.datasets.images import Header
 from nerf_core.geometry.camera import Camera
@@ -43,11 +44,11 @@ def oddities(cameras: Sequence[Camera]) -> list[str]:
         for kind, value in seen[key]:
             found[kind].append(value)
     texts = {
-        "focal": "focal length of {:.3g} image sizes: check fl_x, w or camera_angle_x",
-        "principal": "principal point {:.3g} image sizes from the centre: check cx, cy, w and h",
+        "focal": "a focal length of {:.3g} image sizes: check fl_x, w or camera_angle_x",
+        "principal": "a principal point {:.3g} image sizes from the centre: check cx, cy, w and h",
         "fold": "lens coefficients that fold the image (a pixel is off by {:.3g}): check k1, k2, k3, p1, p2",
     }
-    return [f"{len(v)} photos have a {texts[k].format(v[0])}" for k, v in found.items() if v]
+    return [f"{counted(len(v), 'photo')} with {texts[k].format(v[0])}" for k, v in found.items() if v]
 
 
 def _odd(camera: Camera) -> list[tuple[str, float]]:

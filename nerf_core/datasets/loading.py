@@ -11,6 +11,7 @@ from typing import TypeVar
 
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.names import printable
+from nerf_core.common.text import counted
 from nerf_core.datasets.calibration import fitted, oddities
 from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions
 from nerf_core.datasets.claims import HEAVY_BYTES
@@ -99,7 +100,7 @@ def _readable(capture: Capture, progress: Progress | None) -> tuple[Capture, lis
     damaged = [str(v) for v in found if isinstance(v, UnreadableError)]
     kept = [i for i, v in enumerate(found) if isinstance(v, Header)]
     if not kept:
-        raise UserError(f"none of the {len(found)} photos can be read ({damaged[0]}): save them as PNG or JPEG")
+        raise UserError(f"no photo can be read ({damaged[0]}): save them as PNG or JPEG")
     return capture.keeping(kept), [v for v in found if isinstance(v, Header)], damaged
 
 
@@ -115,8 +116,8 @@ def _sized(
     rotated = sum(h.orientation != 1 for h in headers)
     if rotated:
         notes.append(
-            f"{rotated} photos carry an EXIF rotation: {sum(upright)} are turned by it, {rotated - sum(upright)} are "
-            "taken as stored, as their calibration says"
+            f"{counted(rotated, 'photo')} with an EXIF rotation: {sum(upright)} turned by it, {rotated - sum(upright)} "
+            "taken as stored, as the calibration says"
         )
     shapes = [(h.height, h.width) if turn else (h.width, h.height) for h, turn in zip(headers, upright, strict=True)]
     downscale = max(
@@ -185,7 +186,7 @@ def _photos(
     found = _map(read, range(len(capture.photos)), "loading photos", progress)
     damaged = [str(v) for v in found if isinstance(v, UnreadableError)]
     if len(damaged) == len(found):
-        raise UserError(f"none of the {len(found)} photos can be read ({damaged[0]}): save them as PNG or JPEG")
+        raise UserError(f"no photo can be read ({damaged[0]}): save them as PNG or JPEG")
     return photos, [i for i, v in enumerate(found) if v is None], damaged
 
 

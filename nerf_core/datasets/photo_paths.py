@@ -11,6 +11,7 @@ from pathlib import Path, PurePosixPath
 
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.names import printable
+from nerf_core.common.text import counted
 from nerf_core.datasets.images import SUFFIXES
 
 
@@ -35,7 +36,7 @@ def find_photos(folder: Path, listed: Sequence[str], source: Path) -> Found:
     belongs to another split.
     Raises UserError if an entry is a device or pipe, or if all are missing.
     """
-    exact = [_listed_file(folder, entry) for entry in listed]
+    exact = [_listed_file(folder, entry, source) for entry in listed]
     paths = list(exact)
     if None in exact:
         searched = _Search(folder, listed, exact)
@@ -52,8 +53,7 @@ def find_photos(folder: Path, listed: Sequence[str], source: Path) -> Found:
     moved = [entry for entry, before, now in zip(listed, exact, paths, strict=True) if now and not before]
     if moved:
         notes.append(
-            f"{source}: {len(moved)} photos are not where they are listed but were found by name, first "
-            f"{shorten(moved[0])}"
+            f"{source}: {counted(len(moved), 'photo')} not where listed but found by name, first {shorten(moved[0])}"
         )
     if missing:
         notes.append(
@@ -135,7 +135,7 @@ def _mode(path: Path) -> int | None:
         return None
 
 
-def _listed_file(folder: Path, entry: str) -> Path | None:
+def _listed_file(folder: Path, entry: str, source: Path) -> Path | None:
     """The listed file itself, or with one of the usual extensions if the entry has none; None if there is none."""
     path = folder / entry
     for candidate in (path, *(path.parent / (path.name + suffix) for suffix in SUFFIXES)):
@@ -145,5 +145,7 @@ def _listed_file(folder: Path, entry: str) -> Path | None:
         if stat.S_ISREG(mode):
             return candidate
         if not stat.S_ISDIR(mode):
-            raise UserError(f"{candidate} is a device or a pipe, not a photo: list regular image files only")
+            raise UserError(
+                f"{source}: lists {shorten(entry)}, a device or a pipe, not a photo: list regular image files only"
+            )
     return None

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from nerf_core.common.assets import assets_dir
 from nerf_core.common.errors import UserError
+from nerf_core.common.text import counted
 from nerf_core.datasets.capture import DATASETS
 from nerf_core.datasets.images import SUFFIXES
 
@@ -51,5 +52,5 @@ def _nothing(path: Path) -> str:
         return f"{path} is not a dataset itself, but {nested} is one: open that"
     photos = sum(f.suffix.lower() in SUFFIXES for folder in (path, *inside) for f in folder.iterdir())
     if photos:
-        return f"{path} holds {photos} photos without poses; formats that carry poses: {known}"
+        return f"{path} holds {counted(photos, 'photo')} without poses; formats that carry poses: {known}"
     return f"{path} holds no dataset; known are: {known}"

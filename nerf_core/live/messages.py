@@ -149,6 +149,13 @@ class SaveCheckpoint(OfRun):
 
 
 @dataclass(frozen=True)
+class InOrder(OfRun):
+    """Obey these commands one after the other; where one fails, the rest is not done."""
+
+    commands: tuple[OfRun, ...]
+
+
+@dataclass(frozen=True)
 class LoadCheckpoint(OfRun):
     path: Path
 
@@ -245,7 +252,7 @@ class Quit:
 
 Command = (
     OpenScene | CancelLoading | OpenRun | CloseRun | Train | Pause | Reset | UseMethod | SetShare | SaveCheckpoint
-    | LoadCheckpoint | Inspect | StopInspecting | PinRay | EditPin | UnpinRay | ExportRays | StartExport
+    | InOrder | LoadCheckpoint | Inspect | StopInspecting | PinRay | EditPin | UnpinRay | ExportRays | StartExport
     | CancelExport | Quit
 )  # fmt: skip
 

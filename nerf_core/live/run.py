@@ -199,7 +199,8 @@ class Run:
     def _resumed(scene: Scene, settings: RunSettings, stored: Stored) -> Trainer:
         if not scene.is_of(stored.description):
             raise UserError(f"{stored.file}: {scene.difference(stored.description)}")
-        return Trainer.resume(scene, stored.description, stored.state, settings.device)
+        with checkpoint.named(stored.file):
+            return Trainer.resume(scene, stored.description, stored.state, settings.device)
 
     def _take_over(self, stored: Stored, trainer: Trainer) -> None:
         """Take what a checkpoint has besides the model, which is adopted already, and tell of it."""

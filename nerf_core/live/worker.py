@@ -163,10 +163,13 @@ class Worker:
             self._command = 0
         self._publish(force=True)
 
-    def _obey(self, command: Command) -> None:
+    def _obey(self, command: Command | messages.OfRun) -> None:
         match command:
             case messages.SetShare(share, rule):
                 self._scheduler.set_share(share, rule)
+            case messages.InOrder(commands):
+                for one in commands:
+                    self._obey(one)
             case messages.CancelLoading():
                 pass  # what was loading has ended
             case messages.Quit():

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +70,15 @@ def load(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
     if metadata["sha256"] != _digest(metadata["version"], metadata["nerf"], arrays):
         raise Damaged(f"{path}: damaged: its checksum does not match; use an earlier checkpoint")
     return _described(path, metadata["nerf"]), arrays
+
+
+@contextmanager
+def named(path: Path) -> Iterator[None]:
+    """Put the checkpoint's path before what is wrong with its contents."""
+    try:
+        yield
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from None
 
 
 def describe(path: Path) -> dict[str, Any]:

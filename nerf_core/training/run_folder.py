@@ -197,7 +197,9 @@ class RunFolder:
         scene = load_scene(data or stored, settings.load, progress)
         if not scene.is_of(description):
             raise UserError(f"{path}: {scene.difference(description)}")
-        trainer = Trainer.resume(scene, description, state, on)
+        device.pick_device(on)  # a wrong one is no fault of the checkpoint
+        with checkpoint.named(path):
+            trainer = Trainer.resume(scene, description, state, on)
         return trainer, (*rejected, *scene.notes, *trainer.notes(description))
 
     def rewind(self, step: int) -> tuple[str, ...]:

@@ -155,7 +155,7 @@ def _model(file: Path) -> Reader:
 
     def change(_: bytes, seed: int) -> bytes:
         chance = random.Random(seed)
-        changed = dict(tensors)
+        changed: dict[str, Tensor | None] = dict(tensors)
         if chance.random() < 0.5:
             name = chance.choice(sorted(tensors))
             changed[name] = chance.choice(CHANGES)(tensors[name])

@@ -7,9 +7,10 @@ from collections.abc import Iterator
 from imgui_bundle import ImVec2, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from nerf_core.common.text import duration, rate
+from nerf_core.common.text import counted, duration, rate
 from nerf_core.live.messages import Reset
 
+from ..commands.actions.files import saved_first
 from ..commands.registry import MENUS, USER_COMMANDS, Menu, UserCommand, commands, invoke, run, with_keys
 from ..model.state import Action, AppState
 from ..ui.theme import CLEAR
@@ -79,8 +80,13 @@ def _training(ui: PanelUi, state: AppState) -> Iterator[Action]:
     imgui.pop_style_color()
     imgui.end_disabled()
     if imgui.begin_popup("forget"):
-        imgui.text(f"Forget {snapshot.step:,} steps and start again?")
-        if imgui.button("Forget them"):
+        imgui.text(f"Starting again forgets {counted(snapshot.step, 'trained step')}.")
+        if imgui.button("Save and start again"):
+            imgui.close_current_popup()
+            yield saved_first(state, Reset())
+        ui.mark("bar.reset_save")
+        imgui.same_line()
+        if imgui.button("Forget and start again"):
             imgui.close_current_popup()
             yield Reset()
         ui.mark("bar.reset_confirm")

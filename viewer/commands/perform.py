@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from nerf_core.common.errors import UserError
 from nerf_core.common.user_paths import own_path
@@ -14,6 +15,7 @@ from nerf_core.geometry.scene import Scene
 from nerf_core.live.messages import (
     Command,
     ExportRays,
+    InOrder,
     Inspect,
     LoadCheckpoint,
     Notice,
@@ -81,6 +83,12 @@ class Actions:
         return 0
 
     def _send(self, command: Command) -> int:
+        if isinstance(command, InOrder):
+            command = replace(command, commands=tuple(self._prepared(one) for one in command.commands))
+        return self._link.send(self._prepared(command))
+
+    def _prepared(self, command: Any) -> Any:
+        """Note what a command changes in the state; return it with the paths that a user may write."""
         state = self._state
         match command:
             case Inspect():
@@ -98,7 +106,7 @@ class Actions:
                 command = replace(command, request=ExportModel(own_path(file)))
             case _:
                 pass
-        return self._link.send(command)
+        return command
 
     def _move(self, action: GoToView | FocusOn | ResetView | FrameScene) -> None:
         state, scene = self._state, self._state.snapshot.scene

@@ -10,6 +10,7 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 
 from nerf_core.common.colormaps import colored
+from nerf_core.common.text import counted
 from nerf_core.live.messages import Pin
 from nerf_core.probe import RayHistory
 
@@ -55,8 +56,8 @@ class RayHistoryPanel:
             self._open = where_weights_are(history)
         imgui.text_colored(ui.theme.pins[pin.color], pin.name)
         imgui.same_line()
-        counted = f"{len(history.steps):,} records, steps {history.steps[0]:,} to {history.steps[-1]:,}"
-        imgui.text_colored(ui.theme.muted, counted)
+        extent = f"{counted(len(history.steps), 'record')}, steps {history.steps[0]:,} to {history.steps[-1]:,}"
+        imgui.text_colored(ui.theme.muted, extent)
         _scale(ui)
         self._draw(ui, history, fresh)
 

@@ -12,11 +12,12 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
 from nerf_core.common.configs import Constant, constants
-from nerf_core.common.text import number
+from nerf_core.common.text import counted, number
 from nerf_core.geometry.scene import SPLITS, Scene
 from nerf_core.live.messages import CancelLoading, OpenScene, UseMethod
 from nerf_core.methods import METHODS
 
+from ..commands.actions.files import saved_first
 from ..commands.registry import USER_COMMANDS, run, with_keys
 from ..model.state import Action, AppState, unsaved_steps
 from ..ui.contract import PANELS, Ui
@@ -81,9 +82,11 @@ class ScenePanel:
         if button(ui, DEMO, "scene.demo", tip="" if asking else "open the demo scene and train"):
             yield from self._ask(state, None, train=True)
         unsaved = unsaved_steps(state.snapshot)
-        question = f"Opening another scene forgets {unsaved:,} unsaved training steps."
-        if self._confirmation.draw(ui, question, "Forget them and open", "scene.open", needed=unsaved > 0):
-            yield OpenScene(self._wanted, state.settings, train=self._train)
+        question = f"Opening another scene forgets {counted(unsaved, 'unsaved training step')}."
+        answer = self._confirmation.draw(ui, question, "open", "scene.open", needed=unsaved > 0)
+        if answer:
+            opening = OpenScene(self._wanted, state.settings, train=self._train)
+            yield opening if answer == "forget" else saved_first(state, opening)
 
     def _method(self, ui: Ui, state: AppState) -> Iterator[Action]:
         """The method of the open scene, and a choice of another."""
@@ -102,11 +105,12 @@ class ScenePanel:
         why = f" ({snapshot.method_reason})" if snapshot.method_reason else ""
         imgui.set_item_tooltip(method_sentences().get(snapshot.method, "") + why)
         self._change.asking = self._change.asking or (bool(wanted) and unsaved > 0)
-        question = f"Changing to {self._other} forgets {unsaved:,} unsaved training steps."
-        agreed = self._change.draw(ui, question, "Forget them and change", "scene.method", needed=unsaved > 0)
-        if agreed or (wanted and unsaved == 0):
+        question = f"Changing to {self._other} forgets {counted(unsaved, 'unsaved training step')}."
+        answer = self._change.draw(ui, question, "change", "scene.method", needed=unsaved > 0)
+        if answer or (wanted and unsaved == 0):
             state.settings = replace(state.settings, method=self._other, preset="auto", changes={})
-            yield UseMethod(self._other, train=True)
+            changing = UseMethod(self._other, train=True)
+            yield saved_first(state, changing) if answer == "save" else changing
 
     def _ask(self, state: AppState, path: Path | None, train: bool) -> Iterator[Action]:
         self._wanted, self._train = path, train

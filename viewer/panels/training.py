@@ -9,10 +9,11 @@ from typing import Literal
 from imgui_bundle import ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from nerf_core.common.text import duration, rate
+from nerf_core.common.text import counted, duration, rate
 from nerf_core.live.messages import LoadCheckpoint, Pause, Reset, SetShare, Snapshot, Train
 from nerf_core.live.shares import SHARES
 
+from ..commands.actions.files import saved_first
 from ..commands.registry import run, with_keys
 from ..draw.history_plots import HistoryPlots
 from ..model.state import Action, AppState, unsaved_steps
@@ -39,7 +40,7 @@ class TrainingPanel:
         snapshot = state.snapshot
         text, color = _progress(ui, snapshot)
         hint(ui, text, color)
-        yield from self._buttons(ui, snapshot)
+        yield from self._buttons(ui, state)
         if snapshot.scene is None:
             return
         self._plots.draw(ui, snapshot)
@@ -47,7 +48,8 @@ class TrainingPanel:
         yield from self._time_share(ui, snapshot)
         yield from self._checkpoint(ui, state)
 
-    def _buttons(self, ui: Ui, snapshot: Snapshot) -> Iterator[Action]:
+    def _buttons(self, ui: Ui, state: AppState) -> Iterator[Action]:
+        snapshot = state.snapshot
         can_train = snapshot.status in ("ready", "paused", "failed")
         training = snapshot.status == "training"
         tip = with_keys("pause" if training else "train until the schedule ends", "training.toggle")
@@ -63,9 +65,10 @@ class TrainingPanel:
         tip = "" if self._reset.asking else "forget the weights and start again"  # a tooltip would cover the question
         if button(ui, RESET, "training.reset", enabled=snapshot.step > 0, tip=tip):
             self._reset.asking = True
-        question = f"This forgets {snapshot.step:,} trained steps."
-        if self._reset.draw(ui, question, "Forget them", "training.reset", needed=snapshot.step > 0):
-            yield Reset()
+        question = f"This forgets {counted(snapshot.step, 'trained step')}."
+        answer = self._reset.draw(ui, question, "start again", "training.reset", needed=snapshot.step > 0)
+        if answer:
+            yield Reset() if answer == "forget" else saved_first(state, Reset())
 
     def _time_share(self, ui: Ui, snapshot: Snapshot) -> Iterator[Action]:
         if self._share is not None and abs(self._share - snapshot.wanted_share) < 1e-6:
@@ -110,10 +113,11 @@ class TrainingPanel:
         if pressed and not exists(Path(path)):
             unsaved = 0  # nothing is forgotten, and the worker says what is wrong
         self._load.asking = self._load.asking or pressed
-        question = f"Loading forgets {unsaved:,} unsaved training steps."
-        agreed = self._load.draw(ui, question, "Forget them and load", "training.load", needed=unsaved > 0)
-        if agreed or (pressed and unsaved == 0):
-            yield LoadCheckpoint(Path(path))
+        question = f"Loading forgets {counted(unsaved, 'unsaved training step')}."
+        answer = self._load.draw(ui, question, "load", "training.load", needed=unsaved > 0)
+        if answer or (pressed and unsaved == 0):
+            loading = LoadCheckpoint(Path(path))
+            yield saved_first(state, loading) if answer == "save" else loading
 
 
 def _progress(ui: Ui, s: Snapshot) -> tuple[str, ImVec4]:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from .contract import Ui
 
+KEEP = "Keep"
 SCALE_STEPS = 16  # of a colour scale: about as many as colour maps have stops
 
 # ---- colours -------------------------------------------------------------------------------------------------
@@ -262,18 +263,32 @@ class Confirmation:
     def __init__(self) -> None:
         self.asking = self._shown = False
 
-    def draw(self, ui: Ui, question: str, answer: str, mark: str, needed: bool) -> bool:
-        """Show the question while it is open and `needed`. Returns True in the frame in which the user agrees."""
+    def draw(self, ui: Ui, question: str, verb: str, mark: str, needed: bool) -> Literal["", "forget", "save"]:
+        """Show the question while it is open and `needed`. Returns the answer in the frame in which the user agrees.
+
+        Args:
+            ui: where to draw.
+            question: what would be forgotten.
+            verb: what would be done then, "open" say.
+            mark: the widgets' name.
+            needed: whether there is anything to forget.
+        """
         self.asking = self.asking and needed and not imgui.is_key_pressed(imgui.Key.escape, False)
         if not self.asking:
             self._shown = False
-            return False
+            return ""
         hint(ui, question, ui.theme.warning)
-        yes = button(ui, answer, f"{mark}_confirm")
-        same_line_if_fits("Keep")
-        if button(ui, "Keep", f"{mark}_keep") or yes:
+        save, forget = f"Save and {verb}", f"Forget and {verb}"
+        answer: Literal["", "forget", "save"] = ""
+        if button(ui, save, f"{mark}_save", tip="save to a new file first"):
+            answer = "save"
+        same_line_if_fits(forget)
+        if button(ui, forget, f"{mark}_confirm"):
+            answer = "forget"
+        same_line_if_fits(KEEP)
+        if button(ui, KEEP, f"{mark}_keep", tip="change nothing") or answer:
             self.asking = False
         if not self._shown:  # it may lie below the visible part of the panel
             imgui.set_scroll_here_y(1.0)
             self._shown = True
-        return yes
+        return answer

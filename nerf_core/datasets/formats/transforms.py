@@ -9,6 +9,7 @@ from typing import ClassVar
 
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.json_files import Fields, read_json
+from nerf_core.common.text import counted
 from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions
 from nerf_core.datasets.json_frames import Frame, bounds, frames_of, gather
 from nerf_core.geometry.scene import SPLITS
@@ -60,5 +61,5 @@ def _with_named_splits(
             f"{document.file}: {len(unknown)} names of its splits are in no frame, first {shorten(unknown[0])}"
         )
     if len(kept) < len(capture.photos):
-        notes.append(f"{document.file}: {len(capture.photos) - len(kept)} photos are in no split and left out")
+        notes.append(f"{document.file}: {counted(len(capture.photos) - len(kept), 'photo')} in no split, left out")
     return replace(capture, splits=splits, notes=tuple(notes)).keeping(kept)

@@ -38,7 +38,7 @@ def test_paths_of_other_computers_are_found_by_name(tmp_path: Path, listed: str)
     found = find_photos(tmp_path, [listed], SOURCE)
     assert found.paths == (tmp_path / "images/0001.jpg",)
     assert len(found.notes) == 1
-    assert "1 photos are not where they are listed" in found.notes[0]
+    assert "1 photo not where listed" in found.notes[0]
 
 
 def test_ambiguous_names_stay_missing_but_folders_decide(tmp_path: Path) -> None:
@@ -92,3 +92,12 @@ def test_leaving_the_folder_is_noted_and_devices_are_refused(tmp_path: Path) -> 
     for listed in ("pipe.png", os.devnull):
         with pytest.raises(UserError, match="device or a pipe"):
             find_photos(tmp_path, [listed], SOURCE)
+
+
+def test_a_listed_device_is_refused_by_file_and_entry(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.png")
+    for entry in ("/dev/zero", "pipe.png"):
+        with pytest.raises(
+            UserError, match=rf"t\.json: lists '{entry}', a device or a pipe, not a photo: list regular"
+        ):
+            find_photos(tmp_path, [entry], tmp_path / "t.json")

@@ -49,7 +49,7 @@ def test_nerfstudio_splits(transforms_folder: Folder, read_transforms: Read) -> 
     assert capture.splits == {"train": (1, 2, 3, 4, 5), "val": (0,)}
     assert [p.name for p in capture.photos] == [listed[0], *listed[5:]]
     assert "1 names of its splits are in no frame, first 'gone.png'" in capture.notes[0]
-    assert "4 photos are in no split and left out" in capture.notes[1]
+    assert "4 photos in no split, left out" in capture.notes[1]
     del document["train_filenames"]
     with pytest.raises(UserError, match="train_filenames is missing beside val_filenames"):
         read_transforms(document)
@@ -63,7 +63,7 @@ def test_missing_and_double_photos_are_noted(transforms_folder: Folder, read_tra
     capture = read_transforms(document)
     assert len(capture.photos) == 9  # the damaged photo is noticed only when its size is needed
     assert "1 of 11 listed photos are missing, first 'images/0003.png'" in capture.notes[0]
-    assert "1 photos are listed more than once (first images/0000.png)" in capture.notes[1]
+    assert "1 photo listed more than once (first images/0000.png)" in capture.notes[1]
     del document["w"]
     capture = read_transforms(document)
     assert len(capture.photos) == 8

@@ -16,6 +16,7 @@ from nerf_core.datasets import LoadOptions
 from nerf_core.live.messages import (
     CancelLoading,
     Command,
+    InOrder,
     LoadCheckpoint,
     OpenScene,
     Pause,
@@ -126,6 +127,32 @@ def test_a_wrong_path_leaves_the_scene_alive(open_desk: OpenDesk, tmp_path: Path
     shown = desk.until(lambda s: s.loading == "" and s.status == "paused")
     assert (shown.loaded, shown.step) == (1, 1)
     assert desk.trained(1).step == 2
+
+
+def test_in_order_stops_at_the_first_failure(open_desk: OpenDesk, capture: Path, tmp_path: Path) -> None:
+    desk = open_desk()
+    before = desk.trained(3)
+    opening = OpenScene(capture, desk.settings)
+    desk.send(InOrder((SaveCheckpoint(Path("/proc/none/a.safetensors")), opening)))
+    desk.until_told("/proc/none/a.safetensors")
+    desk.send(Train(1))
+    assert desk.until(lambda s: s.step == 4 and s.status != "training").loaded == before.loaded
+    desk.send(InOrder((SaveCheckpoint(tmp_path / "a.safetensors"), opening)))
+    assert desk.until(lambda s: s.loaded == before.loaded + 1).step == 0
+    assert checkpoint.describe(tmp_path / "a.safetensors")["step"] == 4
+
+
+def test_a_model_that_does_not_fit_names_its_file(open_desk: OpenDesk, tmp_path: Path) -> None:
+    desk = open_desk()
+    desk.trained(1)
+    desk.send(SaveCheckpoint(tmp_path / "a.safetensors"))
+    desk.until_told("saved step 1")
+    description, state = checkpoint.load(tmp_path / "a.safetensors")
+    checkpoint.save(tmp_path / "b.safetensors", description | {"method": "magic"}, state)
+    checkpoint.save(tmp_path / "c.safetensors", description, {})
+    for name, words in {"b": "unknown method 'magic'", "c": "the checkpoint does not fit method"}.items():
+        desk.send(LoadCheckpoint(tmp_path / f"{name}.safetensors"))
+        assert desk.until_told(words).text.startswith(f"{tmp_path / name}.safetensors: {words}")
 
 
 def test_another_method_begins_anew_on_the_same_scene(open_desk: OpenDesk) -> None:

@@ -432,6 +432,34 @@ def test_typing_into_a_text_field_runs_no_commands(start: Start) -> None:
     assert asked or confirmed
 
 
+@pytest.mark.parametrize("field", ["scene.path", "training.checkpoint", "export.file"])
+def test_what_is_typed_right_after_a_click_goes_into_the_field(start: Start, field: str) -> None:
+    app, worker = start((1000, 1200))
+    if field == "export.file":
+        app.state.raise_panel = "Export"
+    app.settle()
+    box, io, eye = app.widgets[field], imgui.get_io(), app.state.camera.c2w()
+    x, y = (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
+    sent = len(worker.sent)
+    io.add_mouse_pos_event(x, y)  # all of it waits when the next frame begins
+    io.add_mouse_button_event(0, True)
+    io.add_mouse_button_event(0, False)
+    for letter in "was":
+        key = getattr(imgui.Key, letter)
+        io.add_key_event(key, True)
+        io.add_input_character(ord(letter))
+        io.add_key_event(key, False)
+    for _ in range(20):
+        app.frame(force=True)
+    text = {
+        "scene.path": app.state.open_path, "training.checkpoint": app.state.checkpoint_file,
+        "export.file": app.state.film.file,
+    }[field]  # fmt: skip
+    assert "was" in text
+    np.testing.assert_array_equal(app.state.camera.c2w(), eye)
+    assert len(worker.sent) == sent
+
+
 # ---- errors ---------------------------------------------------------------------------------------------------------
 
 

@@ -191,6 +191,8 @@ def test_a_loaded_model_keeps_its_method_and_constants(written: Path, arguments:
         (["--pin", "0.5", "0.5"] * (MOST_PINS + 1), "--pin: given 9 times; 8 rays at most can be pinned"),
         (["--camera", "nowhere", "--steps", "1", "--screenshot", "x.png"], "--camera 'nowhere': is none of the"),
         (["--click", "a", "0.5", "--steps", "1000000"], "--click a"),
+        (["--click", "5000", "5000", "--steps", "1000000", "--inspect", "x.json"], "--click 5000"),
+        (["--pin", "5000", "5000", "--steps", "1000000", "--save", "x.safetensors"], "--pin 5000"),
         (["--render", "a.png", "--render", "b.npy"], "--render: given 2 times"),
         (["--render", "x.jpg"], ".png or .npy"),
         (["--load", "nothing.safetensors"], "nothing.safetensors"),
