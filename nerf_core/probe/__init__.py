@@ -7,7 +7,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from nerf_core.probe.directions import DISC_SIZE, SPHERE_COLUMNS, SPHERE_ROWS, RadianceProbe, disc_grid
+    from nerf_core.probe.directions import DISC_SIZE, SPHERE_COLUMNS, SPHERE_ROWS, RadianceProbe, Source, disc_grid
     from nerf_core.probe.evidence import TrainingViews
     from nerf_core.probe.layers import layers_of
     from nerf_core.probe.opened import open_pixel
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 # The module of each public name. A name is imported when it is asked for, so that the records load without torch.
 _HOMES = {
-    "directions": ("DISC_SIZE", "SPHERE_COLUMNS", "SPHERE_ROWS", "RadianceProbe", "disc_grid"),
+    "directions": ("DISC_SIZE", "SPHERE_COLUMNS", "SPHERE_ROWS", "RadianceProbe", "Source", "disc_grid"),
     "evidence": ("TrainingViews",),
     "layers": ("layers_of",),
     "opened": ("open_pixel",),
@@ -48,6 +48,7 @@ __all__ = [
     "RayHistory",
     "RayProbe",
     "Sightings",
+    "Source",
     "Standing",
     "TrainingViews",
     "Truth",

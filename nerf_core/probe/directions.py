@@ -1,4 +1,4 @@
-"""The colours that one point emits, on a map of the sphere and on a disc, as plain arrays."""
+"""The colours that a layer, a point or a whole ray shows, on a map of the sphere and on a disc, as plain arrays."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ SPHERE_ROWS, SPHERE_COLUMNS = 48, 96  # pixels of the sphere map: 4,608 directio
 DISC_SIZE = 73  # pixels on a side of the disc: some 4,180 directions over one hemisphere
 
 Around = Literal["viewer", "normal"]
+Source = Literal["layer", "point", "ray"]
 
 
 @dataclass(frozen=True)
 class RadianceProbe:
-    """The colours that one point emits towards K directions v.
+    """The colours that a point of a ray, its layer, and the whole ray show towards K directions v.
 
     A direction v is a unit vector from the point outwards. A method takes ray directions d from the camera to the
     point, so the colour towards v is c(x, d = −v). Colours are float32 in [0, 1].
@@ -28,6 +29,12 @@ class RadianceProbe:
         from +up to −up, and the azimuth grows along a row. The others are the disc's pixels inside the circle.
     rgb: (K, 3) the colours that the point emits.
     back_rgb: (3,) the colour that the point emits towards the ray's origin.
+    dependence: how much these colours differ; see `view_dependence`.
+    layer: (2,) where the point's layer on the ray begins and ends, as world distances; None if the point is in none.
+    layer_rgb: (K, 3) Σ w_i c(x_i, −v) / Σ w_i over the samples of the layer: those of the ray's last pass whose stretch
+        meets it. Those of the point without a layer.
+    layer_back_rgb: (3,) the same towards the ray's origin: the layer's part of the pixel's colour.
+    layer_dependence: how much these colours differ.
     frozen_rgb: (K, 3) Σ w_i c(x_i, −v) + (1 − Σ w_i) background: the pixel if every sample of the ray kept its weight
         and showed the colour that it emits towards v.
     axes: (3, 3) the disc's axes as rows: right, up, and the direction at its centre, which `around` names.
@@ -35,7 +42,8 @@ class RadianceProbe:
     azimuth0: (3,) unit, the direction of azimuth 0 on the sphere map. The azimuth grows towards cross(up, azimuth0).
     normal: (3,) unit, the density's normal on the viewer's side; None if there is none. See `density_normal`.
     around: the direction at the disc's centre: to the viewer, or the normal.
-    dependence: how much the colours differ; see `view_dependence`.
+    default: whose colours are shown unless another source is asked for: the layer's; the point's if the point was
+        asked for or has no layer.
     """
 
     step: int
@@ -44,32 +52,35 @@ class RadianceProbe:
     directions: np.ndarray
     rgb: np.ndarray
     back_rgb: np.ndarray
+    dependence: float
+    layer: np.ndarray | None
+    layer_rgb: np.ndarray
+    layer_back_rgb: np.ndarray
+    layer_dependence: float
     frozen_rgb: np.ndarray
     axes: np.ndarray
     up: np.ndarray
     azimuth0: np.ndarray
     normal: np.ndarray | None
     around: Around
-    dependence: float
+    default: Source
 
-    def sphere_image(self, frozen: bool = False) -> np.ndarray:
-        """Return the sphere map, (SPHERE_ROWS, SPHERE_COLUMNS, 3) float32.
+    def colors(self, of: Source | None = None) -> np.ndarray:
+        """Return the colours (K, 3) of a source: `layer_rgb`, `rgb` or `frozen_rgb`. None takes `default`."""
+        return {"layer": self.layer_rgb, "point": self.rgb, "ray": self.frozen_rgb}[of or self.default]
 
-        Args:
-            frozen: show `frozen_rgb` in place of `rgb`.
-        """
-        rgb = self.frozen_rgb if frozen else self.rgb
-        return rgb[: SPHERE_ROWS * SPHERE_COLUMNS].reshape(SPHERE_ROWS, SPHERE_COLUMNS, 3)
+    def sphere_image(self, of: Source | None = None) -> np.ndarray:
+        """Return the sphere map of a source, (SPHERE_ROWS, SPHERE_COLUMNS, 3) float32; see `colors`."""
+        return self.colors(of)[: SPHERE_ROWS * SPHERE_COLUMNS].reshape(SPHERE_ROWS, SPHERE_COLUMNS, 3)
 
-    def disc_image(self, frozen: bool = False) -> np.ndarray:
-        """Return the disc, (DISC_SIZE, DISC_SIZE, 4) float32 RGBA, row 0 at the top, alpha 0 outside the circle.
+    def disc_image(self, of: Source | None = None) -> np.ndarray:
+        """Return the disc of a source, (DISC_SIZE, DISC_SIZE, 4) float32 RGBA; see `colors`.
 
-        Args:
-            frozen: show `frozen_rgb` in place of `rgb`.
+        Row 0 is at the top, and alpha is 0 outside the circle.
         """
         inside = disc_grid()[2]
         image = np.zeros((DISC_SIZE, DISC_SIZE, 4), np.float32)
-        image[inside, :3] = (self.frozen_rgb if frozen else self.rgb)[SPHERE_ROWS * SPHERE_COLUMNS :]
+        image[inside, :3] = self.colors(of)[SPHERE_ROWS * SPHERE_COLUMNS :]
         image[inside, 3] = 1
         return image
 
@@ -99,12 +110,12 @@ class RadianceProbe:
         xyz = direction @ self.axes.T
         return np.where(xyz[..., 2:] >= 0, xyz[..., :2], np.nan)
 
-    def slice(self, azimuth: float, frozen: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    def slice(self, azimuth: float, of: Source | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return the colours along a diameter of the disc.
 
         Args:
             azimuth: the diameter's angle from the disc's right, in radians.
-            frozen: show `frozen_rgb` in place of `rgb`.
+            of: the source; see `colors`.
 
         Returns:
             Angles (A,) from the disc's axis in radians, and colours (A, 3). The angles end at the centre of the
@@ -112,7 +123,7 @@ class RadianceProbe:
         """
         most = np.arcsin((DISC_SIZE - 1) / DISC_SIZE)
         angles = np.linspace(-most, most, 2 * DISC_SIZE - 1)
-        image, r = self.disc_image(frozen), np.sin(angles)
+        image, r = self.disc_image(of), np.sin(angles)
         x, y = r * np.cos(azimuth), r * np.sin(azimuth)
         return angles, _bilinear(image, (x + 1) / 2 * DISC_SIZE - 0.5, (1 - y) / 2 * DISC_SIZE - 0.5)
 

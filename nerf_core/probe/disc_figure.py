@@ -38,8 +38,11 @@ def draw_disc(axes: Any, one: Opened) -> None:
         drawn = bool(np.isfinite(places).any())
         axes.plot(places[:, 0], places[:, 1], "o", ms=2.5, mfc="white", mec="black", mew=0.5)
     axes.plot(*radiance.disc_position(-one.ray.direction), "+", color=ink, ms=7, mew=1)
-    axes.set_title(f"radiance at the point, t = {radiance.t:.3g}", fontsize=8)
-    notes = [f"view-dependence {radiance.dependence:.3f}", "+ this ray" + (", ○ photos" if drawn else "")]
+    where, dependence = f"at the point, t = {radiance.t:.3g}", radiance.dependence
+    if radiance.default == "layer" and radiance.layer is not None:
+        where, dependence = f"of the layer at t = {radiance.t:.3g}", radiance.layer_dependence
+    axes.set_title(f"radiance {where}", fontsize=8)
+    notes = [f"view-dependence {dependence:.3f}", "+ this ray" + (", ○ photos" if drawn else "")]
     axes.set_xlabel("\n".join(notes + ["hatched: no photo looked from there"] * bool(far.any())), fontsize=7)
 
 

@@ -118,7 +118,7 @@ class TrainingViews:
             emitted = method.radiance(torch.from_numpy(point)[None], looking)[0].cpu().numpy()
         found = Sightings(
             point, margin, len(self.views), int(framed.sum()), self.views[index], pixels[index], distance[index],
-            angle[index], -looks[index], light, share, self.observed(index, pixels[index]), predicted, emitted,
+            angle[index], -looks[index], light, share, self.observed(index, pixels[index]), predicted, emitted, emitted,
         )  # fmt: skip
         return found.at(np.lexsort((found.angle, ~found.seen)))
 

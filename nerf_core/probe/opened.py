@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+import torch
 
 from nerf_core.common.errors import UserError
 from nerf_core.geometry.camera import Camera
@@ -13,10 +14,11 @@ from nerf_core.geometry.scene import Scene
 from nerf_core.methods import METHODS, Method, Radiant
 from nerf_core.probe.directions import Around
 from nerf_core.probe.evidence import TrainingViews
-from nerf_core.probe.layers import grain_at
-from nerf_core.probe.radiance import open_radiance
+from nerf_core.probe.layers import grain_at, layers_of
+from nerf_core.probe.radiance import LayerRadiance, default_t, layer_at, open_radiance
 from nerf_core.probe.ray import FARTHEST, open_ray
 from nerf_core.probe.records import Opened
+from nerf_core.probe.standing import Verdict
 from nerf_core.probe.verdict import judging
 from nerf_core.probe.walkthrough import walk
 
@@ -40,7 +42,7 @@ def open_pixel(
         pixel: integer column and row in the camera's picture.
         step: the training step of the model. It is copied into the result and is not used otherwise.
         point_t: world distance along the ray of the point whose radiance and evidence are wanted. None takes the
-            verdict's surface, else the default of `open_radiance`.
+            layer of the verdict's surface, in the middle of its weight, else the default of `open_radiance`.
         around: what the radiance's disc has at its centre: "viewer" for the direction to the camera, or "normal" for
             the density's normal.
 
@@ -81,27 +83,47 @@ def pieces(
         if point_t > FARTHEST * opened.ray.far:
             fit = f"give a distance from {opened.ray.near:.4g} to {opened.ray.far:.4g}"
             raise UserError(f"t {point_t:g}: the point lies far behind all that the ray meets: {fit}")
-        opened = _with_point(method, training_views, opened, point_t, around)
+        opened = _with_point(method, training_views, opened, point_t, around, asked=True)
     yield opened
     for verdict in judging(method, training_views, opened.ray):
         opened = replace(opened, verdict=verdict)
         yield opened
     if point_t is None:
         assert opened.verdict is not None
-        opened = _with_point(method, training_views, opened, opened.verdict.surface_t, around)
+        opened = _with_point(method, training_views, opened, _best_t(opened, opened.verdict), around, asked=False)
         yield opened
     yield replace(opened, walk=walk(method, scene, camera, opened.ray))
 
 
+def _best_t(opened: Opened, verdict: Verdict) -> float:
+    """Return the distance of the point that is shown first.
+
+    It is the middle of the weight of the layer that is the surface. The surface itself lies in front of it, where on a
+    highlight the colour can be another. A surface that something hides has no weight on this ray: it is shown itself.
+    """
+    layers = layers_of(opened.ray, opened.scene)
+    if verdict.surface_t is None:
+        return default_t(opened.ray, layers)
+    layer = layer_at(layers, verdict.surface_t)
+    return verdict.surface_t if layer is None else layer.t
+
+
 def _with_point(
-    method: Method, training_views: TrainingViews, opened: Opened, t: float | None, around: Around
+    method: Method, training_views: TrainingViews, opened: Opened, t: float, around: Around, asked: bool
 ) -> Opened:
-    """Add the evidence of the point at t, and its radiance if the method has one."""
-    radius, look = training_views.scene.radius, opened.ray.direction.astype(np.float64)
+    """Add the evidence of the point at t, and the radiance there if the method has one. asked: the user chose t."""
+    scene, ray, look = training_views.scene, opened.ray, opened.ray.direction.astype(np.float64)
+    layer = layer_at(layers_of(ray, scene), t)
+    point = ray.origin.astype(np.float64) + t * look
+    margin = grain_at(float(t), scene.radius) if asked or layer is None else layer.margin
+    evidence = training_views.look(method, point, look, margin)
     radiance = None
     if isinstance(method, Radiant):
-        radiance = open_radiance(method, training_views.scene, opened.ray, opened.camera.c2w[:, 1], t, around)
-    t = opened.ray.point_t() if t is None else t
-    point = opened.ray.origin.astype(np.float64) + t * look
-    evidence = training_views.look(method, point, look, grain_at(float(t), radius))
+        radiance = open_radiance(method, scene, ray, opened.camera.c2w[:, 1], t, around)
+    if isinstance(method, Radiant) and layer is not None:
+        looking = torch.from_numpy(-evidence.directions)
+        emitted = LayerRadiance(method, ray, layer).radiance(torch.from_numpy(point)[None], looking)[0].numpy()
+        evidence = replace(evidence, layer_emitted=emitted)
+    if radiance is not None and radiance.layer is not None and not asked:
+        radiance = replace(radiance, default="layer")
     return replace(opened, radiance=radiance, evidence=evidence)

@@ -1,6 +1,8 @@
-"""The colours that one point emits over all directions, and those that the whole ray would show, as plain arrays."""
+"""The colours that a point, its layer and the whole ray would show in all directions, as plain arrays."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -9,13 +11,15 @@ from torch import Tensor
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Dense, Radiant
 from nerf_core.probe.directions import SPHERE_COLUMNS, SPHERE_ROWS, Around, RadianceProbe, disc_grid
+from nerf_core.probe.layers import layers_of
 from nerf_core.probe.records import PassProbe, RayProbe
+from nerf_core.probe.standing import Layer
 from nerf_core.rendering.view_dependence import view_dependence
 
-# The share of a ray's weight that is evaluated anew for each direction. The rest changes a pixel by at most half an
-# 8-bit step.
-FROZEN_WEIGHT = 0.998
-FROZEN_PAIRS = 1 << 16  # pairs of a sample and a direction that are evaluated at once: some 100 MB with a network
+# The share of a mixture that is evaluated anew for each direction. The rest changes a colour by at most half an 8-bit
+# step.
+EVALUATED = 0.998
+PAIRS = 1 << 16  # pairs of a sample and a direction that are evaluated at once: some 100 MB with a network
 STEEP = 1e-6  # there is no normal where σ changes by no more than this share over a sample's length
 
 
@@ -27,37 +31,75 @@ def open_radiance(
     point_t: float | None = None,
     around: Around = "viewer",
 ) -> RadianceProbe:
-    """Return the colours that a point of an opened ray emits over all directions.
+    """Return the colours that a point of an opened ray, its layer and the whole ray show over all directions.
 
     Args:
         method: a model that has a radiance at a point.
         scene: its scene.
         ray: the opened ray.
         camera_up: (3,) the camera's upward direction in the world; the disc is drawn with it upright.
-        point_t: the point's world distance along the ray. None takes the median depth, else the strongest sample,
-            else the middle of the ray.
+        point_t: the point's world distance along the ray. None takes `default_t`.
         around: the direction at the disc's centre: "viewer" for the one to the camera, or "normal" for the density's
             normal. Where there is no normal, it is the viewer.
 
     Returns:
         Colours over directions v, from the point outwards.
     """
-    t = ray.point_t() if point_t is None else point_t
+    layers = layers_of(ray, scene)
+    t = default_t(ray, layers) if point_t is None else point_t
     origin, along = ray.origin.astype(np.float64), ray.direction.astype(np.float64)
-    point, last = origin + t * along, ray.passes[-1]
+    point, last, layer = origin + t * along, ray.passes[-1], layer_at(layers, t)
     normal = density_normal(method, point, _length_at(last, t, scene), -along)
     axes = _facing(normal if around == "normal" and normal is not None else -along, camera_up)
     pole = scene.up / np.linalg.norm(scene.up)
     azimuth0 = _facing(pole, axes[0])[1]
     directions = np.concatenate([_sphere(pole, azimuth0), _disc(axes)])
-    looking = torch.from_numpy(-directions)
-    every = torch.cat([looking, torch.from_numpy(along)[None]])
-    rgb, back = np.split(method.radiance(torch.from_numpy(point)[None], every)[0].cpu().numpy(), [-1])
-    frozen = _frozen(method, ray, looking)
-    dependence = float(view_dependence(method, torch.from_numpy(point)[None], torch.from_numpy(-along)[None])[0])
+    every = torch.from_numpy(np.concatenate([-directions, along[None]]))
+    here, towards = torch.from_numpy(point)[None], torch.from_numpy(-along)[None]
+    rgb = method.radiance(here, every)[0].cpu().numpy()
+    dependence = float(view_dependence(method, here, towards)[0])
+    shares = [last.weights] if layer is None else [last.weights, layer_shares(ray, layer)]
+    whole, *mixed = mixtures(method, ray, np.stack(shares), every)
+    whole = whole + ((1 - ray.opacity) * ray.background).astype(np.float32)
+    layer_rgb, layer_dependence, bounds = rgb, dependence, None
+    if layer is not None:
+        layer_rgb, bounds = mixed[0], np.array([layer.begin, layer.end])
+        layer_dependence = float(view_dependence(LayerRadiance(method, ray, layer), here, towards)[0])
     return RadianceProbe(
-        ray.step, point, float(t), directions, rgb, back[0], frozen, axes, pole, azimuth0, normal, around, dependence
-    )
+        ray.step, point, float(t), directions, rgb[:-1], rgb[-1], dependence, bounds, layer_rgb[:-1], layer_rgb[-1],
+        layer_dependence, whole[:-1], axes, pole, azimuth0, normal, around,
+        "layer" if layer is not None and point_t is None else "point",
+    )  # fmt: skip
+
+
+def default_t(ray: RayProbe, layers: Sequence[Layer]) -> float:
+    """Return the distance of a ray's point: the middle of the weight of the heaviest layer, or `RayProbe.point_t`."""
+    heaviest = max(layers, key=lambda layer: layer.weight, default=None)
+    return ray.point_t() if heaviest is None else heaviest.t
+
+
+def layer_at(layers: Sequence[Layer], t: float) -> Layer | None:
+    """Return the layer that contains a distance; None if there is none."""
+    return next((layer for layer in layers if layer.begin <= t <= layer.end), None)
+
+
+def layer_shares(ray: RayProbe, layer: Layer) -> np.ndarray:
+    """Return w_i / Σ w (S,) for the samples of the last pass whose stretch meets the layer, and 0 for the others."""
+    last = ray.passes[-1]
+    weights = last.weights * ((last.until > layer.begin) & (last.t < layer.end))
+    return weights / weights.sum(dtype=np.float64)
+
+
+class LayerRadiance:
+    """The colour that a layer of a ray shows, as if it were a point: Σ w c(x, d) / Σ w with the weights of the ray."""
+
+    def __init__(self, method: Radiant, ray: RayProbe, layer: Layer) -> None:
+        self._method, self._ray, self._shares = method, ray, layer_shares(ray, layer)[None]
+
+    def radiance(self, points: Tensor, directions: Tensor) -> Tensor:
+        """Return the colours (P, K, 3) along K ray directions (K, 3). All points (P, 3) are the same layer."""
+        rgb = torch.from_numpy(mixtures(self._method, self._ray, self._shares, directions)[0])
+        return rgb.expand(len(points), -1, -1)
 
 
 def density_normal(method: Radiant | Dense, point: np.ndarray, length: float, towards: np.ndarray) -> np.ndarray | None:
@@ -98,20 +140,35 @@ def _length_at(one: PassProbe, t: float, scene: Scene) -> float:
     return float(np.clip(np.nan_to_num(one.until[k] - one.t[k], posinf=most), 0.01 * most, most))
 
 
-def _frozen(method: Radiant, ray: RayProbe, looking: Tensor) -> np.ndarray:
-    """Return Σ w_i c(x_i, d) + (1 − Σ w_i) background over ray directions d (K, 3), as (K, 3) float32."""
+def mixtures(method: Radiant, ray: RayProbe, shares: np.ndarray, looking: Tensor) -> np.ndarray:
+    """Return mixtures of a ray's samples, Σ s_i c(x_i, d), over directions.
+
+    The samples that hold EVALUATED of any mixture's shares are evaluated anew for each direction, once for all
+    mixtures. The others keep the colour that they have on the ray.
+
+    Args:
+        method: the model.
+        ray: an opened ray; its last pass has S samples.
+        shares: (G, S) the s of each of G mixtures.
+        looking: (K, 3) ray directions d.
+
+    Returns:
+        (G, K, 3) float32.
+    """
     last = ray.passes[-1]
-    order = np.argsort(-last.weights, kind="stable")
-    reach = np.cumsum(last.weights[order], dtype=np.float64)
-    needed = int(np.searchsorted(reach, FROZEN_WEIGHT * reach[-1])) + 1 if len(reach) else 0
-    kept, rest = np.split(order, [needed])
-    color = last.weights[rest].astype(np.float64) @ last.rgb[rest] + (1 - ray.opacity) * ray.background
-    total, done = torch.from_numpy(color).float().expand(len(looking), 3).clone(), 0
+    anew = np.zeros(len(last.t), bool)
+    for one in shares if len(anew) else ():
+        order = np.argsort(-one, kind="stable")
+        reach = np.cumsum(one[order], dtype=np.float64)
+        anew[order[: int(np.searchsorted(reach, EVALUATED * reach[-1])) + 1]] = True
+    kept = np.flatnonzero(anew)
+    color = shares[:, ~anew].astype(np.float64) @ last.rgb[~anew]
+    total, done = torch.from_numpy(color).float()[:, None].repeat(1, len(looking), 1), 0
     points = ray.origin.astype(np.float64) + last.t[kept, None].astype(np.float64) * ray.direction.astype(np.float64)
-    weights = torch.from_numpy(last.weights[kept]).float()
-    for part in looking.split(max(1, FROZEN_PAIRS // needed)) if needed else ():
+    weights = torch.from_numpy(shares[:, kept]).float()
+    for part in looking.split(max(1, PAIRS // len(kept))) if len(kept) else ():
         rgb = method.radiance(torch.from_numpy(points), part).cpu().float()
-        total[done : done + len(part)] += torch.einsum("p,pkc->kc", weights, rgb)
+        total[:, done : done + len(part)] += torch.einsum("gp,pkc->gkc", weights, rgb)
         done += len(part)
     return total.numpy()
 

@@ -20,7 +20,10 @@ from nerf_core.probe.records import Opened, PassProbe, RayProbe
 from nerf_core.probe.standing import Verdict
 
 SAMPLE = ("t", "until", "delta", "sigma", "alpha", "transmittance", "weights")
-RADIANCE = ("point", "t", "directions", "rgb", "back_rgb", "frozen_rgb", "axes", "normal", "dependence")
+RADIANCE = (
+    "point", "t", "directions", "rgb", "back_rgb", "dependence", "layer", "layer_rgb", "layer_back_rgb",
+    "layer_dependence", "frozen_rgb", "axes", "normal",
+)  # fmt: skip
 
 
 def inspection(opened: Opened) -> dict[str, Any]:
@@ -75,6 +78,7 @@ def _ray_values(ray: RayProbe) -> dict[str, Any]:
         "depth_median": ray.depth_median,
         "depth_strongest": ray.depth_strongest,
         "rendered_color": ray.rendered_color,
+        "begins": ray.begins,
     }
 
 

@@ -31,6 +31,7 @@ class Sightings:
     observed: (V, 3) the photo's colour in that pixel.
     predicted: (V, 3) the model's colour of that pixel.
     emitted: (V, 3) the colour that the point emits towards the camera; NaN if the method has no radiance at a point.
+    layer_emitted: (V, 3) the same of the point's layer, if it has one; see `RadianceProbe.layer_rgb`.
     """
 
     point: np.ndarray
@@ -47,6 +48,7 @@ class Sightings:
     observed: np.ndarray
     predicted: np.ndarray
     emitted: np.ndarray
+    layer_emitted: np.ndarray
 
     @property
     def seen(self) -> np.ndarray:
@@ -59,14 +61,14 @@ class Sightings:
         return replace(self, **{f.name: getattr(self, f.name)[index] for f in fields(self) if f.name not in rows})
 
 
-def mean_emitted(sightings: Sightings) -> np.ndarray | None:
-    """Return the mean colour that a point emits towards the photos that see it, (3,).
+def mean_emitted(sightings: Sightings, layer: bool = False) -> np.ndarray | None:
+    """Return the mean colour that a point, or its layer, emits towards the photos that see it, (3,).
 
     What a direction emits beside this mean, positive or negative, depends on the view. Directions that no photo
     observed do not count: nothing tells the model what to emit there. None if fewer than FEWEST_LOOKS photos see the
     point, or if the method has no radiance at a point.
     """
-    emitted = sightings.emitted[sightings.seen]
+    emitted = (sightings.layer_emitted if layer else sightings.emitted)[sightings.seen]
     return emitted.mean(0) if len(emitted) >= FEWEST_LOOKS and not np.isnan(emitted).any() else None
 
 

@@ -51,6 +51,11 @@ class Layer:
     light: float
     color: np.ndarray
 
+    @property
+    def margin(self) -> float:
+        """Half the length of the stretch that counts as the layer's point t: a surface must not hide itself."""
+        return self.grain + min(self.t - self.begin, THICK * self.grain)
+
 
 @dataclass(frozen=True)
 class Standing:

@@ -20,7 +20,7 @@ from nerf_core.probe.evidence import TrainingViews
 from nerf_core.probe.layers import layers_of, pass_layers
 from nerf_core.probe.ray import passes_of
 from nerf_core.probe.records import RayProbe
-from nerf_core.probe.standing import FEW, THICK, Layer, Standing, Verdict
+from nerf_core.probe.standing import FEW, Layer, Standing, Verdict
 from nerf_core.probe.verdicts import COUNTS, NOTHING, VERDICTS, Facts, outer, tolerance
 
 ASIDE = np.radians(75)  # a photo at a larger angle to the ray does not see this side of a layer
@@ -81,7 +81,7 @@ def stand(method: Method, training_views: TrainingViews, ray: RayProbe, layer: L
         The photos' answers; all counts of voters are 0 if no photo sees the layer.
     """
     point = ray.origin.astype(np.float64) + layer.t * ray.direction.astype(np.float64)
-    margin = layer.grain + min(layer.t - layer.begin, THICK * layer.grain)
+    margin = layer.margin
     sightings = training_views.look(method, point, ray.direction.astype(np.float64), margin)
     counts = int((sightings.seen & (sightings.angle < ASIDE)).sum()), int(sightings.seen.sum())
     asked = sightings.at(np.flatnonzero(sightings.seen)[:ASKED])

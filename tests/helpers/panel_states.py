@@ -104,8 +104,9 @@ def make_radiance(ray: RayProbe) -> RadianceProbe:
     point = ray.origin + t * ray.direction
     rgb = (0.5 - 0.5 * directions).astype(np.float32)
     return RadianceProbe(
-        ray.step, point, t, directions, rgb, 0.5 - 0.5 * towards, 0.9 * rgb, axes, up, azimuth0, axes[2], "viewer", 0.21
-    )
+        ray.step, point, t, directions, rgb, 0.5 - 0.5 * towards, 0.21, np.array([t - 0.1, t + 0.1]), rgb,
+        0.4 - 0.4 * towards, 0.17, 0.9 * rgb, axes, up, azimuth0, axes[2], "viewer", "layer",
+    )  # fmt: skip
 
 
 def make_evidence(scene: Scene, radiance: RadianceProbe) -> Sightings:
@@ -119,7 +120,7 @@ def make_evidence(scene: Scene, radiance: RadianceProbe) -> Sightings:
     return Sightings(
         radiance.point, 0.04, len(scene.split("train")), count, views, np.tile([100.5, 75.5], (count, 1)), distance,
         np.linspace(0, 1.5, count), directions / distance[:, None], np.where(hidden, 0.1, 0.95), np.full(count, 0.9),
-        rgb, rgb + 0.02, rgb - 0.02,
+        rgb, rgb + 0.02, rgb - 0.02, rgb - 0.05,
     )  # fmt: skip
 
 

@@ -147,7 +147,11 @@ def _radiance(camera: Camera, point: np.ndarray, t: float, color: np.ndarray) ->
     rgb = np.clip(color + 0.5 * gloss, 0, 1).astype(np.float32)
     up, first = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
     axes = camera.c2w[:, :3].T.copy()
-    return RadianceProbe(100, point, t, directions, rgb, color, rgb, axes, up, first, axes[2], "viewer", 0.1)
+    layer = np.array([t - 0.1, t + 0.1])
+    return RadianceProbe(
+        100, point, t, directions, rgb, color, 0.1, layer, rgb, color, 0.1, rgb, axes, up, first, axes[2], "viewer",
+        "layer",
+    )  # fmt: skip
 
 
 class ScriptedWorker:

@@ -10,7 +10,7 @@ import numpy as np
 
 from nerf_core.geometry.paths import DEFAULT_PATH
 from nerf_core.live.messages import Command, Inspect, Notice, Snapshot
-from nerf_core.probe.directions import Around
+from nerf_core.probe.directions import Around, Source
 from nerf_core.rendering.modes import COLOR
 from nerf_core.training.settings import RunSettings
 
@@ -155,7 +155,7 @@ class AppState:
     show_cameras: bool = False  # * training cameras in the viewport
     show_samples: bool = True  # * the inspected ray and its samples in the viewport
     mode: str = COLOR  # * the viewport's render mode; see nerf_core.rendering.modes
-    frozen_ray: bool = False  # * the radiance panel shows the whole ray instead of only its point
+    radiance_of: Source | None = None  # * whose radiance is shown; None: the probe's default
     show_help: bool = False  # *
     show_palette: bool = False  # *
     show_panels: bool = True  # *

@@ -18,6 +18,7 @@ from nerf_core.probe import (
     SPHERE_ROWS,
     RadianceProbe,
     Sightings,
+    Source,
     disc_grid,
     mean_emitted,
     unseen,
@@ -29,6 +30,15 @@ from ..ui.widgets import Row, button, figures, hint, mono, nothing_yet, packed, 
 
 CAPTIONS = {"viewer": "facing its camera", "normal": "around the normal"}
 SPHERE_CAPTION = "all directions; hatched: unseen"
+CHOICES: tuple[tuple[str, Source, str], ...] = (
+    (
+        "This layer",
+        "layer",
+        "the layer of the point: its samples, mixed by their weights on the ray. It is what one clicked on",
+    ),
+    ("This point", "point", "the colour that the point alone emits"),
+    ("Whole ray", "ray", "the pixel if every sample of the ray kept its weight and was looked at from there"),
+)
 ZOOM, HATCH = 3, 9  # factor by which the pictures are enlarged; distance of the stripes in enlarged pixels
 
 
@@ -38,23 +48,23 @@ class Pictures:
 
     probe: RadianceProbe
     evidence: Sightings | None
-    frozen: bool
+    source: Source
     disc: np.ndarray
     sphere: np.ndarray
 
-    def shows(self, probe: RadianceProbe, evidence: Sightings | None, frozen: bool) -> bool:
-        return self.probe is probe and self.evidence is evidence and self.frozen == frozen
+    def shows(self, probe: RadianceProbe, evidence: Sightings | None, of: Source) -> bool:
+        return self.probe is probe and self.evidence is evidence and self.source == of
 
     @staticmethod
-    def of(probe: RadianceProbe, evidence: Sightings | None, frozen: bool) -> Pictures:
+    def of(probe: RadianceProbe, evidence: Sightings | None, of: Source) -> Pictures:
         far = unseen(probe.directions, evidence)
         count = SPHERE_ROWS * SPHERE_COLUMNS
         hidden = np.zeros((DISC_SIZE, DISC_SIZE), bool)
         hidden[disc_grid()[2]] = far[count:]
         near = _nearest_inside()
-        disc = _hatched(probe.disc_image(frozen)[..., :3][near], hidden[near])
-        sphere = _hatched(probe.sphere_image(frozen), far[:count].reshape(SPHERE_ROWS, SPHERE_COLUMNS))
-        return Pictures(probe, evidence, frozen, disc, sphere)
+        disc = _hatched(probe.disc_image(of)[..., :3][near], hidden[near])
+        sphere = _hatched(probe.sphere_image(of), far[:count].reshape(SPHERE_ROWS, SPHERE_COLUMNS))
+        return Pictures(probe, evidence, of, disc, sphere)
 
 
 def _hatched(rgb: np.ndarray, hidden: np.ndarray) -> np.ndarray:
@@ -93,9 +103,9 @@ class RadiancePanel:
         if probe is None:
             nothing_yet(ui, state.snapshot.method, _nothing_yet(state), ("trace", "radiance"))
             return
-        known = self._pictures
-        if known is None or not known.shows(probe, evidence, state.frozen_ray):
-            self._pictures = known = Pictures.of(probe, evidence, state.frozen_ray)
+        known, of = self._pictures, shown_of(state, probe)
+        if known is None or not known.shows(probe, evidence, of):
+            self._pictures = known = Pictures.of(probe, evidence, of)
         yield from self._draw(ui, state, known)
         if self.hovered is not None:
             _tooltip(ui, *self.hovered)
@@ -104,7 +114,7 @@ class RadiancePanel:
         """Draw the disc, the map beside it (or below in a narrow panel), and the figures under both."""
         probe = pictures.probe
         viewer = _unit(state.camera.c2w()[:, 3] - probe.point)
-        yield from _choices(ui, state)
+        yield from _choices(ui, state, probe)
         avail, gap, line = imgui.get_content_region_avail(), ui.em, imgui.get_text_line_height_with_spacing()
         side = max(min(avail.y - line, (avail.x - gap) * 0.36), 5 * ui.em)
         beside = side + gap + 9 * ui.em <= avail.x
@@ -124,21 +134,27 @@ class RadiancePanel:
         yield from _point(ui, state, probe)
         if state.snapshot.ray is not None and state.snapshot.ray.depth_strongest is None:
             hint(ui, "The ray met nothing: this point is empty, and its colour is never seen.", ui.theme.warning)
-        _numbers(ui, state, pictures)
+        _numbers(ui, pictures)
         _sight(ui, pictures.evidence)
 
 
-def _choices(ui: Ui, state: AppState) -> Iterator[Action]:
-    """The choices: colours of the point or of the whole ray, and the direction that the disc faces."""
-    for label, frozen, tip in (
-        ("Point", False, "the colour that this point alone emits"),
-        ("Whole ray", True, "the pixel if every sample of the ray kept its weight and was looked at from there"),
-    ):
-        if imgui.radio_button(label, state.frozen_ray == frozen):
-            state.frozen_ray = frozen
-        ui.mark(f"radiance.{label}")
+def shown_of(state: AppState, probe: RadianceProbe) -> Source:
+    """Whose radiance is shown: the user's choice, else the probe's. A point outside all layers has none of a layer."""
+    of = state.radiance_of or probe.default
+    return "point" if of == "layer" and probe.layer is None else of
+
+
+def _choices(ui: Ui, state: AppState, probe: RadianceProbe) -> Iterator[Action]:
+    """The choices: colours of the layer, the point or the whole ray, and the direction that the disc faces."""
+    shown, labels = shown_of(state, probe), [label for label, _, _ in CHOICES]
+    for (label, of, tip), after in zip(CHOICES, [*labels[1:], "Normal"], strict=True):
+        imgui.begin_disabled(of == "layer" and probe.layer is None)
+        if imgui.radio_button(label, shown == of):
+            state.radiance_of = of
+        imgui.end_disabled()
+        ui.mark(f"radiance.{of}")
         imgui.set_item_tooltip(tip)
-        same_line_if_fits("Normal" if frozen else "Whole ray", imgui.get_frame_height())
+        same_line_if_fits(after, imgui.get_frame_height())
     around = state.inspect.around if state.inspect is not None else "viewer"
     changed, normal = imgui.checkbox("Normal", around == "normal")
     ui.mark("radiance.normal")
@@ -147,14 +163,16 @@ def _choices(ui: Ui, state: AppState) -> Iterator[Action]:
         yield SetDisc("normal" if normal else "viewer")
 
 
-def _numbers(ui: Ui, state: AppState, pictures: Pictures) -> None:
-    """How view-dependent the point is, and its mean colour over the directions in which photos saw it."""
-    rows: list[Row] = [("view-dependence", number(pictures.probe.dependence, 3))]
-    mean = mean_emitted(pictures.evidence) if pictures.evidence is not None else None
+def _numbers(ui: Ui, pictures: Pictures) -> None:
+    """How view-dependent the layer or the point is, and its mean colour over the directions in which photos saw it."""
+    probe, layer = pictures.probe, pictures.source == "layer"
+    dependence, back = (probe.layer_dependence, probe.layer_back_rgb) if layer else (probe.dependence, probe.back_rgb)
+    rows: list[Row] = [("view-dependence", number(dependence, 3))]
+    mean = mean_emitted(pictures.evidence, layer) if pictures.evidence is not None else None
     if mean is not None:
         rows.append(("observed mean", triple(mean), partial(swatch, ui, mean)))
-        rows.append(("difference here", vector(pictures.probe.back_rgb - mean)))  # signed: it has no colour
-    if state.frozen_ray:
+        rows.append(("difference here", vector(back - mean)))  # signed: it has no colour
+    if pictures.source == "ray":
         hint(ui, "These are of the point alone:")
     figures(ui, "numbers", rows)
 
@@ -194,7 +212,7 @@ def _disc(ui: Ui, pictures: Pictures, viewer: np.ndarray, side: float) -> tuple[
         return None
     direction = np.array([x, y, np.sqrt(1 - x * x - y * y)]) @ probe.axes
     row, column = (min(int((v + 1) / 2 * DISC_SIZE), DISC_SIZE - 1) for v in (-y, x))
-    return direction, probe.disc_image(pictures.frozen)[_nearest_inside()][row, column, :3]
+    return direction, probe.disc_image(pictures.source)[_nearest_inside()][row, column, :3]
 
 
 def _sphere(ui: Ui, pictures: Pictures, viewer: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray] | None:
@@ -213,7 +231,7 @@ def _sphere(ui: Ui, pictures: Pictures, viewer: np.ndarray, width: float) -> tup
     azimuth, polar = 2 * np.pi * column, np.pi * row
     side = np.cross(probe.up, probe.azimuth0)
     around = np.cos(azimuth) * probe.azimuth0 + np.sin(azimuth) * side
-    rgb = probe.sphere_image(pictures.frozen)[int(row * SPHERE_ROWS), int(column * SPHERE_COLUMNS)]
+    rgb = probe.sphere_image(pictures.source)[int(row * SPHERE_ROWS), int(column * SPHERE_COLUMNS)]
     return np.cos(polar) * probe.up + np.sin(polar) * around, rgb
 
 

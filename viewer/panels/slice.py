@@ -38,7 +38,7 @@ class SlicePanel:
         ui.mark("slice.azimuth")
         hint(ui, f"lines: model; dots: photos within {NEAR_DEGREES:g}° of the slice")
         azimuth = float(np.radians(self.degrees))
-        angles, rgb = probe.slice(azimuth, state.frozen_ray)
+        angles, rgb = probe.slice(azimuth, state.radiance_of)
         if not implot.begin_plot("##slice", ImVec2(-1, max(imgui.get_content_region_avail().y, 6 * ui.em)), PLOT):
             return
         implot.setup_axis(implot.ImAxis_.x1, None, 0)

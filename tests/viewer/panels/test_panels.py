@@ -14,6 +14,7 @@ from imgui_bundle import ImVec2, imgui, implot
 from panel_states import (
     make_camera,
     make_opened,
+    make_radiance,
     make_ray,
     make_ray_history,
     make_scene,
@@ -52,7 +53,7 @@ from nerf_core.live.messages import (
 )
 from nerf_core.methods import METHODS
 from nerf_core.methods.nerf.config import NerfConfig
-from nerf_core.probe import RayHistory, TrainingViews
+from nerf_core.probe import RayHistory, Source, TrainingViews
 from nerf_core.rendering.export.models import EXPORTS
 from nerf_core.training.settings import RunSettings
 from viewer.commands.registry import USER_COMMANDS
@@ -766,12 +767,23 @@ def test_the_photos_angles_are_relative_to_the_current_camera() -> None:
     assert f"{900 - len(evidence.views)} more have it in their frame; 100 have it outside" in _summary(cut)
 
 
-def test_the_radiance_is_of_the_point_or_of_the_whole_ray(screen: Screen) -> None:
+def test_the_radiance_is_of_the_layer_the_point_or_the_whole_ray(screen: Screen) -> None:
+    from viewer.panels.radiance import shown_of
+
     panel, state = PANELS.get("radiance")(), make_state(make_snapshot())
-    screen.click(panel, state, "radiance.Whole ray")
-    assert state.frozen_ray
-    screen.click(panel, state, "radiance.Point")
-    assert not state.frozen_ray
+    assert (state.radiance_of, shown_of(state, make_radiance(make_ray()))) == (None, "layer")
+    for of in ("ray", "point", "layer"):
+        screen.click(panel, state, f"radiance.{of}")
+        assert state.radiance_of == of
+    opened = state.snapshot.opened
+    assert opened is not None
+    assert opened.radiance is not None
+    alone = replace(opened.radiance, layer=None, default="point")  # the point was moved out of all layers
+    state.snapshot = replace(state.snapshot, opened=replace(opened, radiance=alone))
+    assert shown_of(state, alone) == "point"
+    screen.click(panel, state, "radiance.ray")
+    screen.click(panel, state, "radiance.layer")
+    assert state.radiance_of == "ray"  # it is disabled
     assert screen.click(panel, state, "radiance.normal") == [SetDisc("normal")]
 
 
@@ -788,8 +800,8 @@ def test_directions_far_from_every_photo_are_hatched() -> None:
         nearest = np.degrees(np.arccos(np.clip(seen @ radiance.directions[k], -1, 1))).min()
         assert far[k] == (nearest > FAR_DEGREES)
     assert 0.2 < far.mean() < 0.99
-    plain = Pictures.of(radiance, replace(evidence, transmittance=evidence.transmittance * 0), False)
-    some = Pictures.of(radiance, evidence, False)
+    plain = Pictures.of(radiance, replace(evidence, transmittance=evidence.transmittance * 0), "point")
+    some = Pictures.of(radiance, evidence, "point")
     assert (plain.sphere != some.sphere).any()
     assert unseen(radiance.directions, None).all()
 
@@ -809,10 +821,15 @@ def test_the_difference_is_the_colour_on_the_ray_minus_the_mean_of_the_observed(
     assert evidence is not None
     turned = replace(radiance, around=around, directions=-radiance.directions[::-1], rgb=radiance.rgb[::-1])
     state.snapshot = replace(state.snapshot, opened=replace(opened, radiance=turned))
-    screen.frame(PANELS.get("radiance")(), state)
-    mean = evidence.emitted[evidence.seen].mean(0)
-    assert shown["observed mean"] == triple(mean)
-    assert shown["difference here"] == vector(radiance.back_rgb - mean)
+    sources: dict[Source, tuple[np.ndarray, np.ndarray]] = {
+        "layer": (evidence.layer_emitted, radiance.layer_back_rgb), "point": (evidence.emitted, radiance.back_rgb),
+        "ray": (evidence.emitted, radiance.back_rgb),
+    }  # fmt: skip
+    for state.radiance_of, (emitted, back) in sources.items():
+        screen.frame(PANELS.get("radiance")(), state)
+        mean = emitted[evidence.seen].mean(0)
+        assert shown["observed mean"] == triple(mean)
+        assert shown["difference here"] == vector(back - mean)
 
 
 def test_a_slice_shows_the_models_colours_and_those_of_the_photos_near_it(
