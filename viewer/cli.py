@@ -8,7 +8,7 @@ import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any, Literal, NoReturn
 
 import tyro
 
@@ -64,6 +64,8 @@ class ViewerOptions:
     inspect: list[Path] = field(default_factory=list)
     """Write all arrays of the clicked ray, its point's radiance, its verdict and the photos' evidence: .json, .npz;
     its samples: .csv; a figure: .png, .svg. Repeatable."""
+    axis: Literal["auto", "t", "contracted"] = "auto"
+    """A ray is shown over world distance t, or, in a scene without bounds, over contracted distance."""
     orbit: Path | None = None
     """Write an orbit video (MP4)."""
     load: Path | None = None
@@ -113,7 +115,8 @@ def run(options: ViewerOptions, signals: Signals) -> int:
     wishes = sessions.Wishes(
         load=options.load, steps=options.train.steps, seconds=options.train.seconds, save=options.save,
         camera=options.camera, mode=options.mode, pins=tuple(options.pin), clicks=tuple(options.click),
-        inspect=tuple(options.inspect), render=options.render, orbit=options.orbit, screenshot=options.screenshot,
+        inspect=tuple(options.inspect), axis=options.axis, render=options.render, orbit=options.orbit,
+        screenshot=options.screenshot,
     )  # fmt: skip
     wishes.check()
     if options.load is not None:

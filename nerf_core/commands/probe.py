@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 import tyro
 
@@ -34,7 +34,9 @@ class Probe:
     write: list[Path] = field(default_factory=list)
     """A file to write: .json or .npz with everything, .csv with the samples, .png or .svg with a figure. Repeatable."""
     t: float | None = None
-    """Where on the ray its radiance is looked at; by default on the surface."""
+    """Where on the ray the radiance of a point is looked at; by default it is that of the layer that is the surface."""
+    axis: Literal["auto", "t", "contracted"] = "auto"
+    """Figures are drawn over world distance t, or, for a scene without bounds, over contracted distance."""
     data: Annotated[Path | None, tyro.conf.arg(help=MOVED_HELP)] = None
     device: str = "auto"
     """cpu, cuda, or auto."""
@@ -58,6 +60,6 @@ class Probe:
         color = ", ".join(f"{v:.3f}" for v in ray.color)
         say(f"colour {color}; opacity {ray.opacity:.3f}; median depth {depth}; step {ray.step:,}")
         for file in self.write:
-            write_inspection([opened], file)
+            write_inspection([opened], file, self.axis)
             say(f"wrote {file}")
         return 0

@@ -18,6 +18,7 @@ from nerf_core.common.names import printable
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
 from nerf_core.probe import Opened, RadianceProbe, RayHistory, RayProbe, Sightings
+from nerf_core.probe.axis import AxisChoice
 from nerf_core.probe.directions import Around
 from nerf_core.rendering.export.requests import Export, ExportRequest
 from nerf_core.rendering.modes import COLOR
@@ -227,9 +228,12 @@ class ExportRays(OfRun):
     """Write the opened ray and the pinned ones that are not hidden, with their histories.
 
     The suffix of the file gives the format (`nerf_core.probe.report`).
+
+    axis: see `write_inspection`.
     """
 
     file: Path
+    axis: AxisChoice = "auto"
 
 
 @dataclass(frozen=True)

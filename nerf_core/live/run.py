@@ -23,6 +23,7 @@ from nerf_core.live.artist import Artist
 from nerf_core.live.exports import Exports
 from nerf_core.live.messages import Notice, ViewRequest
 from nerf_core.probe import check_format, write_inspection
+from nerf_core.probe.axis import AxisChoice
 from nerf_core.training import checkpoint
 from nerf_core.training.autosaves import left_off, small_picture
 from nerf_core.training.last_good import LastGood
@@ -113,8 +114,8 @@ class Run:
                 self.artist.pins.edit(command)
             case messages.UnpinRay(pin):
                 self.artist.pins.remove(pin)
-            case messages.ExportRays(path):
-                self._export_rays(path)
+            case messages.ExportRays(path, axis):
+                self._export_rays(path, axis)
             case messages.StartExport(request):
                 with enough_memory():  # for a copy of the model
                     self.exports.start(request, self.need_trainer(), number)
@@ -242,10 +243,10 @@ class Run:
             self._tell("warning", reason)
         self._tell("info", f"saved step {trainer.step_count:,} to {path}", path, kind="saved")
 
-    def _export_rays(self, path: Path) -> None:
+    def _export_rays(self, path: Path, axis: AxisChoice) -> None:
         check_format(path)
         shown = [pin for pin in self.artist.pins if not pin.hidden]
-        write_inspection(self.artist.ray.whole(self.need_trainer(), shown), path)
+        write_inspection(self.artist.ray.whole(self.need_trainer(), shown), path, axis)
         self._tell("info", f"wrote {path}", path, kind="wrote")
 
     # ---- training ---------------------------------------------------------------------------------------------------

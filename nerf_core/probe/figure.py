@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nerf_core.probe.axis import MET, PLAIN, Axis, AxisChoice, chosen_axis, contracted_axis, weighty_part
 from nerf_core.probe.disc_figure import draw_disc
-from nerf_core.probe.layers import grain_at
 from nerf_core.probe.records import Opened, PassProbe
 from nerf_core.probe.verdicts import NOTHING
 
@@ -22,9 +22,7 @@ FINE, COARSE, LIGHT, ALPHA, DENSITY = "#0072b2", "#e69f00", "#cc79a7", "#d55e00"
 WIDTH, HEIGHT = 7.0, 3.9  # inches: the width of a page's text, and the height of one ray
 DOTS = 200  # per inch
 LEFT = 0.02  # the margin of a ray's text on either side, as a share of the width
-TAIL = 0.001  # the share of a pass's weight, at either end, that may lie outside the drawn part of the ray
-MARGIN = 0.15  # the drawn part is extended on either side by this share of its length
-FEWEST = 4.0  # grains: the drawn part is at least this long
+
 STYLE: dict[Any, Any] = {
     "font.size": 8,
     "svg.fonttype": "none",
@@ -35,23 +33,24 @@ STYLE: dict[Any, Any] = {
 }
 
 
-def figure(opened: Sequence[Opened], kind: str) -> bytes:
+def figure(opened: Sequence[Opened], kind: str, choice: AxisChoice = "auto") -> bytes:
     """Return a figure as the bytes of a file, with one row for each ray.
 
     Args:
         opened: one or more opened pixels.
         kind: "png" or "svg".
+        choice: of the axis over t; see `chosen_axis`.
     """
     import matplotlib as mpl
 
     data = io.BytesIO()
     with mpl.rc_context(STYLE):
-        page(opened).savefig(data, format=kind, metadata={"Date": None} if kind == "svg" else None)
+        page(opened, choice).savefig(data, format=kind, metadata={"Date": None} if kind == "svg" else None)
     return data.getvalue()
 
 
-def page(opened: Sequence[Opened]) -> Any:
-    """Return matplotlib's `Figure` with one row for each ray, WIDTH × HEIGHT inches each."""
+def page(opened: Sequence[Opened], choice: AxisChoice = "auto") -> Any:
+    """Return matplotlib's `Figure` with one row for each ray, WIDTH × HEIGHT inches each. Arguments: see `figure`."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -60,7 +59,7 @@ def page(opened: Sequence[Opened]) -> Any:
         found = Figure(figsize=(WIDTH, HEIGHT * len(opened)), dpi=DOTS)
         FigureCanvasAgg(found)
         for k, one in enumerate(opened):
-            _draw(_Row(found, k, len(opened)), one)
+            _draw(_Row(found, k, len(opened)), one, choice)
     return found
 
 
@@ -73,6 +72,23 @@ class _Row:
     def axes(self, left: float, bottom: float, width: float, height: float, **given: Any) -> Any:
         at = (left, self._bottom + bottom * self._height, width, height * self._height)
         return self._page.add_axes(at, **given)
+
+    def strip(
+        self, left: np.ndarray, right: np.ndarray, heights: np.ndarray, frame: np.ndarray, at: tuple[float, ...]
+    ) -> None:
+        """Draw bars over a line, and a frame. They lie at shares of the line; `at` is its place, as for `axes`."""
+        from matplotlib.patches import Rectangle
+
+        x, y, width, height = at[0], self._bottom + at[1] * self._height, at[2], at[3] * self._height
+        ground = {"transform": self._page.transFigure, "lw": 0}
+        self._page.add_artist(Rectangle((x, y), width, height, color="0.92", **ground))
+        for a, b, share in zip(left, right, heights, strict=True):
+            if share > 0:
+                wide = max((b - a) * width, 1e-3)
+                self._page.add_artist(Rectangle((x + a * width, y), wide, share * height, color=FINE, **ground))
+        low, high = (x + frame * width).tolist()
+        ground |= {"lw": 0.7, "fill": False, "edgecolor": "black"}
+        self._page.add_artist(Rectangle((low, y - 0.2 * height), max(high - low, 2e-3), 1.4 * height, **ground))
 
     def title(self, text: str, under: str) -> None:
         """Write a title and the text under it, four lines in all."""
@@ -107,7 +123,7 @@ class _Axes(NamedTuple):
     strip: Any
 
 
-def _draw(row: _Row, one: Opened) -> None:
+def _draw(row: _Row, one: Opened, choice: AxisChoice) -> None:
     """Draw an opened ray into its row."""
     weights = row.axes(0.125, 0.44, 0.555, 0.25)
     marks, density, strip = (row.axes(0.125, at, 0.555, height, sharex=weights)
@@ -119,9 +135,14 @@ def _draw(row: _Row, one: Opened) -> None:
     for p in passes:
         _draw_pass(axes, p, one.ray.far, last=p is passes[-1])
     _draw_last(axes, passes[-1], one)
-    _draw_marks(marks, one)
+    points = () if one.radiance is None else (one.radiance.t,)
+    part = weighty_part(one.ray, tuple(passes), one.scene.radius, *points)
+    axis = chosen_axis(one.ray, one.scene, choice, part)
+    _draw_marks(marks, one, part)
     _draw_point(axes, one)
-    _label(axes, passes, one)
+    _label(axes, passes, one, axis, part)
+    if part[0] > one.ray.near or part[1] < one.ray.far:
+        _draw_overview(row, one, contracted_axis(one.ray, one.scene) or PLAIN, passes[-1], part)
     row.title(*_words(one))
     draw_disc(row.axes(0.73, 0.215, 0.25, 0.5), one)
 
@@ -169,9 +190,26 @@ def _draw_point(axes: _Axes, one: Opened) -> None:
         each.axvline(one.radiance.t, color="black", lw=0.6, label="point" if each is axes.weights else None)
 
 
-def _label(axes: _Axes, passes: Sequence[PassProbe], one: Opened) -> None:
+def _draw_overview(row: _Row, one: Opened, axis: Axis, last: PassProbe, part: tuple[float, float]) -> None:
+    """Draw the whole ray as a thin strip under the axes: its weight, and a frame around the part that they show."""
+    end = np.inf if axis.turn is not None else one.ray.far
+    low, high = axis.place(np.array([one.ray.near, 1e30 if np.isinf(end) else end]))
+    t, until = _stretches(last, one.ray.far)
+    shares = [(axis.place(v) - low) / max(high - low, 1e-12) for v in (t, until, np.array(part))]
+    left, right, frame = (np.clip(v, 0, 1) for v in shares)
+    heights = last.weights / max(float(last.weights.max(initial=0)), 1e-12)
+    row.strip(left, right, heights, frame, (0.125, 0.018, 0.555, 0.016))
+
+
+def _label(axes: _Axes, passes: Sequence[PassProbe], one: Opened, axis: Axis, part: tuple[float, float]) -> None:
     """Set the limits, labels and the legend, once everything is drawn."""
-    ray, (low, high) = one.ray, _shown(one, passes)
+    ray, (low, high) = one.ray, part
+    if axis.turn is not None:
+        axes.weights.set_xscale("function", functions=(axis.place, axis.distance))
+        places, labels = axis.ticks(*axis.place(np.array(part)))
+        ends = [(t, label) for t, label in zip(axis.distance(places).tolist(), labels, strict=True) if np.isfinite(t)]
+        axes.weights.set_xticks([t for t, _ in ends], [label for _, label in ends])
+        axes.weights.xaxis.minorticks_off()
     axes.weights.set(xlim=(low, high), ylim=(0, 1.1), ylabel="w / largest, T, α")
     axes.weights.legend(frameon=False, fontsize=6, loc="lower left", ncols=8, bbox_to_anchor=(0, 1.02),
                         borderaxespad=0, bbox_transform=axes.marks.transAxes, borderpad=0, columnspacing=1.5,
@@ -183,8 +221,9 @@ def _label(axes: _Axes, passes: Sequence[PassProbe], one: Opened) -> None:
         axes.density.set_yticks([])
         _say(axes.density, "no samples")
     whole = low <= ray.near and high >= ray.far
-    part = "" if whole else f", part of near {ray.near:.3g} … far {ray.far:.3g}"
-    axes.strip.set(yticks=[], ylim=(0, 1), xlabel=f"t (world units){part}", ylabel="colour")
+    extent = "" if whole else f", part of near {ray.near:.3g} … far {ray.far:.3g} (strip)"
+    scale = "" if axis.turn is None else f", contracted from {axis.turn:.3g} on"
+    axes.strip.set(yticks=[], ylim=(0, 1), xlabel=f"t (world units{scale}){extent}", ylabel="colour")
     axes.strip.yaxis.label.set(rotation=0, ha="right", va="center")
     axes.weights.get_figure().align_ylabels([axes.weights, axes.density])
 
@@ -194,38 +233,19 @@ def _say(axes: Any, text: str) -> None:
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color="0.3", bbox=paper)
 
 
-def _shown(one: Opened, passes: Sequence[PassProbe]) -> tuple[float, float]:
-    """Return begin and end of the part of the ray to draw, as world distances.
-
-    It contains the weight, the depths and the point. It is the whole ray if the ray hits nothing.
-    """
-    ray = one.ray
-    places = [ray.depth_expected, ray.depth_median, ray.depth_strongest, one.radiance and one.radiance.t]
-    places = [t for t in places if t is not None and np.isfinite(t)]
-    for p in passes:
-        total = np.cumsum(p.weights)
-        if total[-1:].sum() >= NOTHING:
-            t, until = _stretches(p, ray.far)
-            first, last = np.searchsorted(total, total[-1] * np.array([TAIL, 1 - TAIL]))
-            places += [float(t[first]), float(until[last])]
-    if passes[-1].weights.sum() < NOTHING:
-        places += [ray.near, ray.far]
-    low, high = min(places), max(places)
-    least = FEWEST * grain_at(high, one.scene.radius)
-    room = max(MARGIN * (high - low), (least - (high - low)) / 2)
-    low, high = max(low - room, min(low, ray.near)), min(high + room, max(high, ray.far))
-    return low, max(high, low + 1e-6)
-
-
 def _largest(p: PassProbe, far: float, low: float, high: float) -> float:
     """Return the largest density of a pass between two world distances."""
     t, until = _stretches(p, far)
     return float(p.sigma[(until >= low) & (t <= high)].max(initial=0.0))
 
 
-def _draw_marks(axes: Any, one: Opened) -> None:
-    """Draw the three depths, each in a row of its own, because on a clean surface they coincide."""
-    marks = (("expected depth", one.ray.depth_expected, "v"), ("median depth", one.ray.depth_median, "D"),
+def _draw_marks(axes: Any, one: Opened, part: tuple[float, float]) -> None:
+    """Draw the three depths, each in a row of its own, because on a clean surface they coincide.
+
+    One that lies behind the drawn part is an arrow at its end, with the number.
+    """
+    met = "" if one.ray.opacity >= MET else f", {one.ray.opacity:.0%} met"
+    marks = ((f"expected{met or ' depth'}", one.ray.depth_expected, "v"), ("median depth", one.ray.depth_median, "D"),
              ("strongest w", one.ray.depth_strongest, "o"))  # fmt: skip
     known = [(2 - k, *mark) for k, mark in enumerate(marks) if mark[1] is not None]
     axes.set(ylim=(-0.6, 2.6), yticks=[y for y, *_ in known], yticklabels=[name for _, name, *_ in known])
@@ -236,14 +256,21 @@ def _draw_marks(axes: Any, one: Opened) -> None:
         axes.axvline(one.radiance.t, color="black", lw=0.6)
     for y, name, depth, mark in known:
         axes.axhline(y, color="0.85", lw=0.5, zorder=0)
-        axes.plot([depth], [y], mark, color="black", mfc="white", ms=3.2, mew=0.7, clip_on=False, label=name, zorder=3)
+        assert depth is not None
+        inside = depth <= part[1]
+        axes.plot([depth if inside else part[1]], [y], mark if inside else ">", color="black", mfc="white", ms=3.2,
+                  mew=0.7, clip_on=False, label=name, zorder=3)  # fmt: skip
+        if not inside:
+            axes.annotate(f"{depth:.4g}", (part[1], y), (-5, 0), textcoords="offset points", ha="right", va="center",
+                          fontsize=6)  # fmt: skip
 
 
 def _words(one: Opened) -> tuple[str, str]:
     """Return the title, and the text that says what the pixel is and why. A user's name keeps its first letter."""
     (x, y), camera, verdict = one.ray.pixel, one.camera, one.verdict
     what = f"Pixel {x}, {y} of {camera.width} × {camera.height}"
-    about = ", ".join(filter(None, (what, one.scene.name, one.method, f"step {one.ray.step:,}")))
+    begins = f"t begins at {one.ray.near:.3g}, {one.ray.begins}" if one.ray.begins else ""
+    about = ", ".join(filter(None, (what, one.scene.name, one.method, f"step {one.ray.step:,}", begins)))
     title = ": ".join(filter(None, (one.name, verdict.kind if verdict is not None else ""))) or "a ray"
     reasons = _sentence("; ".join(verdict.reasons)) if verdict is not None else ""
     return title if one.name else _sentence(title), ". ".join(filter(None, (about, reasons)))

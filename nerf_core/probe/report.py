@@ -16,6 +16,7 @@ from nerf_core.common.errors import UserError
 from nerf_core.common.files import write_atomically
 from nerf_core.common.json_files import finite
 from nerf_core.geometry.camera_files import camera_values
+from nerf_core.probe.axis import AxisChoice
 from nerf_core.probe.records import Opened, PassProbe, RayProbe
 from nerf_core.probe.standing import Verdict
 
@@ -113,7 +114,7 @@ def _plain(value: Any) -> dict[str, Any]:
 # ---- files --------------------------------------------------------------------------------------------------------
 
 
-def write_inspection(opened: Sequence[Opened], file: Path) -> None:
+def write_inspection(opened: Sequence[Opened], file: Path, axis: AxisChoice = "auto") -> None:
     """Write opened pixels to a file, in the format of its suffix.
 
     - .json: the object of `inspection`; {"rays": [...]} for several pixels.
@@ -124,6 +125,7 @@ def write_inspection(opened: Sequence[Opened], file: Path) -> None:
     Args:
         opened: one or more opened pixels.
         file: the file to write. It is replaced as a whole or not at all.
+        axis: of a figure: world distance, contracted distance, or what suits the ray; see `chosen_axis`.
 
     Raises:
         UserError: the suffix is none of these, there are no pixels, or the file cannot be written.
@@ -131,7 +133,7 @@ def write_inspection(opened: Sequence[Opened], file: Path) -> None:
     check_format(file)
     if not opened:
         raise UserError(f"{file}: there is no opened ray to write")
-    write_atomically(file, FORMATS[file.suffix.lower()](opened))
+    write_atomically(file, FORMATS[file.suffix.lower()](opened, axis))
 
 
 def check_format(file: Path) -> None:
@@ -140,12 +142,12 @@ def check_format(file: Path) -> None:
         raise UserError(f"{file}: an opened ray is written as {', '.join(FORMATS)}: name such a file")
 
 
-def _json(opened: Sequence[Opened]) -> bytes:
+def _json(opened: Sequence[Opened], _: AxisChoice) -> bytes:
     found = [inspection(one) for one in opened]
     return json.dumps(found[0] if len(found) == 1 else {"rays": found}, allow_nan=False).encode()
 
 
-def _npz(opened: Sequence[Opened]) -> bytes:
+def _npz(opened: Sequence[Opened], _: AxisChoice) -> bytes:
     flat: dict[str, np.ndarray] = {}
     for k, one in enumerate(opened):
         _flatten(arrays(one), f"rays/{k}/" if len(opened) > 1 else "", flat)
@@ -170,7 +172,7 @@ def _flatten(value: Any, name: str, into: dict[str, np.ndarray]) -> None:
         into[name.rstrip("/")] = np.asarray(np.nan if value is None else value)
 
 
-def _csv(opened: Sequence[Opened]) -> bytes:
+def _csv(opened: Sequence[Opened], _: AxisChoice) -> bytes:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["ray", "pass", "sample", *SAMPLE, "red", "green", "blue"])
@@ -184,15 +186,15 @@ def _rows(p: PassProbe) -> list[list[float]]:
     return np.column_stack([*(getattr(p, name) for name in SAMPLE), p.rgb]).astype(float).tolist()
 
 
-def _figure(kind: str) -> Callable[[Sequence[Opened]], bytes]:
-    def made(opened: Sequence[Opened]) -> bytes:
+def _figure(kind: str) -> Callable[[Sequence[Opened], AxisChoice], bytes]:
+    def made(opened: Sequence[Opened], axis: AxisChoice) -> bytes:
         from nerf_core.probe.figure import figure
 
-        return figure(opened, kind)
+        return figure(opened, kind, axis)
 
     return made
 
 
-FORMATS: dict[str, Callable[[Sequence[Opened]], bytes]] = {
+FORMATS: dict[str, Callable[[Sequence[Opened], AxisChoice], bytes]] = {
     ".json": _json, ".npz": _npz, ".csv": _csv, ".png": _figure("png"), ".svg": _figure("svg"),
 }  # fmt: skip

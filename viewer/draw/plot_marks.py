@@ -9,6 +9,7 @@ import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
 
 from nerf_core.probe import RayProbe
+from nerf_core.probe.axis import Axis
 
 from ..ui.widgets import faded, packed, tints
 from .ray_steps import Steps
@@ -21,6 +22,10 @@ Glyph = Callable[[imgui.ImDrawList, ImVec2, float, int], None]
 
 def triangle(draw: imgui.ImDrawList, at: ImVec2, r: float, color: int) -> None:
     draw.add_triangle_filled(ImVec2(at.x - r, at.y - r), ImVec2(at.x + r, at.y - r), ImVec2(at.x, at.y + r), color)
+
+
+def arrow(draw: imgui.ImDrawList, at: ImVec2, r: float, color: int) -> None:
+    draw.add_triangle_filled(ImVec2(at.x - r, at.y - r), ImVec2(at.x + r, at.y), ImVec2(at.x - r, at.y + r), color)
 
 
 def diamond(draw: imgui.ImDrawList, at: ImVec2, r: float, color: int) -> None:
@@ -38,15 +43,25 @@ DEPTHS: tuple[tuple[str, str, Glyph], ...] = (
 )
 
 
-def depth_marks(ui: Ui, ray: RayProbe, *, glyphs: bool) -> None:
-    """Draw lines at the ray's depths. glyphs: also draw their signs."""
+def depth_marks(ui: Ui, ray: RayProbe, axis: Axis, *, glyphs: bool) -> None:
+    """Draw lines at the ray's depths. glyphs: also draw their signs; of a depth behind the end, an arrow at the end."""
     draw, top = implot.get_plot_draw_list(), implot.get_plot_pos().y
+    end = implot.get_plot_pos().x + implot.get_plot_size().x
     implot.push_plot_clip_rect()
     for row, (_, name, glyph) in enumerate(DEPTHS):
         t = getattr(ray, name)
         if t is None or not np.isfinite(t):
             continue
-        x = x_of(t)
+        x = x_of(float(axis.place(np.array(t))))
+        if x > end:
+            if glyphs:
+                arrow(
+                    draw,
+                    ImVec2(end - 0.4 * ui.em, top + (0.5 + 0.75 * row) * ui.em),
+                    0.3 * ui.em,
+                    packed(ui.theme.text),
+                )
+            continue
         draw.add_line(ImVec2(x, top), ImVec2(x, top + implot.get_plot_size().y), packed(faded(ui.theme.text, 0.35)))
         if glyphs:
             # one below the other, because on a surface all three are at the same place

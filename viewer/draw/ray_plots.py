@@ -11,6 +11,7 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 
 from nerf_core.probe import RayProbe
+from nerf_core.probe.axis import Axis
 
 from ..ui.widgets import axis_name, faded, packed
 from .plot_marks import be_item, color_strip, depth_marks, row_of, ticks, x_of
@@ -33,6 +34,8 @@ LogChoice = Literal["auto", "on", "off"]
 class Opened:
     """The content of the plots.
 
+    passes: those of `steps_of`, at the places of `axis`.
+    axis: where distances lie on the axis.
     units: the unit of length in density's 1/length.
     point_t: the distance of the radiance point.
     marked: a sample that the user points at in some panel.
@@ -40,13 +43,17 @@ class Opened:
 
     ray: RayProbe
     passes: tuple[Steps, ...]
+    axis: Axis
     units: Literal["unit", "NDC unit"]
     point_t: float
     marked: tuple[Steps, int] | None = None
 
 
 class RayPlots:
-    """Three plots with one t axis. Its limits are set when another ray is opened; then only the user moves them."""
+    """Three plots with one axis over t, and a strip of the whole ray. The axis is set when another ray is opened.
+
+    It then shows the part of the ray that has weight, until the user moves it.
+    """
 
     def __init__(self) -> None:
         self.log_choice: LogChoice = "auto"
@@ -57,12 +64,24 @@ class RayPlots:
         self._fresh_density = True
         self._dragged: float | None = None
 
-    def open(self, ray: RayProbe, passes: tuple[Steps, ...]) -> None:
-        """Choose limits and scale for a newly opened ray."""
-        span = max(ray.far - ray.near, 1e-6)  # a ray without length still needs an axis
-        self._t_min.value, self._t_max.value = ray.near - 0.01 * span, ray.near + 1.01 * span
+    def open(self, passes: tuple[Steps, ...], low: float, high: float) -> None:
+        """Choose limits and scale for a newly opened ray. low, high: places on the axis between which it has weight."""
+        self.show(low, high)
         self._dragged = None
         self.choose_log(self.log_choice, passes)
+
+    def show(self, low: float, high: float) -> None:
+        """Show the part of the axis between two places."""
+        air = 0.01 * max(high - low, 1e-6)  # a ray without length still needs an axis
+        self._t_min.value, self._t_max.value = low - air, high + air
+
+    def shows(self, low: float, high: float) -> bool:
+        """Return whether all between two places is shown."""
+        return self._t_min.value <= low and self._t_max.value >= high
+
+    def shown(self) -> tuple[float, float]:
+        """Return the places between which the axis runs."""
+        return self._t_min.value, self._t_max.value
 
     def choose_log(self, choice: LogChoice, passes: tuple[Steps, ...]) -> None:
         """Choose the density's axis. "auto" chooses for this ray, and again for each one opened later."""
@@ -105,7 +124,7 @@ class RayPlots:
             if not imgui.is_mouse_down(imgui.MouseButton_.left):
                 self._dragged = None
             return None
-        self._dragged = float(np.clip(dragged, ray.near, ray.far))
+        self._dragged = float(np.clip(opened.axis.distance(np.array(dragged)), ray.near, ray.far))
         return self._dragged
 
     def _weights(self, ui: Ui, opened: Opened, size: ImVec2) -> tuple[float | None, tuple[Steps, int] | None]:
@@ -132,10 +151,11 @@ class RayPlots:
         for steps in passes[-1:]:
             implot.plot_line("transmittance", steps.edges, steps.transmittance, line)
         if not passes:  # there are no samples
-            implot.plot_line("transmittance", np.array([opened.ray.near, opened.ray.far]), np.ones(2), line)
+            ends = opened.axis.place(np.array([opened.ray.near, opened.ray.far]))
+            implot.plot_line("transmittance", ends, np.ones(2), line)
         axis_name(ui, "w / largest w, T, α", right=True, height=0.5)  # T is 1 or 0 there
-        depth_marks(ui, opened.ray, glyphs=True)
-        result = self._drag_point(ui, opened.point_t), self._read(ui, passes, opened.marked)
+        depth_marks(ui, opened.ray, opened.axis, glyphs=True)
+        result = self._drag_point(ui, opened), self._read(ui, passes, opened.marked)
         implot.end_plot()
         ui.mark("ray.weights")
         return result
@@ -145,6 +165,9 @@ class RayPlots:
             return None, None
         passes = opened.passes
         self._share_t(implot.AxisFlags_.none)
+        if opened.axis.turn is not None:
+            places, labels = opened.axis.ticks(*self.shown())
+            implot.setup_axis_ticks(X1, places.tolist(), labels)
         implot.setup_axis(Y1, None)
         low, high = self._sigma_limits
         implot.setup_axis_scale(Y1, implot.Scale_.log10 if self.log_density else implot.Scale_.linear)
@@ -161,8 +184,8 @@ class RayPlots:
             line = implot.Spec(line_color=color, line_weight=(0.12 if last else 0.08) * ui.em)
             implot.plot_stairs(f"{steps.probe.name} density", steps.edges, sigma, line)
         axis_name(ui, f"σ (1/{opened.units})", right=True)
-        depth_marks(ui, opened.ray, glyphs=False)
-        result = self._drag_point(ui, opened.point_t), self._read(ui, passes, opened.marked)
+        depth_marks(ui, opened.ray, opened.axis, glyphs=False)
+        result = self._drag_point(ui, opened), self._read(ui, passes, opened.marked)
         implot.end_plot()
         ui.mark("ray.density")
         return result
@@ -200,7 +223,9 @@ class RayPlots:
         implot.setup_axis(X1, None, flags)
         implot.setup_axis_links(X1, self._t_min, self._t_max)
 
-    def _drag_point(self, ui: Ui, point: float) -> float | None:
+    def _drag_point(self, ui: Ui, opened: Opened) -> float | None:
+        """Draw the point's line. Returns the place to which the user drags it, else None."""
+        point = float(opened.axis.place(np.array(opened.point_t)))
         unseen = faded(ui.theme.point, 0.0)  # implot's own caps would hide the peak on which the point usually is
         changed, t, *_ = implot.drag_line_x(DRAG_ID, point, unseen, 0.15 * ui.em, implot.DragToolFlags_.no_fit)
         x, top, r = x_of(point), implot.get_plot_pos().y, 0.4 * ui.em

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from nerf_core.probe import PassProbe, RayProbe
+from nerf_core.probe.axis import Axis
 
 CONTIGUOUS = 1e-3  # of a sample's length: smaller gaps are rounding
 
@@ -62,6 +63,11 @@ def _steps(p: PassProbe, near: float, far: float) -> Steps:
         np.concatenate([nothing[0], alpha, nothing[1]]),
         np.concatenate([[1.0] * len(before), light, light[-1:] if after else []]),
     )
+
+
+def placed(steps: Steps, axis: Axis) -> Steps:
+    """Return a pass with the places of an axis instead of distances."""
+    return replace(steps, t=axis.place(steps.t), until=axis.place(steps.until), edges=axis.place(steps.edges))
 
 
 def wants_log(sigma: np.ndarray) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 
 from nerf_core.geometry.paths import DEFAULT_PATH
 from nerf_core.live.messages import Command, Inspect, Notice, Snapshot
+from nerf_core.probe.axis import AxisChoice
 from nerf_core.probe.directions import Around, Source
 from nerf_core.rendering.modes import COLOR
 from nerf_core.training.settings import RunSettings
@@ -155,6 +156,7 @@ class AppState:
     show_cameras: bool = False  # * training cameras in the viewport
     show_samples: bool = True  # * the inspected ray and its samples in the viewport
     mode: str = COLOR  # * the viewport's render mode; see nerf_core.rendering.modes
+    axis: AxisChoice = "auto"  # * of the ray's plots
     radiance_of: Source | None = None  # * whose radiance is shown; None: the probe's default
     show_help: bool = False  # *
     show_palette: bool = False  # *

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from typing import Literal
 
@@ -11,15 +12,15 @@ from imgui_bundle import ImVec2, imgui
 
 from nerf_core.common.text import number, triple
 from nerf_core.probe import RayProbe
+from nerf_core.probe.axis import MET, PLAIN, Axis, chosen_axis, contracted_axis, weighty_part
 
 from ..draw.plot_marks import DEPTHS, Glyph
 from ..draw.ray_plots import LogChoice, Opened, RayPlots
-from ..draw.ray_steps import Steps, steps_of
+from ..draw.ray_steps import Steps, placed, steps_of
 from ..model.state import Action, AppState, SampleRef, SetPointDepth
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import Row, faded, figures, hint, nothing_yet, packed, same_line_if_fits, sample_tooltip, swatch
 
-AXIS = "over t (world units)"
 BEYOND = 0.01  # weight beyond the end of the axis that is mentioned
 SIDE_EM, SIDE_NEEDS_EM = 17.0, 36.0  # width of the figures' column; the panel's width from which it is beside the plots
 LOG_CHOICES: tuple[tuple[LogChoice, str], ...] = (
@@ -27,6 +28,9 @@ LOG_CHOICES: tuple[tuple[LogChoice, str], ...] = (
     ("on", "a log axis for every ray"),
     ("off", "a linear axis for every ray"),
 )
+OVERVIEW_EM = 1.0  # height of the strip of the whole ray
+OVERVIEW = "the whole ray; the frame is the part shown above. Click to show all of it, or the part with the weight"
+CONTRACTED = "contracted distance"
 LOW_EM = 18.0  # height of the plots if the figures are below them
 
 
@@ -40,6 +44,8 @@ class RayPanel:
         self.plots = RayPlots()
         self._probe: RayProbe | None = None
         self._passes: tuple[Steps, ...] = ()
+        self._axis = PLAIN
+        self._part = (0.0, 1.0)  # the places between which the ray has weight
         self._opened: tuple[object, ...] = ()
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
@@ -47,9 +53,10 @@ class RayPanel:
         if ray is None:
             nothing_yet(ui, state.snapshot.method, _nothing_yet(state))
             return
-        self._take(ray, state.snapshot.loaded)
+        self._take(ray, state)
         avail = imgui.get_content_region_avail()
-        beside = avail.x > SIDE_NEEDS_EM * ui.em
+        beside, scene = avail.x > SIDE_NEEDS_EM * ui.em, state.snapshot.scene
+        contracts = scene is not None and contracted_axis(ray, scene) is not None
         size = ImVec2(avail.x - SIDE_EM * ui.em, avail.y) if beside else ImVec2(avail.x, LOW_EM * ui.em)
         imgui.begin_child("plots", size)
         t = self._draw_plots(ui, state, ray)
@@ -57,11 +64,11 @@ class RayPanel:
         if beside:
             imgui.same_line(0, ui.em)
             imgui.begin_group()
-            imgui.begin_child("figures", ImVec2(0, -imgui.get_frame_height_with_spacing()))
+            imgui.begin_child("figures", ImVec2(0, -(1 + contracts) * imgui.get_frame_height_with_spacing()))
         self._draw_figures(ui, state, ray)
         if beside:
             imgui.end_child()
-        self._draw_log_choice(ui)  # below the figures, which scroll under a long verdict
+        self._draw_choices(ui, state, contracts)  # below the figures, which scroll under a long verdict
         if beside:
             imgui.end_group()
         if self.plots.hovered is not None:
@@ -71,14 +78,20 @@ class RayPanel:
         if t is not None:
             yield SetPointDepth(t)
 
-    def _take(self, ray: RayProbe, loaded: int) -> None:
-        if ray is self._probe:
+    def _take(self, ray: RayProbe, state: AppState) -> None:
+        scene = state.snapshot.scene
+        opened = (state.snapshot.loaded, ray.pixel, ray.origin.tobytes(), ray.direction.tobytes(), state.axis)
+        if ray is self._probe and opened == self._opened:
             return
-        self._probe, self._passes = ray, steps_of(ray)
-        opened = (loaded, ray.pixel, ray.origin.tobytes(), ray.direction.tobytes())
-        if opened != self._opened:  # the same ray at a later step keeps its axes
-            self._opened = opened
-            self.plots.open(ray, self._passes)
+        anew, self._probe, self._opened = opened != self._opened, ray, opened
+        if anew:  # the same ray at a later step keeps its axes
+            finite = tuple(replace(p, weights=np.nan_to_num(p.weights)) for p in ray.passes)
+            part = weighty_part(ray, finite, scene.radius if scene is not None else 1.0, _point_t(state, ray))
+            self._axis = PLAIN if scene is None else chosen_axis(ray, scene, state.axis, part)
+            self._part = tuple(self._axis.place(np.array(part)).tolist())
+        self._passes = tuple(placed(steps, self._axis) for steps in steps_of(ray))
+        if anew:
+            self.plots.open(self._passes, *self._part)
 
     def _draw_plots(self, ui: Ui, state: AppState, ray: RayProbe) -> float | None:
         self._legend(ui)
@@ -86,11 +99,42 @@ class RayPanel:
         opened = Opened(
             ray,
             self._passes,
+            self._axis,
             units="NDC unit" if scene is not None and scene.ndc is not None else "unit",
             point_t=_point_t(state, ray),
             marked=self._marked(state, ray),
         )
-        return self.plots.draw(ui, opened, imgui.get_content_region_avail())
+        room = imgui.get_content_region_avail()
+        dragged = self.plots.draw(ui, opened, ImVec2(room.x, room.y - OVERVIEW_EM * ui.em))
+        if scene is not None:
+            self._overview(ui, ray, contracted_axis(ray, scene) or PLAIN)
+        return dragged
+
+    def _overview(self, ui: Ui, ray: RayProbe, axis: Axis) -> None:
+        """The whole ray as a thin strip: where it has weight, and the part that the plots show. A click shows all."""
+        at, wide = imgui.get_cursor_screen_pos(), imgui.get_content_region_avail().x
+        high = 0.5 * ui.em
+        if imgui.invisible_button("overview", ImVec2(max(wide, 1.0), OVERVIEW_EM * ui.em)):
+            ends = self._axis.place(np.array([ray.near, ray.far])).tolist()
+            self.plots.show(*(self._part if self.plots.shows(*ends) else ends))
+        ui.mark("ray.overview")
+        imgui.set_item_tooltip(OVERVIEW)
+        low, end = axis.place(np.array([ray.near, ray.far if axis.turn is None else np.inf])).tolist()
+
+        def x(t: np.ndarray) -> list[float]:
+            return (at.x + np.clip((axis.place(t) - low) / max(end - low, 1e-12), 0, 1) * wide).tolist()
+
+        draw, top = imgui.get_window_draw_list(), at.y + 0.25 * ui.em
+        draw.add_rect_filled(ImVec2(at.x, top), ImVec2(at.x + wide, top + high), packed(ui.theme.hairline))
+        last = ray.passes[-1]
+        share = np.nan_to_num(last.weights) / max(float(np.nan_to_num(last.weights).max(initial=0.0)), 1e-12)
+        for begin, finish, part in zip(x(last.t), x(last.until), share.tolist(), strict=True):
+            if part > 0.01:
+                corner = ImVec2(max(finish, begin + 1), top + high)
+                draw.add_rect_filled(ImVec2(begin, top + (1 - part) * high), corner, packed(ui.theme.fine))
+        left, right = x(self._axis.distance(np.maximum(np.array(self.plots.shown()), 0.0)))
+        corners = ImVec2(left, top - 0.1 * ui.em), ImVec2(max(right, left + 0.2 * ui.em), top + high + 0.1 * ui.em)
+        draw.add_rect(*corners, packed(ui.theme.text), thickness=max(1.0, 0.08 * ui.em))
 
     def _marked(self, state: AppState, ray: RayProbe) -> tuple[Steps, int] | None:
         ref = state.sample
@@ -114,8 +158,9 @@ class RayPanel:
             _key(ui, shape, packed(color), packed(faded(color, 0.55)))
             imgui.same_line(0, 0.3 * ui.em)
             imgui.text_colored(ui.theme.muted, label)
-        same_line_if_fits(AXIS)
-        imgui.text_colored(ui.theme.muted, AXIS)
+        over = "over t (world units)" if self._axis.turn is None else "over contracted t (world units)"
+        same_line_if_fits(over)
+        imgui.text_colored(ui.theme.muted, over)
 
     def _draw_figures(self, ui: Ui, state: AppState, ray: RayProbe) -> None:
         asked = state.inspect
@@ -135,14 +180,15 @@ class RayPanel:
             ("opacity", f"{ray.opacity:.4f}"),
         ]
         for label, name, glyph in DEPTHS:
-            rows.append((label, number(getattr(ray, name), 5), partial(_glyph, ui, glyph)))
+            met = f" of {ray.opacity:.0%}" if name == "depth_expected" and ray.opacity < MET else ""
+            rows.append((label, number(getattr(ray, name), 5) + met, partial(_glyph, ui, glyph)))
         if ray.begins:
             rows.append(("t begins", f"{number(ray.near, 3)}, {ray.begins}"))
         counts = " + ".join(f"{len(p.t):,}" for p in ray.passes)
         rows.append(("samples", f"{counts} at step {ray.step:,}"))
         figures(ui, "ray figures", rows)
 
-    def _draw_log_choice(self, ui: Ui) -> None:
+    def _draw_choices(self, ui: Ui, state: AppState, contracts: bool) -> None:
         imgui.align_text_to_frame_padding()
         imgui.text_colored(ui.theme.muted, "log σ")
         for choice, tip in LOG_CHOICES:
@@ -151,6 +197,12 @@ class RayPanel:
                 self.plots.choose_log(choice, self._passes)
             ui.mark(f"ray.log {choice}")
             imgui.set_item_tooltip(tip)
+        if contracts:
+            changed, contracted = imgui.checkbox(CONTRACTED, self._axis.turn is not None)
+            if changed:
+                state.axis = "contracted" if contracted else "t"
+            ui.mark("ray.contracted")
+            imgui.set_item_tooltip("the axis runs to infinity: far distances come closer together, as in a grid")
 
 
 def _verdict(ui: Ui, state: AppState) -> None:

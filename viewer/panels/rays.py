@@ -44,7 +44,7 @@ class RaysPanel:
             imgui.same_line()
             tip = "the opened ray and the pinned ones: .json, .npz, .csv, or a figure as .png or .svg"
             if button(ui, WRITE, "rays.write", enabled=bool(state.rays_file.strip()), tip=tip):
-                yield ExportRays(Path(state.rays_file.strip()))
+                yield ExportRays(Path(state.rays_file.strip()), state.axis)
         for pin in reversed(pins):  # the newest is at the top: the demo scene's own pins fill the panel
             imgui.push_id(pin.id)
             yield from _draw_pin(ui, pin)

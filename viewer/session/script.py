@@ -155,7 +155,7 @@ class Script:
         Raises UserError for pins and clicks that miss the viewport, before time is spent on training.
         """
         state, scene = self.app.state, self._snapshot().scene
-        state.mode = self.wishes.mode
+        state.mode, state.axis = self.wishes.mode, self.wishes.axis
         if self.wishes.camera:
             assert scene is not None
             state.camera.go_to(picked_camera(scene, self.wishes.camera))
@@ -194,7 +194,7 @@ class Script:
         self._wait(lambda s: s.opened_id == asked.id and s.opened_step == s.step)
 
     def _inspect(self, file: Path) -> None:
-        self._ask(ExportRays(file), "wrote")
+        self._ask(ExportRays(file, self.app.state.axis), "wrote")
 
     def _film(self, file: Path, seconds: float | None) -> None:
         snapshot, form = self._snapshot(), self.app.state.film

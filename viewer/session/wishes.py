@@ -9,6 +9,7 @@ from pathlib import Path
 
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.live.messages import MOST_PINS
+from nerf_core.probe.axis import AxisChoice
 from nerf_core.probe.report import FORMATS
 from nerf_core.rendering.modes import COLOR, mode_names
 from nerf_core.training.checkpoint import describe
@@ -32,6 +33,7 @@ class Wishes:
     pins: tuple[tuple[str, str], ...] = ()
     clicks: tuple[tuple[str, str], ...] = ()
     inspect: tuple[Path, ...] = ()
+    axis: AxisChoice = "auto"
     render: Path | None = None
     orbit: Path | None = None
     orbit_seconds: float | None = None

@@ -24,7 +24,8 @@ from nerf_core.geometry.cameras import Cameras
 from nerf_core.geometry.lens import Lens
 from nerf_core.geometry.scene import Scene, View
 from nerf_core.probe import FAR_DEGREES, Opened, PassProbe, RayHistory, open_pixel, write_inspection
-from nerf_core.probe.figure import FEWEST, page
+from nerf_core.probe.axis import FEWEST
+from nerf_core.probe.figure import page
 from nerf_core.probe.layers import grain_at
 
 RED = Ball((0.0, 0.0, 0.0), 0.7, (0.8, 0.2, 0.15))
@@ -120,7 +121,7 @@ def test_a_figure_shows_the_part_with_the_weight(opened: Opened) -> None:
     low, high = axes["top"].get_xlim()
     assert ray.near <= low < high <= ray.far
     assert high - low < 0.5 * (ray.far - ray.near)
-    assert axes["strip"].get_xlabel().endswith(f"part of near {ray.near:.3g} … far {ray.far:.3g}")
+    assert axes["strip"].get_xlabel().endswith(f"part of near {ray.near:.3g} … far {ray.far:.3g} (strip)")
     last = ray.passes[-1]
     assert last.weights[(last.t >= low) & (last.until <= high)].sum() > 0.99 * last.weights.sum()
     for t in (ray.depth_expected, ray.depth_median, ray.depth_strongest, radiance.t):

@@ -54,6 +54,7 @@ from nerf_core.live.messages import (
 from nerf_core.methods import METHODS
 from nerf_core.methods.nerf.config import NerfConfig
 from nerf_core.probe import RayHistory, Source, TrainingViews
+from nerf_core.probe.axis import contracted_axis
 from nerf_core.rendering.export.models import EXPORTS
 from nerf_core.training.settings import RunSettings
 from viewer.commands.registry import USER_COMMANDS
@@ -520,17 +521,52 @@ def test_axes_stay_while_the_same_ray_is_trained_on(screen: Screen) -> None:
 
     panel, state = RayPanel(), make_state(make_snapshot())
     screen.size = (900, 260)
+    before: list[tuple[float, float]] = []
     for density, changes in ((40.0, False), (4.0, False), (40.0, True)):
         ray = make_ray(density, step=state.snapshot.step + 1)
         if changes:
-            ray = replace(ray, pixel=(1, 2), near=1.0, far=9.0)
+            ray = replace(ray, pixel=(1, 2), near=1.0, far=9.0, depth_median=8.0)
         opened = replace(make_opened(ray), ray=ray)
         state.snapshot = replace(state.snapshot, opened=opened, step=ray.step)
         for _ in range(2):
             screen.frame(panel, state)
-        low, high = panel.plots._t_min.value, panel.plots._t_max.value
-        assert (low < 1.5) == changes
-        assert (high > 6.5) == changes
+        before.append(panel.plots.shown())
+    assert before[0] == before[1]
+    assert before[1] != before[2]
+
+
+def test_the_axis_shows_the_part_with_weight_or_the_whole_ray(screen: Screen) -> None:
+    """Also over contracted distance, which is offered where the scene is contracted."""
+    from viewer.panels.ray import RayPanel
+
+    panel, state = RayPanel(), make_state(make_snapshot())
+    opened = state.snapshot.opened
+    assert opened is not None
+    ray, scene = replace(opened.ray, far=300.0), replace(opened.scene, synthetic=False)
+    opened = replace(opened, ray=ray, scene=scene)
+    state.snapshot = replace(state.snapshot, opened=opened, scene=scene)
+    screen.size = (1200, 300)
+    screen.frame(panel, state)
+    part = panel.plots.shown()
+    assert part[1] < 10
+    screen.click(panel, state, "ray.overview")
+    assert panel.plots.shown()[1] > 300
+    screen.click(panel, state, "ray.overview")
+    assert panel.plots.shown() == part
+    for shown in ("contracted", "t"):
+        screen.click(panel, state, "ray.contracted")
+        screen.frame(panel, state)
+        assert state.axis == shown
+    state.axis = "contracted"
+    screen.frame(panel, state)
+    screen.click(panel, state, "ray.overview")
+    axis = contracted_axis(ray, scene)
+    assert axis is not None
+    assert axis.turn is not None
+    assert axis.turn < panel.plots.shown()[1] < 2.1 * axis.turn
+    state.snapshot = replace(state.snapshot, scene=replace(scene, synthetic=True))
+    screen.frame(panel, state)
+    assert "ray.contracted" not in screen.widgets
 
 
 def test_the_median_depth_can_be_asked_for_again(screen: Screen) -> None:
