@@ -112,20 +112,21 @@ def test_every_method_draws_within_content(scene: Scene, method: str, make_train
             assert np.isfinite(open_ray(trainer.method, place, camera, (8, 8), 3).color).all()
 
 
-def test_flying_up_to_the_demo_ball_keeps_its_picture() -> None:
+@pytest.mark.parametrize(("method", "steps"), [("voxels", 250), ("hash", 120)])
+def test_flying_up_to_the_demo_ball_keeps_its_picture(method: str, steps: int) -> None:
     demo = load_scene(None, LoadOptions(max_size=64))
-    trainer = Trainer(demo, RunSettings(LoadOptions(), "voxels", threads=1))
-    for _ in range(250):
+    trainer = Trainer(demo, RunSettings(LoadOptions(), method, threads=1))
+    for _ in range(steps):
         trainer.step()
     camera = demo.views[demo.split("train")[0]].camera
     pixel = int(0.43 * camera.width), int(0.59 * camera.height)
-    seen = open_ray(trainer.method, demo, camera, pixel, 250)
+    seen = open_ray(trainer.method, demo, camera, pixel, steps)
     assert seen.depth_median is not None
     assert seen.begins == "the photos' near bound"
     assert seen.opacity > 0.9
     point = seen.origin + seen.depth_median * seen.direction
     for distance in (3.0, 2.0, 1.9, 1.5, 1.0, 0.6, 0.4):
-        ray = open_ray(trainer.method, demo, towards(camera, point.astype(np.float64), distance), pixel, 250)
+        ray = open_ray(trainer.method, demo, towards(camera, point.astype(np.float64), distance), pixel, steps)
         assert ray.opacity >= 0.9
         np.testing.assert_allclose(ray.color, seen.color, atol=0.05)  # the same ray, from nearer
         assert ray.begins == ("the eye" if ray.near == 0 else "where photos begin to show the space")
