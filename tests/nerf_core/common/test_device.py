@@ -7,12 +7,13 @@ import torch
 
 from nerf_core.common.device import describe, fast_precision, pick_device, usable_cores
 from nerf_core.common.errors import UserError
+from nerf_core.common.text import counted
 
 
 def test_cpu_is_always_there() -> None:
     assert pick_device("cpu") == torch.device("cpu")
     assert pick_device("auto").type in ("cpu", "cuda")
-    assert "threads" in describe(torch.device("cpu"))
+    assert describe(torch.device("cpu")) == f"CPU, {counted(torch.get_num_threads(), 'thread')}"
     assert fast_precision(torch.device("cpu")) in ("float32", "bfloat16")
     assert usable_cores() >= 1
 
