@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 
 import torch
@@ -20,6 +21,8 @@ RESTING_SECONDS = 0.3  # the same of a camera at rest
 WHOLE_SECONDS = 0.04  # a level that takes no longer is drawn between two steps: copying the weights takes as long
 GUESSED_RATE = 4000.0  # rays a second, until a tile has been timed
 
+_fresh = itertools.count(1).__next__  # numbers of models are unique within a process
+
 
 class Artist:
     """Draws a piece at a time and remembers what is half done. Owned by the worker thread."""
@@ -27,6 +30,7 @@ class Artist:
     def __init__(self) -> None:
         self.ray, self.pins = OpenedRay(), Pins()
         self._picture: Refinement | None = None
+        self._number = _fresh()  # of the model; pictures carry it
         self._model: Method | None = None  # what draws the level under way, and
         self._model_step = 0
         self._whole = False  # the level under way is to be done before the next step
@@ -41,6 +45,7 @@ class Artist:
     def forget_pictures(self) -> None:
         """Draw everything anew, because the model was exchanged."""
         self._picture = self._model = self._copy = self._ready = self._shown = None
+        self._number = _fresh()
         self.ray.forget()
         self.pins.forget()
 
@@ -118,14 +123,21 @@ class Artist:
         return True
 
     def _note_rate(self, picture: Refinement, cells: int, seconds: float) -> None:
-        """Measure rays per second over whole levels: the rim of a picture is emptier, and faster, than its middle."""
+        """Measure rays per second over whole levels: the rim of a picture is emptier, and faster, than its middle.
+
+        A level of less than a tile is padded to one, so that the rate may be higher than it tells. It counts where it
+        tells more than is known: otherwise a camera that never rests would never have more than its first few pixels.
+        """
         assert self._model is not None
         self._level = self._level[0] + cells, self._level[1] + seconds
         kind = picture.quality, picture.mode
         known = self._rates.get(kind)
-        if self._level[0] >= self._model.tile and (picture.level_done or known is None):  # less is padded to a tile
-            rate = self._level[0] / max(self._level[1], 1e-6)
-            self._rates[kind] = rate if known is None else 0.5 * known + 0.5 * rate
+        rate = self._level[0] / max(self._level[1], 1e-6)
+        if self._level[0] >= self._model.tile:
+            if picture.level_done or known is None:
+                self._rates[kind] = rate if known is None else 0.5 * known + 0.5 * rate
+        elif picture.level_done and rate > (GUESSED_RATE if known is None else known):
+            self._rates[kind] = rate
 
     def _frozen(self, trainer: Trainer) -> Method:
         """Return a copy of the current model, which does not change while training goes on."""
@@ -143,12 +155,16 @@ class Artist:
         finish = picture is not None and self._moving and not picture.first_level_done
         if picture is not None and picture.born != born:
             picture = None
+            self._number = _fresh()
             self._rates.clear()
         if picture is None or (picture.stamp != view.stamp and not finish):
             quality = "coarse" if view.moving else "fine"
-            rate = self._rates.get((quality, view.mode), GUESSED_RATE)
+            known = self._rates.get((quality, view.mode), self._rates.get(("fine", view.mode)))  # coarse is no slower
+            rate = GUESSED_RATE if known is None else known
             affordable = rate * (MOVING_SECONDS if view.moving else RESTING_SECONDS)
             stride = first_stride(view.camera.width, view.camera.height, affordable)
-            picture = self._picture = Refinement(view.camera, view.stamp, stride, quality, view.mode, born)
+            picture = self._picture = Refinement(
+                view.camera, view.stamp, stride, quality, view.mode, born, self._number
+            )
             self._moving = view.moving
         return picture

@@ -305,6 +305,8 @@ class Preview:
     complete: whether every texel of this stride was computed. With stride 1, every pixel was.
     step: the training step of the oldest pixel shown.
     quality: which network drew it, "fine" or "coarse".
+    model: a number of the model that drew it; a reset or loaded one has another, and so has a network that takes over.
+    born: the training step at which that model began to learn.
     """
 
     stamp: int
@@ -316,6 +318,8 @@ class Preview:
     step: int
     quality: str
     mode: str = COLOR
+    model: int = 0
+    born: int = 0
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,16 @@ class Refinement:
     first_level_done: whether there is a whole picture to show.
     """
 
-    def __init__(self, camera: Camera, stamp: int, stride: int, quality: str, mode: str = COLOR, born: int = 0) -> None:
+    def __init__(
+        self,
+        camera: Camera,
+        stamp: int,
+        stride: int,
+        quality: str,
+        mode: str = COLOR,
+        born: int = 0,
+        model: int = 0,
+    ) -> None:
         """Begin with the first level.
 
         Args:
@@ -57,8 +66,10 @@ class Refinement:
             quality: "fine" or "coarse"; see `Renderable.render`. The picture carries it.
             mode: the render mode. The picture carries it.
             born: the training step at which the weights that draw the picture began to learn.
+            model: their number. The picture carries both.
         """
-        self.camera, self.stamp, self.quality, self.mode, self.born = camera, stamp, quality, mode, born
+        self.camera, self.stamp, self.quality, self.mode = camera, stamp, quality, mode
+        self.born, self.model = born, model
         self.stride = self._first_stride = stride
         self.fresh = False
         self.first_level_done = self._drawn_again = False
@@ -215,6 +226,8 @@ class Refinement:
             step=int(self._step.min()),
             quality=self.quality,
             mode=self.mode,
+            model=self.model,
+            born=self.born,
         )
 
 

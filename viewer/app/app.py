@@ -115,7 +115,7 @@ class App:
             self._pacer.drew(now, seconds, self._frames_part())
             drew = True
             moved = self.state.camera.update(now)  # by the user's input in this frame
-            self._pacer.note(now, user=moved)
+            self._pacer.note(now, user=moved, fading=self._viewport.fading)
         if min(self.window.size()) > 0:
             self._views.update(self.state, now)
         return drew
@@ -268,7 +268,7 @@ class App:
 
     @property
     def stale(self) -> bool:
-        """Return whether the last frame showed a warp of an older picture."""
+        """Return whether the last frame showed anything of an older picture."""
         return self._viewport.stale
 
     def perform(self, action: Action) -> int:

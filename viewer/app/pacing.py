@@ -19,22 +19,31 @@ class Pacer:
     """Decides when to draw. The caller passes the time in seconds. watched: whether there is a screen."""
 
     def __init__(self, watched: bool = True) -> None:
+        self._watched = watched
         self._picture_gap, self._figures_gap = (PICTURE, FIGURES) if watched else (UNWATCHED, UNWATCHED)
         self._user_gap = FASTEST
         self._cost = 0.0  # running mean of the seconds that a frame takes
         self._drawn_at = -float("inf")
         self._input_at = -float("inf")
         self._settling = 0
-        self._user = self._answer = self._picture = self._figures = False
+        self._user = self._answer = self._picture = self._fading = self._figures = False
 
     def note(
-        self, now: float, *, user: bool = False, answer: bool = False, picture: bool = False, figures: bool = False
+        self,
+        now: float,
+        *,
+        user: bool = False,
+        answer: bool = False,
+        picture: bool = False,
+        fading: bool = False,
+        figures: bool = False,
     ) -> None:
         """Note what is new.
 
         user: input, or a movement under way.
         answer: the result of a click has arrived.
         picture: a new preview.
+        fading: a picture that fades into another.
         figures: anything else.
         """
         if user:
@@ -43,6 +52,7 @@ class Pacer:
         self._user |= user
         self._answer |= answer
         self._picture |= picture
+        self._fading |= fading
         self._figures |= figures
 
     def due(self, now: float) -> bool:
@@ -64,13 +74,15 @@ class Pacer:
         self._user_gap = min(max(FASTEST, self._cost / part), SLOWEST)
         self._drawn_at = now
         self._settling = max(0, self._settling - 1)
-        self._user = self._answer = self._picture = self._figures = False
+        self._user = self._answer = self._picture = self._fading = self._figures = False
 
     def _gap(self, now: float) -> float | None:
         if self._answer:
             return FASTEST
         if self._user or self._settling:
             return FASTEST if self._picture else self._user_gap
+        if self._fading:
+            return self._user_gap if self._watched else self._picture_gap
         if self._picture:
             return self._picture_gap
         if now - self._input_at < SETTLE_SECONDS:

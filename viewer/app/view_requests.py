@@ -5,7 +5,7 @@ from __future__ import annotations
 from nerf_core.geometry.camera import Camera
 from nerf_core.live.messages import ViewRequest
 
-from ..draw.viewport import same_view
+from ..draw.warp import same_view
 from ..model.link import Link
 from ..model.state import AppState
 

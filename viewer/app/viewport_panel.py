@@ -35,9 +35,9 @@ class ViewportPanel:
         self._picture = ViewportPicture(context)
         self._renderer = renderer
         self.input = ViewportInput()
-        self.stale = False
+        self.stale = False  # whether anything but the newest picture, as it is, is shown
         self._photo, self._photo_name = NearestPhoto(), ""
-        self._named: moderngl.Texture | None = None  # the texture that the renderer knows
+        self._named: list[moderngl.Texture] = []  # the textures that the renderer knows
 
     def draw(self, ui: PanelUi, state: AppState, alone: bool) -> None:
         """Draw the viewport. alone: it fills the window between the bars."""
@@ -98,14 +98,16 @@ class ViewportPanel:
         if scene is not None and preview is None and snapshot.status != "failed":
             self._photo_name = self._photo.draw(ui, draw, scene, camera, origin)
         if preview is None or scene is None:
+            self._picture.forget()
             return
-        self.stale = self._picture.draw(preview, camera, scene.background)
+        self.stale = self._picture.draw(preview, camera, scene.background, state.time)
+        for texture in self._named:
+            self._renderer.remove(texture)
+        self._named = [layer.texture for layer in self._picture.shown]
         far = ImVec2(origin.x + camera.width, origin.y + camera.height)
-        texture, first, last = self._picture.shown
-        if self._named is not None and self._named is not texture:
-            self._renderer.remove(self._named)
-        self._named = texture
-        draw.add_image(self._renderer.add(texture, opaque=True), origin, far, ImVec2(*first), ImVec2(*last))
+        for k, (texture, first, last, alpha) in enumerate(self._picture.shown):
+            image, tint = self._renderer.add(texture, opaque=k == 0), packed(ImVec4(1.0, 1.0, 1.0, alpha))
+            draw.add_image(image, origin, far, ImVec2(*first), ImVec2(*last), tint)
 
     def _draw_space(self, ui: PanelUi, state: AppState, scene: Scene, overlay: Overlay) -> None:
         theme, thin = ui.theme, max(1.0, ui.em / 14)
@@ -152,7 +154,7 @@ class ViewportPanel:
             return
         words = []
         if self.stale:
-            words.append(f"{icons.ICON_FA_CLOCK}  stale: the last picture, warped")
+            words.append(f"{icons.ICON_FA_CLOCK}  stale: an earlier picture, warped, until new pixels are as sharp")
         if snapshot.preview.quality == "coarse" and snapshot.coarse:
             words.append(snapshot.coarse)
         if snapshot.stage:
@@ -164,6 +166,11 @@ class ViewportPanel:
         if state.show_cameras and snapshot.scene is not None:
             place = ImVec2(origin.x + size.x - 3 * ui.em, origin.y + size.y - 3 * ui.em)
             _axes(ui, draw, place, state.camera.camera(int(size.x), int(size.y)), snapshot.scene.up)
+
+    @property
+    def fading(self) -> bool:
+        """Whether the next frame shows another picture even if nothing new comes."""
+        return self._picture.fading
 
     def release(self) -> None:
         self._picture.release()

@@ -10,7 +10,7 @@ from imgui_bundle import imgui
 
 from nerf_core.live.messages import Inspect, PinRay
 
-from ..draw.viewport import same_view
+from ..draw.warp import same_view
 from ..model.state import Action, AppState, FocusOn
 from ..ui.theme import TEXT_PIXELS
 from .registry import Section

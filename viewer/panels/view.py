@@ -12,7 +12,7 @@ from nerf_core.common.text import number, vector
 from nerf_core.rendering.modes import COLOR, MODES, mode_names
 
 from ..commands.registry import USER_COMMANDS, run, with_keys
-from ..draw.viewport import same_view
+from ..draw.warp import same_view
 from ..model.state import Action, AppState, FocusOn
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import Row, button, field_width, figures, hint, same_line_if_fits

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -289,6 +291,41 @@ def test_other_weights_draw_another_picture(make_trainer: Callable[..., Trainer]
     kept = artist.preview(None)
     assert kept is not None
     assert kept.complete  # the old picture stays until the new one's first level is drawn
+    while artist.draw_view(trainer, view, training=False):
+        pass
+    taken_over = artist.preview(None)
+    assert taken_over is not None
+    assert (kept.born, taken_over.born) == (0, 7)
+    artist.forget_pictures()
+    while artist.draw_view(trainer, view, training=False):
+        pass
+    exchanged = artist.preview(None)
+    assert exchanged is not None
+    assert len({kept.model, taken_over.model, exchanged.model}) == 3
+
+
+@pytest.mark.parametrize("rested", [False, True])
+def test_a_camera_that_never_rests_gets_the_pixels_that_the_model_can_draw(
+    make_trainer: Callable[..., Trainer], scene: Scene, monkeypatch: pytest.MonkeyPatch, rested: bool
+) -> None:
+    """Its first levels are smaller than a tile. After a rest, its speed is known."""
+    now = itertools.count(0.0, 1e-3)  # each piece takes a millisecond
+    monkeypatch.setattr("nerf_core.live.artist.time", SimpleNamespace(monotonic=lambda: 0.0, perf_counter=now.__next__))
+    trainer, artist = make_trainer(tile=4096), Artist()
+    camera = scene.views[5].camera.resized(256, 256)
+    strides = []
+    for stamp in range(1, 8):
+        view = ViewRequest(stamp, camera, moving=stamp > 1 or not rested)
+        while artist.urgent(view) or not view.moving:
+            if not artist.draw_view(trainer, view, training=view.moving):
+                break
+        picture = artist.preview(None)
+        assert picture is not None
+        strides.append(picture.stride)
+        trainer.step()
+    assert strides[0] == (1 if rested else 32)
+    assert strides[1] == (1 if rested else 8)
+    assert strides[-1] <= 2
 
 
 def test_a_view_that_cannot_be_drawn_delays_no_export(open_desk: OpenDesk, plain_methods: None, tmp_path: Path) -> None:

@@ -1,0 +1,88 @@
+"""The meshes that a warp moves: a picture as a surface in space."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nerf_core.live.messages import Preview
+
+JUMP = (
+    1.1  # ratio of far to near depth in a cell: a larger one is an edge with something behind it, not a slanted surface
+)
+MESH_CELLS = (
+    160  # along the longer side: fine enough for silhouettes, and 30,000 triangles are fast even in software GL
+)
+SOFT = 4  # the stride from which on a picture has no edges: warped cells that are torn apart would show as blocks
+
+
+def warp_mesh(preview: Preview) -> tuple[np.ndarray, np.ndarray]:
+    """Return a mesh over the picture: points (P, 6) and triangles (T, 3).
+
+    A point is pixel x, y, z-depth, x, y of its colour, and how many pixels have one colour.
+
+    A point beside an edge takes the mean depth of the hits around it, so that triangles reach past the edge; the
+    fragment shader then cuts them at the exact texel. A triangle over a jump in depth covers the area that the motion
+    uncovers. It has the colour of its farthest corner, because the uncovered surface lies behind. All of it has this
+    colour, so it is trusted while it is narrow.
+
+    A coarse picture (SOFT) is one sheet instead, with what was not hit at the depth of the rest.
+    """
+    height, width = preview.depth.shape
+    step = max(1, -(-max(width, height) // MESH_CELLS))
+    rows, columns = _lattice(height, step), _lattice(width, step)
+    depth = preview.depth[np.ix_(rows, columns)].astype(np.float64)
+    missing = np.isnan(depth)
+    if missing.any():
+        near_hits = _window_mean(preview.depth, step)[np.ix_(rows, columns)]
+        depth = np.where(missing, near_hits, depth)
+        if preview.stride >= SOFT and not missing.all():
+            depth = np.where(np.isnan(depth), np.median(depth[~missing]), depth)
+    x, y = columns * preview.stride + 0.5, rows * preview.stride + 0.5
+    x[0], y[0], x[-1], y[-1] = (
+        0,
+        0,
+        preview.camera.width,
+        preview.camera.height,
+    )  # the borders, because texel centres end before them
+    columns_x, rows_y = np.meshgrid(x, y)
+    spread = np.full_like(depth, preview.stride)
+    points = np.stack([columns_x, rows_y, depth, columns_x, rows_y, spread], -1).reshape(-1, 6)
+    index = np.arange(len(rows) * len(columns)).reshape(len(rows), len(columns))
+    a, b, c, d = index[:-1, :-1].ravel(), index[:-1, 1:].ravel(), index[1:, :-1].ravel(), index[1:, 1:].ravel()
+    triangles = np.concatenate([np.stack([a, b, c], -1), np.stack([b, d, c], -1)])
+    triangles = triangles[np.isfinite(points[triangles, 2]).all(-1)]
+    corners = points[triangles, 2]
+    jumps = (corners.max(-1) > JUMP * corners.min(-1)) & (preview.stride < SOFT)
+    torn = points[triangles[jumps]]  # (J, 3, 6)
+    farthest = corners[jumps].argmax(-1)
+    torn[..., 3:5] = torn[np.arange(len(torn)), farthest, None, 3:5]
+    torn[..., 5] = step * preview.stride
+    own = len(points) + np.arange(3 * len(torn)).reshape(-1, 3)
+    return np.concatenate([points, torn.reshape(-1, 6)]), np.concatenate([triangles[~jumps], own])
+
+
+def sheet(preview: Preview, depth: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return a mesh for what was not hit: the whole picture at one depth, that of the things beside it."""
+    ends = [(x, y) for y in (0, preview.camera.height) for x in (0, preview.camera.width)]
+    points = np.array([(x, y, depth, x, y, preview.stride) for x, y in ends], np.float64)
+    return points, np.array([[0, 1, 2], [1, 3, 2]])
+
+
+def _lattice(count: int, step: int) -> np.ndarray:
+    """0, step, 2·step … and the last index. Even a single texel gives two of them, so that there is a cell."""
+    return np.append(np.arange(0, max(count - 1, 1), step), count - 1)
+
+
+def _window_mean(depth: np.ndarray, reach: int) -> np.ndarray:
+    """The mean of the finite values within `reach` texels, NaN where there are none: (h, w) → (h, w)."""
+    hit = np.isfinite(depth)
+    sums = [np.where(hit, depth, 0).astype(np.float64), hit.astype(np.float64)]
+    for axis in (0, 1):
+        pad = [(reach + 1, reach) if a == axis else (0, 0) for a in (0, 1)]
+        length = depth.shape[axis]
+        for i, values in enumerate(sums):
+            total = np.cumsum(np.pad(values, pad), axis=axis)
+            high, low = np.arange(length) + 2 * reach + 1, np.arange(length)
+            sums[i] = total.take(high, axis) - total.take(low, axis)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(sums[1] > 0.5, sums[0] / sums[1], np.nan)  # 0.5: these are counts, summed as floats
