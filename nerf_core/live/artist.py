@@ -40,6 +40,7 @@ class Artist:
         self._shown: Preview | None = None  # the one that was handed out last
         self._moving = False
         self._rates: dict[tuple[str, str], float] = {}  # by quality and mode
+        self._least: dict[tuple[str, str], float] = {}  # what the rates are at least, until they are measured
         self._level = 0, 0.0  # cells of the level under way that are drawn, and the seconds they took
 
     def forget_pictures(self) -> None:
@@ -101,7 +102,7 @@ class Artist:
         if picture.begins or self._model is None:
             self._model_step = trainer.step_count
             # A new view's first level is done before the next step, and so is any that is soon done.
-            seconds = picture.cells_left / self._rates.get((picture.quality, picture.mode), GUESSED_RATE)
+            seconds = picture.cells_left / self._speed(picture.quality, picture.mode)
             self._whole = not picture.first_level_done or seconds < WHOLE_SECONDS
             self._model = trainer.method if self._whole else self._frozen(trainer)
             self._level = 0, 0.0
@@ -125,8 +126,8 @@ class Artist:
     def _note_rate(self, picture: Refinement, cells: int, seconds: float) -> None:
         """Measure rays per second over whole levels: the rim of a picture is emptier, and faster, than its middle.
 
-        A level of less than a tile is padded to one, so that the rate may be higher than it tells. It counts where it
-        tells more than is known: otherwise a camera that never rests would never have more than its first few pixels.
+        A level of less than a tile is padded to one, so the rate is at least what it tells. That counts until there is
+        a larger one: otherwise a camera that never rests would never have more than its first few pixels.
         """
         assert self._model is not None
         self._level = self._level[0] + cells, self._level[1] + seconds
@@ -136,8 +137,15 @@ class Artist:
         if self._level[0] >= self._model.tile:
             if picture.level_done or known is None:
                 self._rates[kind] = rate if known is None else 0.5 * known + 0.5 * rate
-        elif picture.level_done and rate > (GUESSED_RATE if known is None else known):
-            self._rates[kind] = rate
+        elif picture.level_done and rate > GUESSED_RATE:
+            self._least[kind] = max(rate, self._least.get(kind, 0.0))
+
+    def _speed(self, quality: str, mode: str) -> float:
+        """Return the rays per second to expect of a picture. The coarse quality is no slower than the fine one."""
+        if (quality, mode) in self._rates:
+            return self._rates[quality, mode]
+        known = self._rates.get(("fine", mode)), self._least.get((quality, mode))
+        return max(filter(None, known), default=GUESSED_RATE)
 
     def _frozen(self, trainer: Trainer) -> Method:
         """Return a copy of the current model, which does not change while training goes on."""
@@ -157,11 +165,10 @@ class Artist:
             picture = None
             self._number = _fresh()
             self._rates.clear()
+            self._least.clear()
         if picture is None or (picture.stamp != view.stamp and not finish):
             quality = "coarse" if view.moving else "fine"
-            known = self._rates.get((quality, view.mode), self._rates.get(("fine", view.mode)))  # coarse is no slower
-            rate = GUESSED_RATE if known is None else known
-            affordable = rate * (MOVING_SECONDS if view.moving else RESTING_SECONDS)
+            affordable = self._speed(quality, view.mode) * (MOVING_SECONDS if view.moving else RESTING_SECONDS)
             stride = first_stride(view.camera.width, view.camera.height, affordable)
             picture = self._picture = Refinement(
                 view.camera, view.stamp, stride, quality, view.mode, born, self._number
