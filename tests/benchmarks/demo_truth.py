@@ -113,10 +113,11 @@ def microscope(trainer: Trainer, pixels: int = 24, seed: int = 0) -> dict[str, f
             np.tile(where, (count, 1)), np.tile(normal[flat], (count, 1)), np.full(count, demo_scene.BALL),
             probe.directions,
         )  # fmt: skip
-        error = np.abs(probe.rgb - truth).mean(-1)
+        shown = probe.colors()
+        error = np.abs(shown - truth).mean(-1)
         found.append((
             abs(probe.t - t[flat]), _mean(error[outer & near]), _mean(error[outer & ~near]),
-            _spread(probe.rgb[outer & near]), _spread(truth[outer & near]),
+            _spread(shown[outer & near]), _spread(truth[outer & near]),
         ))  # fmt: skip
     names = ("off", "observed", "extrapolated", "spread", "spread_truth")
     return dict(zip(names, np.nanmedian(np.array(found), 0).tolist(), strict=True))

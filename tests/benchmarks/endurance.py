@@ -74,7 +74,7 @@ def _run(args: argparse.Namespace, captures: list[Path | None]) -> int:
         steps = 0
         while time.monotonic() - begin < (scene + 1) * period:
             due = int(args.events * (time.monotonic() - begin) / (60 * args.minutes))
-            if done < due:
+            while done < due:
                 done += 1
                 _event(app, imgui, chance)
             end = time.monotonic() + 0.02
