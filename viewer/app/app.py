@@ -269,7 +269,7 @@ class App:
     @property
     def stale(self) -> bool:
         """Return whether the last frame showed anything of an older picture."""
-        return self._viewport.stale
+        return self._viewport.stale or self._viewport.fading
 
     def perform(self, action: Action) -> int:
         """Do an action as if a panel had returned it. Returns the number of the command sent to the worker, else 0."""

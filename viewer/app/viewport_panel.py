@@ -35,7 +35,7 @@ class ViewportPanel:
         self._picture = ViewportPicture(context)
         self._renderer = renderer
         self.input = ViewportInput()
-        self.stale = False  # whether anything but the newest picture, as it is, is shown
+        self.stale = False  # whether something is warped
         self._photo, self._photo_name = NearestPhoto(), ""
         self._named: list[moderngl.Texture] = []  # the textures that the renderer knows
 
@@ -95,14 +95,15 @@ class ViewportPanel:
         snapshot = state.snapshot
         preview, scene = snapshot.preview, snapshot.scene
         self.stale, self._photo_name = False, ""
+        for texture in self._named:
+            self._renderer.remove(texture)
+        self._named.clear()
         if scene is not None and preview is None and snapshot.status != "failed":
             self._photo_name = self._photo.draw(ui, draw, scene, camera, origin)
         if preview is None or scene is None:
             self._picture.forget()
             return
         self.stale = self._picture.draw(preview, camera, scene.background, state.time)
-        for texture in self._named:
-            self._renderer.remove(texture)
         self._named = [layer.texture for layer in self._picture.shown]
         far = ImVec2(origin.x + camera.width, origin.y + camera.height)
         for k, (texture, first, last, alpha) in enumerate(self._picture.shown):

@@ -65,7 +65,7 @@ class ViewportPicture:
             now: the time in seconds.
 
         Returns:
-            Whether anything but the preview itself, as it is, is shown.
+            Whether something is warped.
         """
         if self._camera is None or not same_view(self._camera, camera):
             self._camera, self._rests_since = camera, now
@@ -88,7 +88,7 @@ class ViewportPicture:
             layers.append(sharp._replace(alpha=opacity))
         self.shown = tuple(layers)
         self.fading = self._coarser is not None or self._given_up is not None or (self._sharp is not None and part < 1)
-        return len(layers) > 1 or not direct
+        return self._sharp is not None or not direct
 
     def _take(self, preview: Preview, camera: Camera, now: float) -> Layer:
         """Make the newest layer, and choose what becomes of the one before."""
@@ -145,8 +145,9 @@ class ViewportPicture:
         self, name: str, layer: Layer, camera: Camera, background: tuple[float, float, float] | None, rival: float
     ) -> Shown:
         """Draw a warp, over a background or over nothing, if it is not on its canvas already."""
-        # A coarse picture needs few pixels, and software GL takes its time by pixels.
-        scale = max(layer.preview.stride // SOFT, 1)
+        # A coarse picture needs few pixels, and software GL takes its time by pixels. But enlarged transparent ones
+        # would lend their black to their neighbours.
+        scale = 1 if background is None else max(layer.preview.stride // SOFT, 1)
         canvas, size = self._canvases.get(name), (-(-camera.width // scale), -(-camera.height // scale))
         if canvas is None or canvas.texture.size != size:
             if canvas is not None:

@@ -290,6 +290,20 @@ def test_a_sharp_picture_is_trusted_where_it_shows_more_than_the_newest_one(pict
     assert not picture.draw(sharp, shifted, BLACK, 3.0)
 
 
+def test_the_border_of_a_picture_that_is_kept_does_not_show(
+    canvas: tuple[Window, ImguiRenderer], picture: ViewportPicture
+) -> None:
+    for stride, camera in ((8, CAMERA), (64, scripted.pinhole(200, 150, (4.0, 1.3, 2.0), (0.5, 0.5, 0.5)))):
+        shape = -(-150 // stride), -(-200 // stride)
+        white = np.full((*shape, 4), 255, np.uint8)
+        preview = Preview(1, camera, white, np.full(shape, 4.0, np.float32), stride, True, 0, "fine")
+        picture.draw(preview, camera, (1.0, 1.0, 1.0), 0.0)
+    assert len(picture.shown) == 2
+    part = pixels(picture)[..., 3] > 0
+    assert 0.2 < part.mean() < 0.98
+    assert (on_screen(canvas, picture, CAMERA) == 255).all()
+
+
 def test_the_estimated_blur_grows_with_angle_zoom_and_training(canvas: tuple[Window, ImguiRenderer]) -> None:
     preview = replace(scripted.render(ViewRequest(1, CAMERA, False), 2), step=900, born=100)
     layer = Layer(canvas[0].context, preview, 0.0)
