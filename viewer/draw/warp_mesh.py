@@ -12,6 +12,7 @@ JUMP = (
 MESH_CELLS = (
     160  # along the longer side: fine enough for silhouettes, and 30,000 triangles are fast even in software GL
 )
+SMOOTH = 2  # texels around one whose mean depth a coarse picture takes
 SOFT = 4  # the stride from which on a picture has no edges: warped cells that are torn apart would show as blocks
 
 
@@ -25,7 +26,7 @@ def warp_mesh(preview: Preview) -> tuple[np.ndarray, np.ndarray]:
     uncovers. It has the colour of its farthest corner, because the uncovered surface lies behind. All of it has this
     colour, so it is trusted while it is narrow.
 
-    A coarse picture (SOFT) is one sheet instead, with what was not hit at the depth of the rest.
+    A coarse picture (SOFT) is one smooth sheet instead, with what was not hit at the depth of the rest.
     """
     height, width = preview.depth.shape
     step = max(1, -(-max(width, height) // MESH_CELLS))
@@ -35,8 +36,9 @@ def warp_mesh(preview: Preview) -> tuple[np.ndarray, np.ndarray]:
     if missing.any():
         near_hits = _window_mean(preview.depth, step)[np.ix_(rows, columns)]
         depth = np.where(missing, near_hits, depth)
-        if preview.stride >= SOFT and not missing.all():
-            depth = np.where(np.isnan(depth), np.median(depth[~missing]), depth)
+    if preview.stride >= SOFT and not missing.all():
+        smooth = _window_mean(preview.depth, max(step, SMOOTH))[np.ix_(rows, columns)]  # so that it does not fold
+        depth = np.where(np.isnan(smooth), np.median(depth[~missing]), smooth)
     x, y = columns * preview.stride + 0.5, rows * preview.stride + 0.5
     x[0], y[0], x[-1], y[-1] = (
         0,
