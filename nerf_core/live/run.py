@@ -241,7 +241,7 @@ class Run:
         self.saved_step = trainer.step_count
         for reason in reasons:
             self._tell("warning", reason)
-        self._tell("info", f"saved step {trainer.step_count:,} to {path}", path, kind="saved")
+        self._tell("info", f"saved step {trainer.step_count:,} to {path.absolute()}", path, kind="saved")
 
     def _export_rays(self, path: Path, axis: AxisChoice) -> None:
         check_format(path)

@@ -244,8 +244,8 @@ def _draw_marks(axes: Any, one: Opened, part: tuple[float, float]) -> None:
 
     One that lies behind the drawn part is an arrow at its end, with the number.
     """
-    met = "" if one.ray.opacity >= MET else f", {one.ray.opacity:.0%} met"
-    marks = ((f"expected{met or ' depth'}", one.ray.depth_expected, "v"), ("median depth", one.ray.depth_median, "D"),
+    met = " depth" if one.ray.opacity >= MET else f" of {one.ray.opacity:.0%}"
+    marks = ((f"expected{met}", one.ray.depth_expected, "v"), ("median depth", one.ray.depth_median, "D"),
              ("strongest w", one.ray.depth_strongest, "o"))  # fmt: skip
     known = [(2 - k, *mark) for k, mark in enumerate(marks) if mark[1] is not None]
     axes.set(ylim=(-0.6, 2.6), yticks=[y for y, *_ in known], yticklabels=[name for _, name, *_ in known])

@@ -87,7 +87,7 @@ def microscope(trainer: Trainer, pixels: int = 24, seed: int = 0) -> dict[str, f
 
     The pixels are those of the first test view that truly see the glossy ball. Each figure is the median over them:
 
-    off: the distance between the plot's point and the true one.
+    off: the distance between the surface that the verdict finds, whose point is plotted, and the true one.
     observed: the error over the outward directions within OBSERVED of a photo that sees the point.
     extrapolated: the error over the other outward directions, which the plot hatches.
     spread: how much the colour changes over the observed directions; spread_truth: the same in truth.
@@ -101,6 +101,10 @@ def microscope(trainer: Trainer, pixels: int = 24, seed: int = 0) -> dict[str, f
     for flat in rng.choice(shiny, min(pixels, len(shiny)), replace=False).tolist():
         at = flat % camera.width, flat // camera.width
         *_, opened = pieces(trainer.method, training_views, camera, at, trainer.step_count, None, "viewer")
+        assert opened.verdict is not None
+        surface = opened.verdict.surface_t
+        surface = opened.ray.point_t() if surface is None else surface
+        opened = next(pieces(trainer.method, training_views, camera, at, trainer.step_count, surface, "viewer"))
         probe, evidence = opened.radiance, opened.evidence
         assert probe is not None
         assert evidence is not None
@@ -113,11 +117,10 @@ def microscope(trainer: Trainer, pixels: int = 24, seed: int = 0) -> dict[str, f
             np.tile(where, (count, 1)), np.tile(normal[flat], (count, 1)), np.full(count, demo_scene.BALL),
             probe.directions,
         )  # fmt: skip
-        shown = probe.colors()
-        error = np.abs(shown - truth).mean(-1)
+        error = np.abs(probe.rgb - truth).mean(-1)
         found.append((
             abs(probe.t - t[flat]), _mean(error[outer & near]), _mean(error[outer & ~near]),
-            _spread(shown[outer & near]), _spread(truth[outer & near]),
+            _spread(probe.rgb[outer & near]), _spread(truth[outer & near]),
         ))  # fmt: skip
     names = ("off", "observed", "extrapolated", "spread", "spread_truth")
     return dict(zip(names, np.nanmedian(np.array(found), 0).tolist(), strict=True))

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from nerf_core.common.errors import UserError
+from nerf_core.common.names import printable
 from nerf_core.common.user_paths import own_path
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.paths import PATHS
@@ -97,6 +98,9 @@ class Actions:
                 state.inspect = None
             case OpenScene(path):
                 state.inspect = None
+                if command.checkpoint is not None:  # what is opened next is opened like this
+                    state.settings = replace(state.settings, load=command.options.load)
+                    state.open_path = "" if path is None else printable(path)
                 command = command if path is None else replace(command, path=own_path(path))
             case SaveCheckpoint(path) | LoadCheckpoint(path):
                 command = replace(command, path=own_path(path))

@@ -11,14 +11,15 @@ from imgui_bundle import ImVec2, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.common.names import printable
-from nerf_core.common.text import duration, size
+from nerf_core.common.text import counted, duration, size
 from nerf_core.live.messages import OpenScene
 from nerf_core.training.autosaves import Autosave
 
+from ..commands.actions.files import saved_first
 from ..commands.registry import run, with_keys
 from ..model.state import Action, AppState, ClearAutosaves, unsaved_steps
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import Confirmation, button, hint, keep_in_front, packed, same_line_if_fits
+from ..ui.widgets import Confirmation, Forgetting, button, hint, keep_in_front, packed, same_line_if_fits
 
 WIDTH_EM, PICTURE_EM, GAP_EM = 42.0, (8.0, 5.0), 0.7
 ROOM_EM = 28.0, 24.0  # the least space for it over the picture
@@ -37,7 +38,7 @@ class LeftOffOverlay:
     order = 1
 
     def __init__(self) -> None:
-        self._continue, self._clear = Confirmation(), Confirmation()
+        self._continue, self._clear = Forgetting(), Confirmation()
         self._wanted: Autosave | None = None
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
@@ -93,9 +94,11 @@ class LeftOffOverlay:
             imgui.pop_id()
         imgui.end_child()
         unsaved = unsaved_steps(state.snapshot)
-        question = f"Opening it forgets {unsaved:,} unsaved training steps."
-        if self._continue.draw(ui, question, "Forget them and open", "left_off", needed=unsaved > 0) and self._wanted:
-            yield self._opened(state, self._wanted)
+        question = f"Opening it forgets {counted(unsaved, 'unsaved training step')}."
+        answer = self._continue.ask(ui, question, "open", "left_off", needed=unsaved > 0)
+        if answer and self._wanted:
+            opening = self._opened(state, self._wanted)
+            yield opening if answer == "forget" else saved_first(state, opening)
 
     @staticmethod
     def _opened(state: AppState, one: Autosave) -> OpenScene:

@@ -21,7 +21,7 @@ from ..commands.actions.files import saved_first
 from ..commands.registry import USER_COMMANDS, run, with_keys
 from ..model.state import Action, AppState, unsaved_steps
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import Confirmation, Row, button, exists, field_beside, field_width, figures, hint, same_line_if_fits
+from ..ui.widgets import Forgetting, Row, button, exists, field_beside, field_width, figures, hint, same_line_if_fits
 
 DOWNSCALE, MOST = "downscale", 64
 OPEN, PAUSED, DEMO = f"{icons.ICON_FA_FOLDER_OPEN}  Open and train", "Open paused", "Demo"
@@ -35,7 +35,7 @@ class ScenePanel:
     order = 0
 
     def __init__(self) -> None:
-        self._confirmation, self._change = Confirmation(), Confirmation()
+        self._confirmation, self._change = Forgetting(), Forgetting()
         self._other = ""  # the method of the second confirmation
         self._wanted: Path | None = None  # the capture of the confirmation; None: the demo scene
         self._train = True  # whether to train it
@@ -83,7 +83,7 @@ class ScenePanel:
             yield from self._ask(state, None, train=True)
         unsaved = unsaved_steps(state.snapshot)
         question = f"Opening another scene forgets {counted(unsaved, 'unsaved training step')}."
-        answer = self._confirmation.draw(ui, question, "open", "scene.open", needed=unsaved > 0)
+        answer = self._confirmation.ask(ui, question, "open", "scene.open", needed=unsaved > 0)
         if answer:
             opening = OpenScene(self._wanted, state.settings, train=self._train)
             yield opening if answer == "forget" else saved_first(state, opening)
@@ -106,7 +106,7 @@ class ScenePanel:
         imgui.set_item_tooltip(method_sentences().get(snapshot.method, "") + why)
         self._change.asking = self._change.asking or (bool(wanted) and unsaved > 0)
         question = f"Changing to {self._other} forgets {counted(unsaved, 'unsaved training step')}."
-        answer = self._change.draw(ui, question, "change", "scene.method", needed=unsaved > 0)
+        answer = self._change.ask(ui, question, "change", "scene.method", needed=unsaved > 0)
         if answer or (wanted and unsaved == 0):
             state.settings = replace(state.settings, method=self._other, preset="auto", changes={})
             changing = UseMethod(self._other, train=True)

@@ -18,7 +18,7 @@ from ..commands.registry import run, with_keys
 from ..draw.history_plots import HistoryPlots
 from ..model.state import Action, AppState, unsaved_steps
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import Confirmation, Row, button, exists, field_beside, field_width, figures, hint, same_line_if_fits
+from ..ui.widgets import Forgetting, Row, button, exists, field_beside, field_width, figures, hint, same_line_if_fits
 
 START, PAUSE = f"{icons.ICON_FA_PLAY}  Train", f"{icons.ICON_FA_PAUSE}  Pause"
 STEP, RESET = f"{icons.ICON_FA_FORWARD_STEP}  Step", f"{icons.ICON_FA_ROTATE_LEFT}  Reset"
@@ -33,7 +33,7 @@ class TrainingPanel:
 
     def __init__(self) -> None:
         self._plots = HistoryPlots()
-        self._reset, self._load = Confirmation(), Confirmation()
+        self._reset, self._load = Forgetting(), Forgetting()
         self._share: float | None = None  # the slider's value until the worker has taken it
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
@@ -66,7 +66,7 @@ class TrainingPanel:
         if button(ui, RESET, "training.reset", enabled=snapshot.step > 0, tip=tip):
             self._reset.asking = True
         question = f"This forgets {counted(snapshot.step, 'trained step')}."
-        answer = self._reset.draw(ui, question, "start again", "training.reset", needed=snapshot.step > 0)
+        answer = self._reset.ask(ui, question, "start again", "training.reset", needed=snapshot.step > 0)
         if answer:
             yield Reset() if answer == "forget" else saved_first(state, Reset())
 
@@ -114,7 +114,7 @@ class TrainingPanel:
             unsaved = 0  # nothing is forgotten, and the worker says what is wrong
         self._load.asking = self._load.asking or pressed
         question = f"Loading forgets {counted(unsaved, 'unsaved training step')}."
-        answer = self._load.draw(ui, question, "load", "training.load", needed=unsaved > 0)
+        answer = self._load.ask(ui, question, "load", "training.load", needed=unsaved > 0)
         if answer or (pressed and unsaved == 0):
             loading = LoadCheckpoint(Path(path))
             yield saved_first(state, loading) if answer == "save" else loading

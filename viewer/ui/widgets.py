@@ -263,7 +263,37 @@ class Confirmation:
     def __init__(self) -> None:
         self.asking = self._shown = False
 
-    def draw(self, ui: Ui, question: str, verb: str, mark: str, needed: bool) -> Literal["", "forget", "save"]:
+    def draw(self, ui: Ui, question: str, answer: str, mark: str, needed: bool) -> bool:
+        """Show the question while it is open and `needed`. Returns True in the frame in which the user agrees."""
+        return self._ask(ui, question, {"confirm": (answer, "")}, mark, needed) == "confirm"
+
+    def _ask(self, ui: Ui, question: str, answers: dict[str, tuple[str, str]], mark: str, needed: bool) -> str:
+        """Show the question with its answers, by the ends of their marks with label and tip, and "Keep".
+
+        Returns the end of the mark of the answer that was chosen, else an empty text.
+        """
+        self.asking = self.asking and needed and not imgui.is_key_pressed(imgui.Key.escape, False)
+        if not self.asking:
+            self._shown = False
+            return ""
+        hint(ui, question, ui.theme.warning)
+        found, labels = "", [label for label, _ in answers.values()]
+        for (end, (label, tip)), after in zip(answers.items(), [*labels[1:], KEEP], strict=True):
+            if button(ui, label, f"{mark}_{end}", tip=tip):
+                found = end
+            same_line_if_fits(after)
+        if button(ui, KEEP, f"{mark}_keep", tip="change nothing") or found:
+            self.asking = False
+        if not self._shown:  # it may lie below the visible part of the panel
+            imgui.set_scroll_here_y(1.0)
+            self._shown = True
+        return found
+
+
+class Forgetting(Confirmation):
+    """A question before a model is forgotten, which offers to save it first."""
+
+    def ask(self, ui: Ui, question: str, verb: str, mark: str, needed: bool) -> Literal["", "forget", "save"]:
         """Show the question while it is open and `needed`. Returns the answer in the frame in which the user agrees.
 
         Args:
@@ -273,22 +303,6 @@ class Confirmation:
             mark: the widgets' name.
             needed: whether there is anything to forget.
         """
-        self.asking = self.asking and needed and not imgui.is_key_pressed(imgui.Key.escape, False)
-        if not self.asking:
-            self._shown = False
-            return ""
-        hint(ui, question, ui.theme.warning)
-        save, forget = f"Save and {verb}", f"Forget and {verb}"
-        answer: Literal["", "forget", "save"] = ""
-        if button(ui, save, f"{mark}_save", tip="save to a new file first"):
-            answer = "save"
-        same_line_if_fits(forget)
-        if button(ui, forget, f"{mark}_confirm"):
-            answer = "forget"
-        same_line_if_fits(KEEP)
-        if button(ui, KEEP, f"{mark}_keep", tip="change nothing") or answer:
-            self.asking = False
-        if not self._shown:  # it may lie below the visible part of the panel
-            imgui.set_scroll_here_y(1.0)
-            self._shown = True
-        return answer
+        answers = {"save": (f"Save and {verb}", "save to a new file first"), "confirm": (f"Forget and {verb}", "")}
+        found = self._ask(ui, question, answers, mark, needed)
+        return "save" if found == "save" else "forget" if found else ""

@@ -16,7 +16,7 @@ import scripted
 import torch
 
 from nerf_core.datasets import LoadOptions
-from nerf_core.live.messages import OpenScene, Snapshot
+from nerf_core.live.messages import InOrder, OpenScene, SaveCheckpoint, Snapshot
 from nerf_core.training import autosaves, checkpoint
 from nerf_core.training.autosaves import left_off, small_picture
 from nerf_core.training.settings import RunSettings
@@ -168,7 +168,26 @@ def test_unsaved_steps_are_not_forgotten_unasked(app: App, write: Write) -> None
     assert not sent(app)
     click(app, "left_off.0")
     click(app, "left_off_confirm")
-    assert len(sent(app)) == 1
+    (opened,) = sent(app)
+    assert isinstance(opened, OpenScene)
+    offer(app)
+    click(app, "left_off.0")
+    click(app, "left_off_save")
+    assert isinstance(app.link, scripted.ScriptedWorker)
+    both = app.link.sent[-1]
+    assert isinstance(both, InOrder)
+    saved, then = both.commands
+    assert isinstance(saved, SaveCheckpoint)
+    assert then == opened
+    assert app.state.settings.load == opened.options.load  # the next scene is opened like this one
+
+
+def test_clearing_offers_no_saving(app: App, write: Write) -> None:
+    write()
+    offer(app)
+    click(app, "left_off.clear")
+    assert "left_off.clear_confirm" in app.widgets
+    assert "left_off.clear_save" not in app.widgets
 
 
 def test_the_window_waits_for_no_disk(app: App, write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
