@@ -16,7 +16,7 @@ import tyro
 from nerf_core import __version__
 from nerf_core.common.errors import UserError
 from nerf_core.common.output import say
-from nerf_core.common.user_paths import own_path
+from nerf_core.common.user_paths import absolute, own_path
 
 CONFIG = (
     tyro.conf.OmitArgPrefixes,
@@ -96,7 +96,7 @@ def _at_home(argument: str) -> str:
     path = Path(value)
     if not str(path).startswith("~"):
         return argument
-    return f"{option}{equals}{own_path(path) if value.startswith('~') else path.absolute()}"
+    return f"{option}{equals}{own_path(path) if value.startswith('~') else absolute(path)}"
 
 
 def _sentence(box: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import os
 import shutil
 import sys
@@ -60,13 +61,22 @@ def clear_leftovers(folder: Path) -> None:
                     _remove(path)
 
 
-def write_atomically(path: Path, data: bytes | str) -> None:
+def write_atomically(path: Path, data: bytes | str, *, numbered: bool = False) -> Path:
     """Write `data` to `path` so that the path holds either all of it or the old file (temporary file, fsync, rename).
 
-    Raises UserError when the folder cannot be written or the disk is full.
+    Args:
+        path: the file.
+        data: its contents; text is written as UTF-8.
+        numbered: replace nothing: if `path` is taken, the first that is not of name-2, name-3 … is written.
+
+    Returns:
+        The file that was written.
+
+    Raises:
+        UserError: the folder cannot be written or the disk is full.
     """
     try:
-        if path.is_dir():  # also "." and "/", which have no name
+        if path.is_dir() and not numbered:  # also "." and "/", which have no name
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
         part = Part(path.parent)
         try:
@@ -74,12 +84,27 @@ def write_atomically(path: Path, data: bytes | str) -> None:
                 file.write(data.encode() if isinstance(data, str) else data)
                 file.flush()
                 os.fsync(file.fileno())
+            if numbered:
+                path = _claimed(path)
             part.path.replace(path)
         finally:
             part.release()
+        return path
     except OSError as error:
         advice = "choose a folder that has space and takes files"
         raise UserError(f"{path}: cannot be written: {error.strerror or error}; {advice}") from None
+
+
+def _claimed(path: Path) -> Path:
+    """Make an empty file, with a number if the name is taken, and return it. Raises OSError."""
+    for number in itertools.count(1):
+        file = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
+        try:
+            file.open("xb").close()  # of two programs that try it, one gets the name
+        except FileExistsError:
+            continue
+        return file
+    raise AssertionError
 
 
 @contextmanager

@@ -139,14 +139,21 @@ class SetShare:
 
 @dataclass(frozen=True)
 class SaveCheckpoint(OfRun):
-    """Write the model and its pinned rays.
-
-    path: the file.
-    spare: files to write to instead, in this order, if it cannot be written.
-    """
+    """Write the model and its pinned rays to a file. An old one of this name is replaced."""
 
     path: Path
-    spare: tuple[Path, ...] = ()
+
+
+@dataclass(frozen=True)
+class SaveUnsaved(OfRun):
+    """Write the model and its pinned rays if it has steps that no checkpoint has, to the first place that takes it.
+
+    The places: `file`, which is replaced; `folder`, where the file is named after the scene and replaces none; then
+    those of `spare_files`. None: not there.
+    """
+
+    file: Path | None = None
+    folder: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -256,8 +263,8 @@ class Quit:
 
 Command = (
     OpenScene | CancelLoading | OpenRun | CloseRun | Train | Pause | Reset | UseMethod | SetShare | SaveCheckpoint
-    | InOrder | LoadCheckpoint | Inspect | StopInspecting | PinRay | EditPin | UnpinRay | ExportRays | StartExport
-    | CancelExport | Quit
+    | SaveUnsaved | InOrder | LoadCheckpoint | Inspect | StopInspecting | PinRay | EditPin | UnpinRay | ExportRays
+    | StartExport | CancelExport | Quit
 )  # fmt: skip
 
 # ---- from the worker -----------------------------------------------------------------------------------------
@@ -357,7 +364,7 @@ class Snapshot:
     config: the method's constants by name, as a checkpoint stores them.
     stage: a remark about the progress of training; empty: none.
     coarse: the name of the method's cheaper picture; empty: it has none.
-    saved_step: of the newest checkpoint that was written or loaded.
+    saved_step: of the newest checkpoint that was written or loaded; 0 if that file has gone since.
     seconds: training time alone.
     train_share: the measured share of the worker's time that went into training over the last seconds.
     wanted_share: the share that was asked for.

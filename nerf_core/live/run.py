@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+import os
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from torch import Tensor
 from nerf_core.common.device import enough_memory
 from nerf_core.common.errors import UserError
 from nerf_core.common.names import printable
+from nerf_core.common.user_paths import absolute
 from nerf_core.datasets import load_scene
 from nerf_core.geometry.scene import Scene
 from nerf_core.kernels import choice as kernels
@@ -25,7 +27,7 @@ from nerf_core.live.messages import Notice, ViewRequest
 from nerf_core.probe import check_format, write_inspection
 from nerf_core.probe.axis import AxisChoice
 from nerf_core.training import checkpoint
-from nerf_core.training.autosaves import left_off, small_picture
+from nerf_core.training.autosaves import checkpoint_name, left_off, small_picture, spare_files
 from nerf_core.training.last_good import LastGood
 from nerf_core.training.last_save import save_somewhere
 from nerf_core.training.settings import RunSettings
@@ -71,7 +73,7 @@ class Run:
         self.loaded = 0
         self.until: int | None = None  # the step at which training pauses; None: it does not train
         self._until_seconds = math.inf
-        self.saved_step = 0
+        self._saved: tuple[Path, int] | None = None  # the newest checkpoint that was written or loaded, and its step
         self.rays_per_step = 0
         self._good: LastGood | None = None
 
@@ -97,8 +99,10 @@ class Run:
                 self.use_method(self.need_scene(), self.settings, name)
                 if train:
                     self.train(None, None)
-            case messages.SaveCheckpoint(path, spare):
-                self._save((path, *spare))
+            case messages.SaveCheckpoint(path):
+                self._save([path])
+            case messages.SaveUnsaved(file, folder):
+                self._save_unsaved(file, folder)
             case messages.LoadCheckpoint(path):
                 self._load(path)
             case messages.Inspect():
@@ -147,11 +151,13 @@ class Run:
         def progress(words: str, done: int, total: int) -> None:
             self._busy_with(f"{words}: {done:,} of {total:,}", now=False)
 
+        path = None if path is None else absolute(path)  # the current folder may go while it is open
         with self._busy(f"opening {path or 'the demo scene'}"):
             stored = None if file is None else Stored(file, *checkpoint.load(file))
             scene = load_scene(path, settings.load, progress)
             trainer = self._made(scene, settings) if stored is None else self._resumed(scene, settings, stored)
             good = LastGood(trainer)
+            self._say_loading(True)  # the last moment at which it can be cancelled
         self.artist = Artist()
         self._commit(scene, settings, trainer, good)
         self.capture = path
@@ -170,6 +176,7 @@ class Run:
         with self._busy(""):
             trainer = self._made(scene, settings)
             good = LastGood(trainer)
+            self._say_loading(True)
         fresh = self.scene is None
         self._commit(scene, settings, trainer, good)
         self.loaded += fresh
@@ -185,7 +192,7 @@ class Run:
     def _commit(self, scene: Scene, settings: RunSettings, trainer: Trainer, good: LastGood) -> None:
         """End a transaction. Only opening pinned rays can fail here; a ray that fails is told of and unpinned."""
         self.scene, self.settings, self.trainer, self._good = scene, settings, trainer, good
-        self.until, self.failed, self.skipped, self.saved_step = None, False, None, 0
+        self.until, self.failed, self.skipped, self._saved = None, False, None, None
         self.artist.forget_pictures()
         self.artist.pins.restart(trainer)
         self.artist.pins.record(trainer)
@@ -209,7 +216,7 @@ class Run:
         self._restore_pins(trainer, stored)
         for note in trainer.notes(description):
             self._tell("warning", note)
-        self.saved_step = description["step"]
+        self._saved = path, description["step"]
         if self.settings.method not in ("auto", trainer.method_name):
             asked = self.settings.method
             held = f"{path.name} holds a model of method {trainer.method_name}"
@@ -226,19 +233,32 @@ class Run:
         self.artist.pins.replace(pins, trainer)
         self.artist.pins.record(trainer)
 
-    def _save(self, files: tuple[Path, ...]) -> None:
+    @property
+    def saved_step(self) -> int:
+        """See `messages.Snapshot`."""
+        return self._saved[1] if self._saved is not None and os.path.exists(self._saved[0]) else 0
+
+    def _save_unsaved(self, file: Path | None, folder: Path | None) -> None:
+        if self.trainer is None or self.trainer.step_count <= self.saved_step:
+            return
+        scene = self.need_scene()
+        named = None if folder is None else folder / checkpoint_name(scene)
+        self._save([*filter(None, [file, named]), *spare_files(scene)], named)
+
+    def _save(self, files: Sequence[Path], numbered: Path | None = None) -> None:
+        """Write to the first file that can be written. numbered: the one that gets a number if there is one already."""
         trainer, pins = self.need_trainer(), list(self.artist.pins)
         description = trainer.describe() | pin_files.described(pins)
         tensors = trainer.state() | pin_files.tensors(pins)
         shown = self.artist.preview(None)
 
-        def write(file: Path) -> None:
+        def write(file: Path) -> Path:
             own = left_off(file, self.capture, self.settings.load)
             small = small_picture(file, None if shown is None else shown.rgba)
-            checkpoint.save(file, description | own, tensors | small)
+            return checkpoint.save(file, description | own, tensors | small, numbered=file == numbered)
 
         path, reasons = save_somewhere(files, write)
-        self.saved_step = trainer.step_count
+        self._saved = path, trainer.step_count
         for reason in reasons:
             self._tell("warning", reason)
         self._tell("info", f"saved step {trainer.step_count:,} to {path.absolute()}", path, kind="saved")
@@ -322,7 +342,8 @@ class Run:
         if self._good is not None:
             self._good.restore(trainer)
             self.artist.pins.rewind(trainer.step_count)
-            self.saved_step = min(self.saved_step, trainer.step_count)
+            if self._saved is not None:
+                self._saved = self._saved[0], min(self._saved[1], trainer.step_count)
         self.artist.forget_pictures()
         self._tell("error", f"{error}; back at step {trainer.step_count:,}, paused", kind="failed")
 

@@ -75,8 +75,12 @@ def autosave_folder() -> Path | None:
 
 def autosave_prefix(scene: Scene) -> str:
     """Return how the names of a scene's autosaves begin. It is at most MOST_NAME_BYTES + 9 bytes long."""
-    name = re.sub(r"[^\w.-]+", "-", scene.name).strip(".-").encode(errors="replace")[:MOST_NAME_BYTES]
-    return f"{name.decode(errors='ignore') or 'scene'}-{scene.identity()[:8]}"
+    return f"{_stem(scene)}-{scene.identity()[:8]}"
+
+
+def checkpoint_name(scene: Scene) -> str:
+    """Return the name of a checkpoint that the user did not name, in a folder that is the user's own."""
+    return f"{_stem(scene)}{SUFFIX}"
 
 
 def spare_files(scene: Scene) -> list[Path]:
@@ -89,6 +93,11 @@ def clear_spare_leftovers() -> None:
     """Delete what killed processes left half written in the folders of `spare_files`."""
     for folder in _spare_folders():
         clear_leftovers(folder)
+
+
+def _stem(scene: Scene) -> str:
+    name = re.sub(r"[^\w.-]+", "-", scene.name).strip(".-").encode(errors="replace")[:MOST_NAME_BYTES]
+    return name.decode(errors="ignore") or "scene"
 
 
 def _spare_folders() -> list[Path]:
@@ -108,7 +117,7 @@ def left_off(file: Path, capture: Path | None, load: LoadOptions) -> dict[str, A
     Args:
         file: where the checkpoint goes. Only an autosave has it: the user's own file may be given to others, whom the
             paths of this computer do not concern.
-        capture: the capture's folder or file; None: the demo scene.
+        capture: the capture's folder or file, absolute; None: the demo scene.
         load: the options with which it was loaded.
 
     Returns:
@@ -116,7 +125,7 @@ def left_off(file: Path, capture: Path | None, load: LoadOptions) -> dict[str, A
     """
     if not AUTOSAVE.fullmatch(file.name):
         return {}
-    return {FIELD: {"capture": None if capture is None else os.path.abspath(capture), "load": asdict(load)}}
+    return {FIELD: {"capture": None if capture is None else str(capture), "load": asdict(load)}}
 
 
 def small_picture(file: Path, rgba: np.ndarray | None) -> dict[str, Tensor]:
@@ -185,18 +194,18 @@ def clear(entries: Iterable[Autosave]) -> tuple[list[Autosave], list[str]]:
 
 
 def forget_old_autosaves(scene: Scene, count: int) -> None:
-    """Delete all but the newest `count` autosaves of a scene.
+    """Delete autosaves of a scene: all but the newest `count` and the one that was trained the longest.
 
-    A file stays if it has another name than autosaves have, or is no checkpoint of the scene: it is the user's own.
+    Some short looks at a scene thus cost no long training. A file stays if it has another name than autosaves have, or
+    is no checkpoint of the scene: it is the user's own.
     """
-    folder = autosave_folder()
-    if folder is None:
-        return
-    own = [file for file in sorted(folder.glob(f"*{SUFFIX}"), key=_time) if AUTOSAVE.fullmatch(file.name)]
-    own = [file for file in own if _is_of(file, scene)]
-    for file in own[: max(0, len(own) - count)]:
-        with suppress(OSError):
-            file.unlink()
+    own = [(file, seconds) for file in _named() if (seconds := _seconds_on(file, scene)) is not None]
+    own.sort(key=lambda one: _time(one[0]), reverse=True)
+    longest = max(own, key=lambda one: one[1], default=None)
+    for one in own[count:]:
+        if one is not longest:
+            with suppress(OSError):
+                one[0].unlink()
 
 
 def _named() -> list[Path]:
@@ -236,7 +245,7 @@ def _entry(file: Path) -> Autosave | None:
         description = describe(file)
     except UserError as error:
         return Autosave(**known, problem=str(error))
-    known |= {"scene": printable(description["scene_name"]), "method": description["method"]}
+    known |= {"scene": printable(description["scene_name"]), "method": printable(description["method"])}
     known |= {"step": description["step"], "seconds": description["seconds"]}
     if FIELD not in description:
         return Autosave(**known, problem="it does not say where its capture is: open that, then load this file")
@@ -268,8 +277,10 @@ def _time(file: Path) -> float:
     return 0.0
 
 
-def _is_of(file: Path, scene: Scene) -> bool:
+def _seconds_on(file: Path, scene: Scene) -> float | None:
+    """The seconds for which an autosave was trained; None if it is not of the scene."""
     try:
-        return scene.is_of(describe(file))
+        description = describe(file)
     except UserError:
-        return False
+        return None
+    return description["seconds"] if scene.is_of(description) else None

@@ -34,13 +34,17 @@ class Damaged(UserError):
     """A file cannot be a checkpoint as it was written: it was cut short or changed."""
 
 
-def save(path: Path, description: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> None:
+def save(path: Path, description: Mapping[str, Any], tensors: Mapping[str, Tensor], *, numbered: bool = False) -> Path:
     """Write a checkpoint, atomically.
 
     Args:
         path: the file.
         description: JSON values, those of `Trainer.describe()`.
         tensors: by name, those of `Trainer.state()`.
+        numbered: see `write_atomically`.
+
+    Returns:
+        The file that was written.
 
     Raises:
         UserError: the file cannot be written; an old file of this name stays as it was.
@@ -50,7 +54,7 @@ def save(path: Path, description: Mapping[str, Any], tensors: Mapping[str, Tenso
     arrays = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
     text = json.dumps(description, sort_keys=True)
     metadata = {"nerf": text, "version": str(VERSION), "sha256": _digest(str(VERSION), text, arrays)}
-    write_atomically(path, serialise(arrays, metadata=metadata))
+    return write_atomically(path, serialise(arrays, metadata=metadata), numbered=numbered)
 
 
 def load(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
@@ -91,7 +95,7 @@ def tensor(path: Path, name: str) -> Tensor | None:
     from safetensors import SafetensorError, safe_open
 
     try:
-        with safe_open(path, framework="pt") as file:
+        with utf8_path(path) as readable, safe_open(readable, framework="pt") as file:
             return file.get_tensor(name) if name in file.keys() else None  # noqa: SIM118  no dict
     except (SafetensorError, OSError, ValueError):
         return None

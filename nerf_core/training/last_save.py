@@ -17,15 +17,16 @@ TELL_SECONDS, LONGEST_SECONDS = (
 )  # between two lines about a save that takes long: they come less and less often
 
 
-def save_somewhere(files: Sequence[Path], write: Callable[[Path], None]) -> tuple[Path, tuple[str, ...]]:
+def save_somewhere(files: Sequence[Path], write: Callable[[Path], Path]) -> tuple[Path, tuple[str, ...]]:
     """Write to the first file that can be written.
 
     Args:
         files: where to write, the best place first.
-        write: writes to a file; raises UserError if that fails, and then leaves nothing.
+        write: writes to a file, or to one beside it, and returns that; raises UserError or OSError if that fails, and
+            then leaves nothing.
 
     Returns:
-        The file, and why those before it could not be written.
+        The file that was written, and why those before it could not be.
 
     Raises:
         UserError: no file could be written; it names the reason of each.
@@ -33,11 +34,9 @@ def save_somewhere(files: Sequence[Path], write: Callable[[Path], None]) -> tupl
     reasons: list[str] = []
     for file in files:
         try:
-            write(file)
-        except UserError as error:
+            return write(file), tuple(reasons)
+        except (UserError, OSError) as error:
             reasons.append(str(error))
-        else:
-            return file, tuple(reasons)
     raise UserError("; ".join(reasons))
 
 

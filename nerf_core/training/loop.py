@@ -169,8 +169,8 @@ class _Session:
         elif self._good.due():
             self._good.remember(self.trainer)
 
-    def _save(self) -> None:
-        self.folder.save(self._good.description, self._good.state)
+    def _save(self) -> Path:
+        return self.folder.save(self._good.description, self._good.state)
 
     def _save_last(self, *, asked: bool) -> None:
         """Save, in another place if the run's folder cannot be written. Raises UserError.
@@ -179,11 +179,10 @@ class _Session:
         """
         good, own = self._good, step_path(self.folder.path, self._good.description["step"])
 
-        def write(file: Path) -> None:
+        def write(file: Path) -> Path:
             if file == own:
-                self._save()
-            else:
-                checkpoint.save(file, {**good.description, **self._left_off(file)}, good.state)
+                return self._save()
+            return checkpoint.save(file, {**good.description, **self._left_off(file)}, good.state)
 
         with telling(good.description["step"], self.warn, asked=asked):
             file, reasons = save_somewhere([own, *spare_files(self.trainer.scene)], write)

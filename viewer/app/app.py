@@ -136,11 +136,12 @@ class App:
                 for shown in self.state.notices:  # what went wrong with another scene is over
                     shown.dismissed |= shown.notice.level == "error"
         self._focus_behind()
-        notices += self.state.left_off.notices()
+        for notice in notices:
+            self._actions.hear(notice)
+        for notice in self.state.left_off.notices():
+            self._actions.tell(notice)
         if self.state.left_off.changed():
             self._pacer.note(self.state.time, user=True)
-        for notice in notices:
-            self._actions.tell(notice)
         if notices:
             self._pacer.note(self.state.time, user=True)
 

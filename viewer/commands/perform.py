@@ -9,7 +9,7 @@ from typing import Any
 
 from nerf_core.common.errors import UserError
 from nerf_core.common.names import printable
-from nerf_core.common.user_paths import own_path
+from nerf_core.common.user_paths import absolute, own_path
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.paths import PATHS
 from nerf_core.geometry.scene import Scene
@@ -50,6 +50,8 @@ class Actions:
         self._state = state
         self._link = link
         self.screenshots: list[Path] = []  # written when the frame is complete
+        # the newest command that opens a capture with a checkpoint, and its number
+        self._continuing: tuple[int, OpenScene | None] = 0, None
 
     def perform(self, action: Action) -> int:
         """Carry out an action. Returns the number of the command sent to the worker, else 0. Errors become notices."""
@@ -58,6 +60,16 @@ class Actions:
         except UserError as error:
             self.tell(Notice("error", str(error)))
             return 0
+
+    def hear(self, notice: Notice) -> None:
+        """Take a notice of the worker, and show it."""
+        number, opening = self._continuing
+        if opening is not None and notice.command == number and notice.kind == "loaded":
+            # what is opened next is opened like this, but for the format: that was this capture's alone
+            load = replace(opening.options.load, format="auto")
+            self._state.settings = replace(self._state.settings, load=load)
+            self._state.open_path = "" if opening.path is None else printable(opening.path)
+        self.tell(notice)
 
     def tell(self, notice: Notice) -> None:
         self._state.notices.append(ShownNotice(notice, self._state.time))
@@ -72,7 +84,7 @@ class Actions:
             case SetDisc(around):
                 return 0 if state.inspect is None else self._perform(state.inspect.again(around=around))
             case SaveScreenshot(path):
-                self.screenshots.append(path.absolute())  # the notice says in which folder it is
+                self.screenshots.append(absolute(path))  # the notice says in which folder it is
             case ClearAutosaves():
                 state.left_off.clear()
             case StartFilmExport(file):
@@ -86,7 +98,12 @@ class Actions:
     def _send(self, command: Command) -> int:
         if isinstance(command, InOrder):
             command = replace(command, commands=tuple(self._prepared(one) for one in command.commands))
-        return self._link.send(self._prepared(command))
+        command = self._prepared(command)
+        number = self._link.send(command)
+        for one in command.commands if isinstance(command, InOrder) else (command,):
+            if isinstance(one, OpenScene) and one.checkpoint is not None:
+                self._continuing = number, one
+        return number
 
     def _prepared(self, command: Any) -> Any:
         """Note what a command changes in the state; return it with the paths that a user may write."""
@@ -98,9 +115,6 @@ class Actions:
                 state.inspect = None
             case OpenScene(path):
                 state.inspect = None
-                if command.checkpoint is not None:  # what is opened next is opened like this
-                    state.settings = replace(state.settings, load=command.options.load)
-                    state.open_path = "" if path is None else printable(path)
                 command = command if path is None else replace(command, path=own_path(path))
             case SaveCheckpoint(path) | LoadCheckpoint(path):
                 command = replace(command, path=own_path(path))
@@ -135,9 +149,10 @@ def film_export(scene: Scene, form: FilmForm, file: Path | None = None) -> Expor
     """
     if not (math.isfinite(form.fps) and form.fps > 0):
         raise UserError(f"a film of {form.fps:g} frames per second: the number must be greater than 0")
-    file = file or own_path(Path(form.file.strip()))
+    file = file or Path(form.file.strip())
     if not file.name:
         raise UserError("the film has no file name: give one that ends in .mp4")
     numbers = (form.frames or None, form.width or None, form.height or None)
+    file = own_path(file)
     cameras: tuple[Camera, ...] = PATHS.get(form.path).cameras(scene, *numbers, **form.options)
     return ExportPath(cameras, form.fps, file if file.suffix else file.with_suffix(".mp4"), form.png_frames)

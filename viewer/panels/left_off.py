@@ -85,7 +85,7 @@ class LeftOffOverlay:
         tall = min(len(entries) * row, max(room, LEAST_ROWS * row))
         imgui.begin_child("list", ImVec2(0, tall))
         for number, one in enumerate(entries):
-            imgui.push_id(str(one.file))
+            imgui.push_id(number)  # not the path: it may not be UTF-8
             if _entry(ui, state, one, f"left_off.{number}"):
                 self._wanted = one
                 self._continue.asking = unsaved_steps(state.snapshot) > 0
@@ -117,7 +117,7 @@ class LeftOffOverlay:
             imgui.align_text_to_frame_padding()
             imgui.text_colored(ui.theme.muted, takes)
             same_line_if_fits("Clear…")
-            tip = "delete the files of this list; of each scene, only the newest three are kept anyway"
+            tip = "delete the files of this list; a scene keeps its newest three and the longest trained, no more"
             self._clear.asking = button(ui, "Clear…", "left_off.clear", tip=tip)
 
 

@@ -15,10 +15,10 @@ from nerf_core.common.files import clear_leftovers
 from nerf_core.common.output import complain
 from nerf_core.common.signals import Interrupted, Signals
 from nerf_core.datasets.capture import DATASETS
-from nerf_core.live.messages import CancelExport, Notice, SaveCheckpoint, Train
+from nerf_core.live.messages import CancelExport, Notice, SaveUnsaved, Train
 from nerf_core.live.worker import Worker
 from nerf_core.methods import METHODS
-from nerf_core.training.autosaves import any_autosave, clear_spare_leftovers, forget_old_autosaves, spare_files
+from nerf_core.training.autosaves import any_autosave, clear_spare_leftovers, forget_old_autosaves
 from nerf_core.training.last_save import telling
 from nerf_core.training.settings import RunSettings
 
@@ -32,7 +32,7 @@ from .wishes import Wishes
 APP = "nerf-viewer"
 UNATTENDED_SECONDS = 60.0  # training time of an offscreen run without --steps or --seconds
 UNATTENDED_ORBIT_SECONDS = 120.0  # about how long it takes to draw its orbit
-KEPT = 3  # autosaves of one scene: the newest
+KEPT = 3  # autosaves of one scene, the newest: besides, the one that was trained the longest
 CLOSE_SECONDS = 4.0  # a worker that has nothing to save ends sooner, unless it is in the middle of a huge step
 
 
@@ -152,20 +152,21 @@ class Session:
         snapshot = self.worker.snapshot()
         if snapshot.scene is None or not unsaved_steps(snapshot):
             return
-        first, *spare = [*filter(None, [asked]), *spare_files(snapshot.scene)]
         self.worker.send(CancelExport())
-        number = self.worker.send(SaveCheckpoint(first, tuple(spare)))
+        number = self.worker.send(SaveUnsaved(asked))
         with telling(snapshot.step, _complain, asked=self.signals.received is not None):
             while not self.worker.stop(0.2):
                 pass
+        snapshot = self.worker.snapshot()  # a scene may have been opened before the worker came to save
         replies = [notice for notice in self.worker.notices() if notice.command == number]
         for notice in replies:
             if notice.kind == "saved":
                 self.say(f"saved to {notice.path}; continue with --load {notice.path}")
-                forget_old_autosaves(snapshot.scene, KEPT)  # only now, because a save may fail
+                if snapshot.scene is not None:
+                    forget_old_autosaves(snapshot.scene, KEPT)  # only now, because a save may fail
             else:
                 _complain(notice.text)
-        if not replies:
+        if not replies and unsaved_steps(snapshot):
             _complain(f"step {snapshot.step:,} is not saved: the thread that trains has ended before")
 
     def close(self) -> None:

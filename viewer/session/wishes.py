@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.user_paths import absolute
 from nerf_core.live.messages import MOST_PINS
 from nerf_core.probe.axis import AxisChoice
 from nerf_core.probe.report import FORMATS
@@ -72,7 +73,7 @@ class Wishes:
             if file is not None and file.suffix.lower() not in suffixes:
                 raise UserError(f"--{option} {file}: name a {' or '.join(suffixes)} file")
         for file in self.files():
-            folder = next(parent for parent in file.absolute().parents if parent.exists())
+            folder = next(parent for parent in absolute(file).parents if parent.exists())
             if file.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
                 raise UserError(f"{file}: cannot be written: choose a file in a folder that you may write to")
 

@@ -379,7 +379,7 @@ def test_saving_without_a_name_takes_an_unused_one(
     Path(f"{name}.safetensors").touch()
     for _ in range(2):
         app.injector.key(imgui.Key.s, ctrl=True)
-    assert worker.sent == [SaveCheckpoint(Path(f"{name}-2.safetensors"))] * 2  # the second overwrites the first
+    assert worker.sent == [SaveCheckpoint(tmp_path / f"{name}-2.safetensors")] * 2  # the second overwrites the first
     assert app.state.checkpoint_file == f"{name}-2.safetensors"
 
 
@@ -405,11 +405,11 @@ def test_ctrl_s_and_ctrl_e_save_and_export(start: Start) -> None:
     app.injector.key(imgui.Key.s, ctrl=True)
     app.injector.key(imgui.Key.e, ctrl=True)
     save, export = worker.sent
-    assert save == SaveCheckpoint(Path("kept.safetensors"))
+    assert save == SaveCheckpoint(Path("kept.safetensors").absolute())  # so that what it answers names the folder
     assert isinstance(export, StartExport)
     film = export.request
     assert isinstance(film, ExportPath)
-    assert (len(film.cameras), film.fps, film.file) == (5, 30.0, Path("turn.mp4"))
+    assert (len(film.cameras), film.fps, film.file) == (5, 30.0, Path("turn.mp4").absolute())
     assert (film.cameras[0].width, film.cameras[0].height) == (40, 30)  # the training photos' size
 
 

@@ -16,7 +16,7 @@ import scripted
 import torch
 
 from nerf_core.datasets import LoadOptions
-from nerf_core.live.messages import InOrder, OpenScene, SaveCheckpoint, Snapshot
+from nerf_core.live.messages import InOrder, Notice, OpenScene, SaveUnsaved, Snapshot
 from nerf_core.training import autosaves, checkpoint
 from nerf_core.training.autosaves import left_off, small_picture
 from nerf_core.training.settings import RunSettings
@@ -25,7 +25,7 @@ from viewer.commands.registry import run
 from viewer.window import Window
 
 Write = Callable[..., Path]
-LOAD = LoadOptions(downscale=4)
+LOAD = LoadOptions(format="blender", downscale=4)
 DESCRIPTION: dict[str, Any] = {
     "method": "voxels", "config": {}, "steps": 0, "seed": 0, "threads": 1, "step": 1234, "seconds": 61.5,
     "scene": "0123abcd" * 8, "scene_name": "chair", "scene_summary": "",
@@ -177,9 +177,49 @@ def test_unsaved_steps_are_not_forgotten_unasked(app: App, write: Write) -> None
     both = app.link.sent[-1]
     assert isinstance(both, InOrder)
     saved, then = both.commands
-    assert isinstance(saved, SaveCheckpoint)
+    assert isinstance(saved, SaveUnsaved)
     assert then == opened
-    assert app.state.settings.load == opened.options.load  # the next scene is opened like this one
+
+
+@pytest.mark.parametrize("asked", [False, True], ids=["at once", "after a save"])
+def test_the_next_scene_is_opened_like_the_autosave_if_that_opened(
+    app: App, write: Write, tmp_path: Path, asked: bool
+) -> None:
+    """But for the format, which was that capture's alone. A failure changes nothing."""
+    write()
+    before = app.state.settings
+    if asked:
+        set_snapshot(app, status="paused", scene=scripted.make_scene(), loaded=1, step=5)
+    for answer in (Notice("error", "gone", kind="failed"), Notice("info", "loaded", kind="loaded")):
+        offer(app)
+        click(app, "left_off.0")
+        if asked:
+            click(app, "left_off_save")
+        assert app.state.settings == before
+        assert isinstance(app.link, scripted.ScriptedWorker)
+        app.link.waiting_notices.append(replace(answer, command=len(app.link.sent)))
+        app.settle()
+        after = app.state.settings
+        if answer.kind == "failed":
+            assert after == before
+    assert after == replace(before, load=replace(LOAD, format="auto"))
+    assert app.state.open_path == str(tmp_path)
+
+
+def test_a_list_in_a_folder_that_is_not_utf8_can_be_drawn(
+    app: App, write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "caf\udce9"))
+    file = tmp_path / "caf\udce9" / "nerf-viewer" / "autosave" / "chair-0123abcd-20260102-030405-7.safetensors"
+    gray = small_picture(file, np.full((9, 16, 4), 7, np.uint8))
+    odd = DESCRIPTION | {"method": "gr\u202e"} | left_off(file, tmp_path, LOAD)
+    checkpoint.save(file, odd, {"weights": torch.zeros(9), **gray})
+    offer(app)
+    wait(app, lambda: len(app.state.left_off.pictures) == 1)
+    assert [one.method for one in app.state.left_off.entries or ()] == ["gr\\u202e"]
+    assert not app.state.notices
+    click(app, "left_off.0")
+    assert [command.checkpoint for command in sent(app)] == [file]
 
 
 def test_clearing_offers_no_saving(app: App, write: Write) -> None:

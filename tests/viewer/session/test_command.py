@@ -305,25 +305,30 @@ def test_weights_that_their_file_does_not_take_are_saved_elsewhere(taken: str, t
 
 
 def test_the_newest_autosaves_of_a_scene_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    temporary = tmp_path / "temporary"
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", str(temporary))
     scene = load_scene(None, LoadOptions(downscale=8))
     folder = tmp_path / "nerf-viewer" / "autosave"
     trainer = Trainer(scene, RunSettings(method="nerf", device="cpu"))
-    for k in range(5):
+    seconds = [0.5, 3600.0, 0.5, 0.5, 0.5, 0.5]
+    for k, trained in enumerate(seconds):
         name = spare_files(scene)[0].name.replace(f"-{os.getpid()}.", f"-{k}.")
-        for file in (folder / name, folder / f"copy {k}.safetensors"):
-            checkpoint.save(file, trainer.describe(), trainer.state())
+        elsewhere = temporary if k == 2 else folder  # as after a save that the first folder did not take
+        for file in (elsewhere / name, elsewhere / f"copy {k}.safetensors"):
+            checkpoint.save(file, trainer.describe() | {"seconds": trained}, trainer.state())
             os.utime(file, (k, k))
     (folder / "mine.safetensors").write_bytes(b"of another program")
     os.utime(folder / "mine.safetensors", (0, 0))
     forget_old_autosaves(scene, 2)
-    forget_old_autosaves(scene, 3)  # there are fewer
-    kept = sorted(path.stem.rpartition("-")[2] for path in folder.iterdir())
-    assert kept == ["3", "4", *(f"copy {k}" for k in range(5)), "mine"]  # the user's own copies stay
-    file, temporary = spare_files(scene)
+    forget_old_autosaves(scene, 3)  # there are no more
+    kept = sorted(path.stem.rpartition("-")[2] for path in (*folder.iterdir(), *temporary.iterdir()))
+    # the longest trained one stays, and so do the user's own copies
+    assert kept == ["1", "4", "5", *(f"copy {k}" for k in range(6)), "mine"]
+    file, second = spare_files(scene)
     assert file.parent == folder
     assert not file.exists()
-    assert file.name == temporary.name
+    assert (second.name, second.parent) == (file.name, temporary)
 
 
 def test_an_autosaves_name_fits_whatever_the_scene_is_called() -> None:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import itertools
 import os
-import re
 from pathlib import Path
 
-from nerf_core.geometry.scene import Scene
-from nerf_core.live.messages import InOrder, OfRun, SaveCheckpoint
-from nerf_core.training.checkpoint import SUFFIX
+from nerf_core.live.messages import InOrder, OfRun, SaveCheckpoint, SaveUnsaved
+from nerf_core.training.autosaves import checkpoint_name
 
 from ...model.state import Action, AppState, SaveScreenshot, StartFilmExport
 from ..registry import command, scene_is_open
@@ -37,21 +35,26 @@ def show_left_off(state: AppState) -> list[Action]:
 def save(state: AppState) -> list[Action]:
     """Save to the file in the form; without one, to a new file with the scene's name, which the form then shows."""
     if not state.checkpoint_file.strip() and state.snapshot.scene is not None:
-        state.checkpoint_file = _new_file(state.snapshot.scene)
+        state.checkpoint_file = _free(checkpoint_name(state.snapshot.scene))
     return [SaveCheckpoint(Path(state.checkpoint_file.strip()))]
 
 
 def saved_first(state: AppState, command: OfRun) -> Action:
-    """Return what saves to a new file, and then, if that went well, obeys a command that forgets the model."""
-    scene = state.snapshot.scene
-    assert scene is not None  # without one there is nothing to forget
-    return InOrder((SaveCheckpoint(Path(_new_file(scene))), command))
+    """Return what saves to a new file, and then, if that went well, obeys a command that forgets the model.
+
+    The worker names the file when it writes it: if the answer is given twice, the second finds nothing to save.
+    """
+    try:
+        folder = Path.cwd()
+    except FileNotFoundError:  # it was deleted: to the autosaves then
+        folder = None
+    return InOrder((SaveUnsaved(folder=folder), command))
 
 
-def _new_file(scene: Scene) -> str:
-    """A checkpoint's name in the current folder that no file has, after the scene."""
-    name = re.sub(r"[^\w.-]+", "-", scene.name).strip(".-")[:80] or "checkpoint"
-    numbered = (f"{name}{f'-{n}' if n > 1 else ''}{SUFFIX}" for n in itertools.count(1))
+def _free(name: str) -> str:
+    """The name, with a number if there is such a file in the current folder."""
+    stem, suffix = os.path.splitext(name)
+    numbered = (f"{stem}{f'-{n}' if n > 1 else ''}{suffix}" for n in itertools.count(1))
     return next(file for file in numbered if not os.path.lexists(file))
 
 
