@@ -12,7 +12,7 @@ JUMP = (
 MESH_CELLS = (
     160  # along the longer side: fine enough for silhouettes, and 30,000 triangles are fast even in software GL
 )
-SMOOTH = 2  # texels around one whose mean depth a coarse picture takes
+SMOOTH = 2  # texels around one over which a coarse picture averages its depth
 SOFT = 4  # the stride from which on a picture has no edges: warped cells that are torn apart would show as blocks
 
 
@@ -34,10 +34,10 @@ def warp_mesh(preview: Preview) -> tuple[np.ndarray, np.ndarray]:
     depth = preview.depth[np.ix_(rows, columns)].astype(np.float64)
     missing = np.isnan(depth)
     if missing.any():
-        near_hits = _window_mean(preview.depth, step)[np.ix_(rows, columns)]
+        near_hits = _depth_around(preview.depth, step)[np.ix_(rows, columns)]
         depth = np.where(missing, near_hits, depth)
     if preview.stride >= SOFT and not missing.all():
-        smooth = _window_mean(preview.depth, max(step, SMOOTH))[np.ix_(rows, columns)]  # so that it does not fold
+        smooth = _depth_around(preview.depth, max(step, SMOOTH))[np.ix_(rows, columns)]  # so that it does not fold
         depth = np.where(np.isnan(smooth), np.median(depth[~missing]), smooth)
     x, y = columns * preview.stride + 0.5, rows * preview.stride + 0.5
     x[0], y[0], x[-1], y[-1] = (
@@ -75,10 +75,16 @@ def _lattice(count: int, step: int) -> np.ndarray:
     return np.append(np.arange(0, max(count - 1, 1), step), count - 1)
 
 
-def _window_mean(depth: np.ndarray, reach: int) -> np.ndarray:
-    """The mean of the finite values within `reach` texels, NaN where there are none: (h, w) → (h, w)."""
-    hit = np.isfinite(depth)
-    sums = [np.where(hit, depth, 0).astype(np.float64), hit.astype(np.float64)]
+def _depth_around(depth: np.ndarray, reach: int) -> np.ndarray:
+    """The mean depth of the hits within `reach` texels, NaN where there are none: (h, w) → (h, w).
+
+    It is 1 / mean(1/z). Over the picture of a plane 1/z is linear, so that a plane stays a plane. The mean of z itself
+    would bend it.
+    """
+    hit = depth > 0
+    with np.errstate(invalid="ignore", divide="ignore"):
+        inverse = np.where(hit, 1 / depth, 0).astype(np.float64)
+    sums = [inverse, hit.astype(np.float64)]
     for axis in (0, 1):
         pad = [(reach + 1, reach) if a == axis else (0, 0) for a in (0, 1)]
         length = depth.shape[axis]
@@ -87,4 +93,4 @@ def _window_mean(depth: np.ndarray, reach: int) -> np.ndarray:
             high, low = np.arange(length) + 2 * reach + 1, np.arange(length)
             sums[i] = total.take(high, axis) - total.take(low, axis)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(sums[1] > 0.5, sums[0] / sums[1], np.nan)  # 0.5: these are counts, summed as floats
+        return np.where(sums[1] > 0.5, sums[1] / sums[0], np.nan)  # 0.5: these are counts, summed as floats

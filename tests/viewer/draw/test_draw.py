@@ -18,7 +18,7 @@ from viewer.draw.overlays import Box, Overlay, axis_directions, clear_of, clip_s
 from viewer.draw.textures import TextureCache
 from viewer.draw.viewport import ViewportPicture
 from viewer.draw.warp import Layer
-from viewer.draw.warp_mesh import SOFT, warp_mesh
+from viewer.draw.warp_mesh import SMOOTH, SOFT, warp_mesh
 from viewer.window import Window
 
 BLACK = (0.0, 0.0, 0.0)
@@ -266,6 +266,43 @@ def test_tiny_previews_have_a_mesh(shape: tuple[int, int]) -> None:
     assert points[:, 0].max() == shape[1]
     assert points[:, 1].max() == shape[0]
     assert len(triangles) >= 2
+
+
+def coarse_floor(stride: int, noise: float = 0.0) -> tuple[Preview, np.ndarray]:
+    """A coarse picture of a floor that runs from 2 to 20 away, and its plane (3,): 1 / z = plane · (x, y, 1)."""
+    camera = Camera(640, 640, 600.0, 600.0, 320.0, 320.0, np.eye(4)[:3])
+    plane = np.array([0.0, 0.45 / 640, 0.05])
+    y, x = np.mgrid[0:640:stride, 0:640:stride] + 0.5
+    z = 1 / (np.stack([x, y, np.ones_like(x)], -1) @ plane)
+    z *= np.exp(noise * np.random.default_rng(0).normal(size=z.shape))
+    return Preview(1, camera, np.zeros((*z.shape, 4), np.uint8), z.astype(np.float32), stride, True, 0, "fine"), plane
+
+
+@pytest.mark.parametrize("stride", [SOFT, 8, 16, 32])
+def test_a_coarse_picture_of_a_plane_stays_a_plane(stride: int) -> None:
+    preview, plane = coarse_floor(stride)
+    points, _ = warp_mesh(preview)
+    border = (2 * SMOOTH + 1) * stride  # at the border there are texels on one side only
+    inside = ((points[:, :2] > border) & (points[:, :2] < 640 - border)).all(-1)
+    expected = 1 / (np.column_stack([points[:, :2], np.ones(len(points))]) @ plane)
+    assert inside.sum() > 50
+    np.testing.assert_allclose(points[inside, 2], expected[inside], rtol=1e-4)
+
+
+@pytest.mark.parametrize("stride", [SOFT, 8, 16, 32])
+def test_a_coarse_noisy_picture_does_not_fold(stride: int) -> None:
+    """No triangle of it turns over when the camera moves aside."""
+    preview, _ = coarse_floor(stride, noise=0.05)
+    points, triangles = warp_mesh(preview)
+    aside = 24 * stride / 600 * points[:, 2].min()  # moves the nearest point by 24 texels
+    seen = points[:, :2] - np.column_stack([600 * aside / points[:, 2], np.zeros(len(points))])
+
+    def area(corners: np.ndarray) -> np.ndarray:
+        first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        return first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+
+    turned = np.sign(area(seen[triangles])) != np.sign(area(points[triangles, :2]))
+    assert not turned.any()
 
 
 def test_a_sharp_picture_is_trusted_where_it_shows_more_than_the_newest_one(picture: ViewportPicture) -> None:
