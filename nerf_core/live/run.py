@@ -154,7 +154,10 @@ class Run:
         path = None if path is None else absolute(path)  # the current folder may go while it is open
         with self._busy(f"opening {path or 'the demo scene'}"):
             stored = None if file is None else Stored(file, *checkpoint.load(file))
-            scene = load_scene(path, settings.load, progress)
+            try:
+                scene = load_scene(path, settings.load, progress)
+            except UserError as error:
+                raise error if file is None else UserError(f"{error}; then load {file}") from None
             trainer = self._made(scene, settings) if stored is None else self._resumed(scene, settings, stored)
             good = LastGood(trainer)
             self._say_loading(True)  # the last moment at which it can be cancelled
@@ -180,6 +183,7 @@ class Run:
         fresh = self.scene is None
         self._commit(scene, settings, trainer, good)
         self.loaded += fresh
+        self._tell("info", f"a fresh model of method {trainer.method_name}", kind="loaded")
 
     def _made(self, scene: Scene, settings: RunSettings) -> Trainer:
         self._busy_with("preparing the method (the first time its loops are compiled)")

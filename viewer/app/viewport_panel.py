@@ -15,7 +15,7 @@ from nerf_core.probe import RayProbe
 from nerf_core.rendering.modes import COLOR, MODES, Mode
 
 from ..commands.pointer import ViewportInput
-from ..commands.registry import USER_COMMANDS
+from ..commands.registry import USER_COMMANDS, with_keys
 from ..draw.imgui_renderer import ImguiRenderer
 from ..draw.overlays import NEAR, Overlay, axis_directions, frusta
 from ..draw.photo import NearestPhoto
@@ -23,7 +23,7 @@ from ..draw.viewport import ViewportPicture
 from ..model.state import AppState, SampleRef
 from ..ui.layout import VIEWPORT
 from ..ui.theme import GREEN, SKY, VERMILION
-from ..ui.widgets import color_scale, faded, packed, sample_tooltip
+from ..ui.widgets import STALE, color_scale, faded, packed, sample_tooltip
 from .panel_host import PanelUi
 
 FRUSTUM_DEPTH = 0.12  # of the scene's radius: visible, but not in front of the scene
@@ -155,7 +155,10 @@ class ViewportPanel:
             return
         words = []
         if self.stale:
-            words.append(f"{icons.ICON_FA_CLOCK}  stale: an earlier picture, warped, until new pixels are as sharp")
+            words.append(f"{icons.ICON_FA_CLOCK}  {STALE}")
+        elif snapshot.preview.complete and state.camera.moved and np.isnan(snapshot.preview.depth).all():
+            reset = USER_COMMANDS.get("camera.reset").title
+            words.append(with_keys(f"Nothing is seen from here. {reset}", "camera.reset"))
         if snapshot.preview.quality == "coarse" and snapshot.coarse:
             words.append(snapshot.coarse)
         if snapshot.stage:

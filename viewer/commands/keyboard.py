@@ -74,12 +74,15 @@ class Keyboard:
 
 
 def _close_what_is_over(state: AppState) -> bool:
-    """Close open menus and lists, or else the help. Returns whether there was anything to close."""
+    """Close open menus and lists, or else the help. Returns whether there was anything to close.
+
+    The offer to continue closes itself, or the question that it asks.
+    """
     anything = imgui.PopupFlags_.any_popup_id | imgui.PopupFlags_.any_popup_level
     if imgui.is_popup_open("", anything):
         imgui.internal.close_popup_to_level(0, True)
         return True
-    shown, state.show_help = state.show_help, False
+    shown, state.show_help = state.show_help or state.show_left_off, False
     return shown
 
 

@@ -24,6 +24,7 @@ from nerf_core.live.messages import (
     SaveCheckpoint,
     StartExport,
     StopInspecting,
+    UseMethod,
 )
 from nerf_core.rendering.export.requests import ExportModel, ExportPath
 
@@ -50,8 +51,8 @@ class Actions:
         self._state = state
         self._link = link
         self.screenshots: list[Path] = []  # written when the frame is complete
-        # the newest command that opens a capture with a checkpoint, and its number
-        self._continuing: tuple[int, OpenScene | None] = 0, None
+        # the commands whose success changes the settings, by number, until they are answered
+        self._asked: dict[int, OpenScene | UseMethod] = {}
 
     def perform(self, action: Action) -> int:
         """Carry out an action. Returns the number of the command sent to the worker, else 0. Errors become notices."""
@@ -63,13 +64,20 @@ class Actions:
 
     def hear(self, notice: Notice) -> None:
         """Take a notice of the worker, and show it."""
-        number, opening = self._continuing
-        if opening is not None and notice.command == number and notice.kind == "loaded":
-            # what is opened next is opened like this, but for the format: that was this capture's alone
-            load = replace(opening.options.load, format="auto")
-            self._state.settings = replace(self._state.settings, load=load)
-            self._state.open_path = "" if opening.path is None else printable(opening.path)
+        asked = self._asked.pop(notice.command, None) if notice.kind in ("loaded", "failed") else None
+        if notice.kind == "loaded" and asked is not None:
+            self._take_over(asked)
         self.tell(notice)
+
+    def _take_over(self, done: OpenScene | UseMethod) -> None:
+        """Open what is opened next like this one."""
+        state = self._state
+        if isinstance(done, UseMethod):
+            state.settings = replace(state.settings, method=done.name, preset="auto", changes={})
+        else:
+            load = replace(done.options.load, format="auto")  # the format is this capture's alone
+            state.settings = replace(state.settings, load=load)
+            state.open_path = "" if done.path is None else printable(done.path)
 
     def tell(self, notice: Notice) -> None:
         self._state.notices.append(ShownNotice(notice, self._state.time))
@@ -101,8 +109,8 @@ class Actions:
         command = self._prepared(command)
         number = self._link.send(command)
         for one in command.commands if isinstance(command, InOrder) else (command,):
-            if isinstance(one, OpenScene) and one.checkpoint is not None:
-                self._continuing = number, one
+            if isinstance(one, UseMethod) or (isinstance(one, OpenScene) and one.checkpoint is not None):
+                self._asked[number] = one
         return number
 
     def _prepared(self, command: Any) -> Any:

@@ -222,6 +222,12 @@ class CameraControl:
         self._ease = None
         self._move(self._home)
 
+    @property
+    def moved(self) -> bool:
+        """Whether the camera is elsewhere than `reset` puts it."""
+        pose, home = self._pose, self._home
+        return not (np.array_equal(pose.eye, home.eye) and np.array_equal(pose.rotation, home.rotation))
+
     def reset(self) -> None:
         """Return to the first view of the scene."""
         self._jump(self._home)

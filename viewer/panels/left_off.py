@@ -57,7 +57,7 @@ class LeftOffOverlay:
         imgui.end()
 
     def _content(self, ui: Ui, state: AppState, room: float) -> Iterator[Action]:
-        entries = state.left_off.entries
+        entries, asked = state.left_off.entries, self._continue.asking or self._clear.asking
         imgui.align_text_to_frame_padding()
         imgui.text_unformatted(self.title)
         right = imgui.get_cursor_pos_x() + imgui.get_content_region_avail().x
@@ -79,6 +79,8 @@ class LeftOffOverlay:
             same_line_if_fits("Demo scene")
             if button(ui, "Demo scene", "left_off.demo", tip="open the demo scene and train"):
                 yield OpenScene(None, state.settings, train=True)
+        if imgui.is_key_pressed(imgui.Key.escape, False) and not asked:  # else it closes the question
+            state.show_left_off = False
 
     def _list(self, ui: Ui, state: AppState, entries: tuple[Autosave, ...], room: float) -> Iterator[Action]:
         row = PICTURE_EM[1] * ui.em + imgui.get_style().item_spacing.y

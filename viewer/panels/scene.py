@@ -12,7 +12,10 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
 from nerf_core.common.configs import Constant, constants
+from nerf_core.common.errors import UserError
 from nerf_core.common.text import counted, number
+from nerf_core.common.user_paths import own_path
+from nerf_core.datasets.recognise import recognise
 from nerf_core.geometry.scene import SPLITS, Scene
 from nerf_core.live.messages import CancelLoading, OpenScene, UseMethod
 from nerf_core.methods import METHODS
@@ -21,7 +24,7 @@ from ..commands.actions.files import saved_first
 from ..commands.registry import USER_COMMANDS, run, with_keys
 from ..model.state import Action, AppState, unsaved_steps
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import Forgetting, Row, button, exists, field_beside, field_width, figures, hint, same_line_if_fits
+from ..ui.widgets import Forgetting, Row, button, field_beside, field_width, figures, hint, same_line_if_fits
 
 DOWNSCALE, MOST = "downscale", 64
 OPEN, PAUSED, DEMO = f"{icons.ICON_FA_FOLDER_OPEN}  Open and train", "Open paused", "Demo"
@@ -108,18 +111,23 @@ class ScenePanel:
         question = f"Changing to {self._other} forgets {counted(unsaved, 'unsaved training step')}."
         answer = self._change.ask(ui, question, "change", "scene.method", needed=unsaved > 0)
         if answer or (wanted and unsaved == 0):
-            state.settings = replace(state.settings, method=self._other, preset="auto", changes={})
             changing = UseMethod(self._other, train=True)
             yield saved_first(state, changing) if answer == "save" else changing
 
     def _ask(self, state: AppState, path: Path | None, train: bool) -> Iterator[Action]:
         self._wanted, self._train = path, train
-        there = path is None or exists(
-            path
-        )  # if it does not exist nothing is forgotten, and the worker says what is wrong
-        self._confirmation.asking = there and unsaved_steps(state.snapshot) > 0
+        self._confirmation.asking = unsaved_steps(state.snapshot) > 0 and _can_be_opened(path, state)
         if not self._confirmation.asking:
             yield OpenScene(path, state.settings, train=train)
+
+
+def _can_be_opened(path: Path | None, state: AppState) -> bool:
+    """Whether there is a capture. Without one nothing is forgotten, and the worker says what is wrong."""
+    try:
+        recognise(None if path is None else own_path(path), state.settings.load.format)
+    except (UserError, OSError):
+        return False
+    return True
 
 
 def _rows(scene: Scene) -> list[Row]:

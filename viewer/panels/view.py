@@ -15,7 +15,7 @@ from ..commands.registry import USER_COMMANDS, run, with_keys
 from ..draw.warp import same_view
 from ..model.state import Action, AppState, FocusOn
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import Row, button, field_width, figures, hint, same_line_if_fits
+from ..ui.widgets import STALE, Row, button, field_width, figures, hint, same_line_if_fits
 
 FRAME, FOCUS = f"{icons.ICON_FA_EXPAND}  Frame", f"{icons.ICON_FA_CROSSHAIRS}  Focus"
 
@@ -87,7 +87,7 @@ def _preview_state(ui: Ui, state: AppState) -> tuple[str, ImVec4]:
     if state.snapshot.scene is None or preview is None:
         return "No picture yet.", muted
     if not same_view(preview.camera, state.camera.camera(*state.viewport)):
-        return "The last picture, warped: the next one is being drawn.", ui.theme.warning
+        return f"{STALE}.", ui.theme.warning
     coarse = state.snapshot.coarse
     network = f", {coarse}" if preview.quality == "coarse" and coarse else ""
     if preview.complete and preview.step == state.snapshot.step:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from .contract import Ui
 
 KEEP = "Keep"
+STALE = "An earlier picture, warped, until new pixels are as sharp"  # what the viewport shows
 SCALE_STEPS = 16  # of a colour scale: about as many as colour maps have stops
 
 # ---- colours -------------------------------------------------------------------------------------------------

@@ -95,6 +95,8 @@ def test_a_capture_opens_with_its_model_or_not_at_all(open_desk: OpenDesk, captu
     shown = desk.until(lambda s: s.loaded == 2)
     assert (shown.step, shown.saved_step, shown.status) == (3, 3, "paused")
     assert desk.until_told(f"loaded {file.name}: step 3").kind == "loaded"
+    desk.send(OpenScene(tmp_path / "moved", desk.settings, checkpoint=file))
+    desk.until_told(f"{tmp_path / 'moved'} does not exist: name the folder of a dataset; then load {file}")
     desk.send(OpenScene(capture, desk.settings, checkpoint=tmp_path / "none.safetensors"))
     desk.until_told("none.safetensors: no such checkpoint")
     assert desk.worker.snapshot().step == 3

@@ -18,6 +18,7 @@ from nerf_core.geometry.paths import PATHS
 from nerf_core.geometry.photos import Photos
 from nerf_core.live.messages import (
     CancelExport,
+    InOrder,
     Inspect,
     Notice,
     OpenScene,
@@ -25,13 +26,17 @@ from nerf_core.live.messages import (
     PinRay,
     Reset,
     SaveCheckpoint,
+    SaveUnsaved,
     Snapshot,
     StartExport,
     StopInspecting,
     Train,
+    UseMethod,
 )
 from nerf_core.probe import Verdict
 from nerf_core.rendering.export.requests import ExportModel, ExportPath
+from nerf_core.training.settings import RunSettings
+from viewer.app import viewport_panel
 from viewer.app.app import App
 from viewer.commands.perform import film_export
 from viewer.draw.photo import nearest_photo
@@ -654,6 +659,52 @@ def test_a_scene_without_a_picture_shows_its_nearest_photo_dimmed(start: Start) 
     assert not app.stale
     for index in scene.split("train"):
         assert nearest_photo(scene, scene.views[index].camera) == index
+
+
+def test_a_view_of_nothing_says_how_to_come_back(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    words: list[str] = []
+    real = viewport_panel._chip
+    monkeypatch.setattr(viewport_panel, "_chip", lambda *given: (words.append(given[-1]), real(*given)))
+    app, worker = start()
+    nothing = "Nothing is seen from here. Reset the view (R)"
+
+    def say(empty: bool) -> list[str]:
+        rest(app)
+        preview = worker.current.preview
+        assert preview is not None
+        if empty:
+            worker.answering = False
+            worker.current = replace(
+                worker.current, preview=replace(preview, depth=np.full_like(preview.depth, np.nan))
+            )
+        words.clear()
+        app.settle(3)
+        worker.answering = True
+        return list(dict.fromkeys(words))
+
+    assert say(empty=True) == []  # it is where the scene begins: resetting would not help
+    x, y = middle(app)
+    app.injector.drag((x, y), (x + 60, y + 10))
+    assert say(empty=False) == []
+    assert say(empty=True) == [nothing]
+    app.injector.key(imgui.Key.r)
+    assert say(empty=True) == []
+
+
+@pytest.mark.parametrize("failed", [False, True])
+def test_the_next_scene_takes_the_method_if_that_was_taken_here(start: Start, failed: bool) -> None:
+    app, worker = start()
+    before = app.state.settings = RunSettings(changes={"rays": "9"})
+    for one in (UseMethod("voxels"), InOrder((SaveUnsaved(), UseMethod("nerf")))):
+        number = app.perform(one)
+        assert app.state.settings == before
+        told = Notice("error" if failed else "info", "told", kind="failed" if failed else "loaded", command=number)
+        worker.waiting_notices.append(told)
+        app.settle()
+        name = "voxels" if isinstance(one, UseMethod) else "nerf"
+        after = before if failed else replace(before, method=name, changes={})
+        assert app.state.settings == after
+        before = after
 
 
 # ---- frames ---------------------------------------------------------------------------------------------------------

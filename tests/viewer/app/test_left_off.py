@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 import scripted
 import torch
+from imgui_bundle import imgui
 
 from nerf_core.datasets import LoadOptions
-from nerf_core.live.messages import InOrder, Notice, OpenScene, SaveUnsaved, Snapshot
+from nerf_core.live.messages import InOrder, Inspect, Notice, OpenScene, SaveUnsaved, Snapshot
 from nerf_core.training import autosaves, checkpoint
 from nerf_core.training.autosaves import left_off, small_picture
 from nerf_core.training.settings import RunSettings
@@ -220,6 +221,22 @@ def test_a_list_in_a_folder_that_is_not_utf8_can_be_drawn(
     assert not app.state.notices
     click(app, "left_off.0")
     assert [command.checkpoint for command in sent(app)] == [file]
+
+
+def test_escape_closes_the_question_then_the_list_and_not_the_ray(app: App, write: Write) -> None:
+    write()
+    set_snapshot(app, status="paused", scene=scripted.make_scene(), loaded=1, step=5)
+    ray = app.state.inspect = Inspect(app.state.camera.camera(64, 48), (5, 5))
+    offer(app)
+    click(app, "left_off.clear")
+    for shown in (True, False):
+        app.injector.key(imgui.Key.escape)
+        app.settle()
+        assert "left_off.clear_confirm" not in app.widgets
+        assert ("left_off.0" in app.widgets, app.state.show_left_off) == (shown, shown)
+        assert app.state.inspect is ray
+    app.injector.key(imgui.Key.escape)
+    assert app.state.inspect is None
 
 
 def test_clearing_offers_no_saving(app: App, write: Write) -> None:

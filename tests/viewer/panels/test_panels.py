@@ -307,7 +307,19 @@ def test_another_method_starts_over_after_a_question(screen: Screen) -> None:
     screen.click(panel, state, "scene.method")
     screen.click(panel, state, "scene.method.voxels")
     assert screen.click(panel, state, "scene.method_confirm") == [UseMethod("voxels", train=True)]
-    assert state.settings.method == "voxels"
+
+
+def test_what_cannot_be_opened_forgets_nothing_and_is_not_asked_about(screen: Screen, tmp_path: Path) -> None:
+    """A folder of photos without poses, say. The worker says what is wrong."""
+    (tmp_path / "1.png").write_bytes(b"photo")
+    panel, state = PANELS.get("scene")(), make_state(make_snapshot("paused"))
+    state.open_path = str(tmp_path)
+    (opening,) = screen.click(panel, state, "scene.open")
+    assert isinstance(opening, OpenScene)
+    assert opening.path == tmp_path
+    (tmp_path / "transforms.json").write_text('{"frames": []}')
+    assert screen.click(panel, state, "scene.open") == []
+    assert "scene.open_confirm" in screen.widgets
 
 
 def test_another_method_asks_nothing_if_nothing_is_lost(screen: Screen) -> None:
