@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import io
 import stat
 import struct
 import threading
 import warnings
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,9 +16,10 @@ import numpy as np
 from PIL import ExifTags, Image, ImageCms, ImageFile
 
 from nerf_core.common.errors import UserError
-from nerf_core.datasets.claims import HEAVY_BYTES, decoding_bytes, least_bytes
+from nerf_core.datasets.claims import HEAVY_BYTES, Memory, decoding_memory, least_bytes
 from nerf_core.datasets.exr import exr_header, exr_pixels
-from nerf_core.datasets.resample import Rows, composite
+from nerf_core.datasets.profiles import foreign_profile, to_srgb
+from nerf_core.datasets.resample import composite
 
 MAX_PIXELS = 200_000_000  # no camera has more: a file that claims more is a decompression bomb
 EXR_BYTES = 60  # a pixel: ffmpeg's picture, and the planes in float
@@ -27,6 +27,8 @@ MAX_EXR_PIXELS = 50_000_000
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".exr")
 EIGHT_BITS = ("1", "L", "P", "RGB", "CMYK", "YCbCr")  # Pillow's names of opaque pixel types
 DEEP_GREY = ("I;16", "I;16B", "I;16L")
+DEEP_COLOR = ("RGB;16B", "RGBA;16B")
+Convert = Callable[..., np.ndarray]
 BROKEN = (
     OSError,
     SyntaxError,
@@ -61,7 +63,7 @@ class Header:
     width, height: the stored size in pixels.
     orientation: of EXIF; 1 is upright.
     alpha: whether it has transparency.
-    memory: the bytes that decoding it takes.
+    memory: what reading it takes.
     eight_bits: whether its colours have 8 bits, also after alpha and profile.
     """
 
@@ -69,7 +71,7 @@ class Header:
     height: int
     orientation: int
     alpha: bool
-    memory: int
+    memory: Memory
     eight_bits: bool
 
 
@@ -83,7 +85,7 @@ def measure(path: Path) -> Header:
         with _damage_named(path):
             width, height, alpha = exr_header(path)
         _refuse_bomb(path, width * height, MAX_EXR_PIXELS)
-        return Header(width, height, 1, alpha, EXR_BYTES * width * height, False)
+        return Header(width, height, 1, alpha, Memory(EXR_BYTES * width * height), False)
     with _opened(path) as image, _damage_named(path):
         pixels = image.width * image.height
         _refuse_bomb(path, pixels)
@@ -93,7 +95,7 @@ def measure(path: Path) -> Header:
             raise OSError(f"claims {image.width}×{image.height} pixels, which its {stored:,} bytes cannot hold")
         alpha = image.has_transparency_data
         eight_bits = not alpha and image.mode in EIGHT_BITS and ";16" not in _packing(image)
-        return Header(*image.size, _orientation(image), alpha, decoding_bytes(image.mode, pixels), eight_bits)
+        return Header(*image.size, _orientation(image), alpha, _memory(image, path), eight_bits)
 
 
 def damage_notes(damaged: Sequence[str]) -> tuple[str, ...]:
@@ -129,42 +131,68 @@ def read_photo(
                 linear = exr_pixels(path)
             return composite(linear, size, background)
     with _opened(path) as image:
-        heavy = decoding_bytes(image.mode, image.width * image.height) > HEAVY_BYTES
+        with _damage_named(path):
+            turned = upright and _orientation(image) >= 5
+            shape = image.size if turned else image.size[::-1]
+            heavy = _memory(image, path).peak(shape, size) > HEAVY_BYTES
         with HEAVY if heavy else nullcontext():
             with _damage_named(path):
-                pixels = _rows(image, path, size, upright, heavy)
+                pixels = _decoded(image, path, size, upright, heavy)
             return composite(pixels, size, background)
 
 
-def _rows(image: ImageFile.ImageFile, path: Path, size: tuple[int, int], upright: bool, heavy: bool) -> Rows:
-    """Decode a photo. A heavy one is decoded near the wanted size where its format can, and copied by rows."""
+class Strips:
+    """A decoded photo, of which only the rows that are asked for are converted and turned upright.
+
+    The whole photo as an array would take two to five times the memory that Pillow's picture of it takes.
+
+    Args:
+        images: Pillow's pictures of the photo, all of one size.
+        convert: takes the same part of each picture, and returns its pixels (h, w, C), uint8 or uint16, as `composite`
+            takes them.
+        orientation: of EXIF.
+    """
+
+    def __init__(self, images: Sequence[Image.Image], convert: Convert, orientation: int) -> None:
+        for image in images:
+            image.load()
+        self._images, self._convert, self._orientation = images, convert, orientation
+        sizes = images[0].size if orientation >= 5 else images[0].size[::-1]
+        self.shape = (*sizes, self._part((0, 0, 1, 1)).shape[2])
+
+    def __getitem__(self, rows: slice) -> np.ndarray:
+        first, end = rows.start, rows.stop
+        if self._orientation in (3, 4, 7, 8):
+            first, end = self.shape[0] - end, self.shape[0] - first
+        width, height = self._images[0].size
+        box = (first, 0, end, height) if self._orientation >= 5 else (0, first, width, end)
+        return _turned(self._part(box), self._orientation)
+
+    def _part(self, box: tuple[int, int, int, int]) -> np.ndarray:
+        return self._convert(*(image.crop(box) for image in self._images))
+
+
+def _decoded(image: ImageFile.ImageFile, path: Path, size: tuple[int, int], upright: bool, heavy: bool) -> Strips:
+    """Decode a photo; a heavy one near the wanted size, where its format can."""
     orientation = _orientation(image) if upright else 1
     if heavy:
         _draft(image, (size[1], size[0]) if orientation >= 5 else size)
-    if heavy and _plain(image) and orientation == 1:
-        image.load()
-        return Strips(image)
-    return _turned(_decoded(image, path), orientation)
+    packing, profile = _packing(image), foreign_profile(image)
+    if packing in DEEP_COLOR and profile is None:
+        return Strips([image, _repacked(path, packing[:-1] + "L")], _both_bytes, orientation)
+    if packing == "LA;16B" and profile is None:  # four bytes per pixel, read as if they were RGBA
+        return Strips([_repacked(path, "RGBA")], lambda part: np.asarray(part).view(">u2"), orientation)
+    if image.mode in DEEP_GREY and profile is None:
+        return Strips([image], lambda part: np.asarray(part).astype(np.uint16)[..., None], orientation)
+    if image.mode in ("F", "I"):
+        raise ValueError(f"pixel type {image.mode!r} has no defined white; save it as PNG or EXR")
+    converted = None if profile is None else to_srgb(image.mode, profile)
+    return Strips([image], lambda part: _eight_bits(part, converted), orientation)
 
 
-class Strips:
-    """A decoded photo whose rows are copied only when they are asked for, as an array (n, W, C) of uint8."""
-
-    def __init__(self, image: Image.Image) -> None:
-        self.image, self.shape = image, (image.height, image.width, len(image.getbands()))
-
-    def __getitem__(self, rows: slice) -> np.ndarray:
-        return np.asarray(self.image.crop((0, rows.start, self.image.width, rows.stop)))
-
-
-def _plain(image: ImageFile.ImageFile) -> bool:
-    """Whether Pillow's pixels are those that `composite` takes: 8-bit sRGB, with or without alpha."""
-    return (
-        image.mode in ("RGB", "RGBA")
-        and "transparency" not in image.info
-        and ";16" not in _packing(image)
-        and _foreign_profile(image) is None
-    )
+def _memory(image: ImageFile.ImageFile, path: Path) -> Memory:
+    twice = _packing(image) in DEEP_COLOR and foreign_profile(image) is None
+    return decoding_memory(image, path.stat().st_size, pictures=2 if twice else 1)
 
 
 def _packing(image: ImageFile.ImageFile) -> str:
@@ -225,79 +253,35 @@ def _opened(path: Path) -> ImageFile.ImageFile:
         raise UnreadableError(f"{path}: no image that can be read") from error
 
 
-def _decoded(image: ImageFile.ImageFile, path: Path) -> np.ndarray:
-    """The pixels (H, W, C), uint8 or uint16, in the form that `composite` takes."""
-    profile = _foreign_profile(image)
-    deep = _deep(image, path)
-    if deep is not None and profile is None:
-        return deep
-    if image.mode in ("F", "I"):
-        raise ValueError(f"pixel type {image.mode!r} has no defined white; save it as PNG or EXR")
-    if _plain(image):
-        return np.asarray(image)
-    alpha = image.convert("RGBA").getchannel("A") if image.has_transparency_data else None
-    plain = image
-    if image.mode in DEEP_GREY:  # grey with a profile: the colour engine only takes 8 bits
-        plain = Image.fromarray((np.asarray(image) >> 8).astype(np.uint8))
-    color = plain.convert("RGB") if profile is None else _to_srgb(plain, profile)
+def _eight_bits(part: Image.Image, profile: ImageCms.ImageCmsTransform | None) -> np.ndarray:
+    """The pixels (h, w, 3 or 4) as uint8, converted from their colour profile if there is one."""
+    transparent = part.has_transparency_data
+    if profile is None:
+        return np.asarray(part.convert("RGBA" if transparent else "RGB"))
+    alpha = part.convert("RGBA").getchannel("A") if transparent else None
+    if part.mode in DEEP_GREY:  # the colour engine only takes 8 bits
+        part = Image.fromarray((np.asarray(part) >> 8).astype(np.uint8))
+    color = ImageCms.applyTransform(part.convert(profile.input_mode), profile)
+    assert color is not None  # None is returned only for conversions in place
     if alpha is not None:
         color.putalpha(alpha)
     return np.asarray(color)
 
 
-def _deep(image: ImageFile.ImageFile, path: Path) -> np.ndarray | None:
-    """The pixels (H, W, C) as uint16 of a photo with 16 bits per channel; None for all others.
+def _both_bytes(high: Image.Image, low: Image.Image) -> np.ndarray:
+    """The pixels (h, w, C) as uint16 of a photo with 16 bits per channel.
 
     Pillow decodes 16-bit colour PNGs to 8 bits. Its unpackers for the two byte orders take the first and the second
     byte of each value, so that decoding with both gives all 16 bits.
     """
-    if image.mode in DEEP_GREY:
-        return np.asarray(image).astype(np.uint16)[..., None]
-    packing = _packing(image)
-    if packing in ("RGB;16B", "RGBA;16B"):
-        high = np.asarray(image)
-        return high.astype(np.uint16) << 8 | _repacked(path, packing[:-1] + "L")
-    if packing == "LA;16B":  # four bytes per pixel, read as if they were RGBA
-        return _repacked(path, "RGBA").view(">u2").astype(np.uint16)
-    return None
+    return np.asarray(high).astype(np.uint16) << 8 | np.asarray(low)
 
 
-def _repacked(path: Path, packing: str) -> np.ndarray:
+def _repacked(path: Path, packing: str) -> Image.Image:
     with _opened(path) as image:
         image.tile = [image.tile[0]._replace(args=packing)]
-        return np.asarray(image)
-
-
-def _foreign_profile(image: Image.Image) -> ImageCms.ImageCmsProfile | None:
-    """The embedded colour profile. None for sRGB itself, because a conversion would only lose precision."""
-    data = image.info.get("icc_profile")
-    if not data:
-        return None
-    try:
-        profile = ImageCms.ImageCmsProfile(io.BytesIO(data))
-        return None if "sRGB" in ImageCms.getProfileDescription(profile) else profile
-    except (ImageCms.PyCMSError, OSError) as error:
-        raise ValueError(f"its colour profile is broken ({error}); save it without one") from error
-
-
-def _to_srgb(image: Image.Image, profile: ImageCms.ImageCmsProfile) -> Image.Image:
-    """Convert from the embedded profile to sRGB (relative colorimetric), 8-bit RGB."""
-    space = profile.profile.xcolor_space.strip()  # pyright: ignore[reportAttributeAccessIssue] stubs lack it
-    mode = {"RGB": "RGB", "GRAY": "L", "CMYK": "CMYK"}.get(space)
-    if mode is None or (mode == "CMYK") != (image.mode == "CMYK"):
-        raise ValueError(f"its colour profile is for {space}, its pixels are {image.mode}; save it without one")
-    try:
-        converted = ImageCms.profileToProfile(
-            image.convert(mode),
-            profile,
-            ImageCms.createProfile("sRGB"),
-            renderingIntent=ImageCms.Intent.RELATIVE_COLORIMETRIC,
-            outputMode="RGB",
-        )
-    except (ImageCms.PyCMSError, OSError) as error:
-        raise ValueError(f"its colour profile is broken ({error}); save it without one") from error
-    assert converted is not None  # None is returned only for conversions in place
-    return converted
+        image.load()
+        return image
 
 
 def _turned(pixels: np.ndarray, orientation: int) -> np.ndarray:

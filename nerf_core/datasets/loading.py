@@ -51,7 +51,7 @@ def load_scene(path: Path | None, options: LoadOptions, progress: Progress | Non
         capture = DATASETS.get(name).read(source, options)
         capture, headers, damaged = _readable(capture, progress)
         capture, upright, eight_bits, size_notes = _sized(capture, headers, options)
-        _refuse_heavy(capture, headers, options)
+        _refuse_heavy(capture, headers, upright, options)
         normalised = normalise(capture, options)
         background = _background(capture, headers, options)
         photos, kept, more_damaged = _photos(capture, upright, eight_bits, background, progress)
@@ -139,12 +139,14 @@ def _sized(
     return replace(capture, photos=photos), upright, eight_bits, notes
 
 
-def _refuse_heavy(capture: Capture, headers: Sequence[Header], options: LoadOptions) -> None:
-    """Raise UserError if decoding a photo would take more than the photos may. Heavy ones are decoded one at a time."""
-    for photo, header in zip(capture.photos, headers, strict=True):
-        if header.memory > max(options.memory_gb * 1e9, HEAVY_BYTES):
+def _refuse_heavy(capture: Capture, headers: Sequence[Header], upright: Sequence[bool], options: LoadOptions) -> None:
+    """Raise UserError if reading a photo would take more than the photos may. Heavy ones are read one at a time."""
+    for photo, header, turn in zip(capture.photos, headers, upright, strict=True):
+        shape = (header.width, header.height) if turn else (header.height, header.width)
+        memory = header.memory.peak(shape, (photo.camera.width, photo.camera.height))
+        if memory > max(options.memory_gb * 1e9, HEAVY_BYTES):
             raise UserError(
-                f"{photo.path}: decoding its {header.width}×{header.height} pixels takes {header.memory / 1e9:.1f} GB, "
+                f"{photo.path}: decoding its {header.width}×{header.height} pixels takes {memory / 1e9:.1f} GB, "
                 f"--memory-gb allows {options.memory_gb:g}: raise it, or save the photo smaller"
             )
 

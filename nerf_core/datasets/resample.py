@@ -20,7 +20,7 @@ class Rows(Protocol):
 
 ROWS_AT_ONCE = 64  # input rows at least: few enough to stay in the processor's cache
 PIXELS_AT_ONCE = 1 << 16  # of narrow photos, whose rows would cost more by their number than by their pixels
-BAND_BYTES = 32_000_000  # of float rows in work at once: a whole large photo in float would take gigabytes
+BAND_BYTES = 8_000_000  # of float rows in work at once: a whole large photo in float would take gigabytes
 
 
 def composite(pixels: Rows, size: tuple[int, int], background: tuple[float, float, float]) -> np.ndarray:
@@ -52,6 +52,21 @@ def composite(pixels: Rows, size: tuple[int, int], background: tuple[float, floa
     return result
 
 
+def composite_bytes(shape: tuple[int, ...], size: tuple[int, int]) -> int:
+    """Return the most bytes that `composite` takes, with its result and without the photo.
+
+    The result has 6 bytes a pixel. The float rows that are in work stand in a few copies: how many was measured.
+
+    Args:
+        shape: (rows, columns) of the photo.
+        size: (width, height) of the result.
+    """
+    (rows, columns), (width, height) = shape, size
+    float_row = 4 * 4 * columns  # of at most four channels
+    block = float_row * min(rows, max(ROWS_AT_ONCE, PIXELS_AT_ONCE // columns, -(-rows // height)))
+    return 6 * width * height + 2 * block + 5 * min(float_row * height, BAND_BYTES + block)
+
+
 def _bands(blocks: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
     """Join blocks of rows into bands of about BAND_BYTES, because many small blocks cost time and one costs memory."""
     waiting: list[np.ndarray] = []
@@ -60,8 +75,9 @@ def _bands(blocks: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
         waiting.append(block)
         total += block.nbytes
         if total >= BAND_BYTES:
-            yield np.concatenate(waiting)
-            waiting, total = [], 0
+            band = np.concatenate(waiting)
+            waiting, total = [], 0  # before the band is worked on, because it is a copy
+            yield band
     if waiting:
         yield np.concatenate(waiting)
 
