@@ -56,14 +56,11 @@ def pass_layers(p: PassProbe, far: float, radius: float) -> tuple[Layer, ...]:
     """
     if not len(p.t) or not np.isfinite(p.weights).all():
         return ()
-    t = p.t.astype(np.float64)
-    until = np.minimum(np.maximum(p.until.astype(np.float64), t), np.append(t[1:], np.inf))
-    until = np.where(np.isfinite(until) & (until < 4 * max(far, t[-1])), until, t + GRAIN * radius)  # an endless δ
-    weights = p.weights.astype(np.float64)
-    low, high = _grains(t, radius), _grains(np.maximum(until, t + 1e-9 * radius), radius)
+    t, weights = p.t.astype(np.float64), p.weights.astype(np.float64)
+    low, high = _stretches(p, far, radius)
     edges = np.arange(np.floor(low[0] * BINS), np.ceil(high.max() * BINS) + 2) / BINS
     # the accumulated weight rises linearly within a sample and is constant between samples
-    knots = np.maximum.accumulate(np.stack([low, high], -1).ravel())
+    knots = np.stack([low, high], -1).ravel()
     total = np.concatenate([[0], np.cumsum(weights)])
     reached = np.stack([total[:-1], total[1:]], -1).ravel()
     binned = np.diff(np.interp(edges, knots, reached))
@@ -74,14 +71,46 @@ def pass_layers(p: PassProbe, far: float, radius: float) -> tuple[Layer, ...]:
             continue
         quantiles = np.interp(a + (b - a) * np.array([0.001, 0.1, SURFACE, 0.5, 0.9, 0.999]), reached, knots)
         begin, q10, surface, middle, q90, end = (_distance(float(s), radius) for s in quantiles)
-        inside = (low < edges[last + 1]) & (high > edges[first])
-        share = weights * inside
+        share = weights * _overlaps(low, high, edges[first], edges[last + 1])
         front = max(int(np.searchsorted(total, a, side="right")) - 1, 0)
         light = float(p.transmittance[min(front, len(t) - 1)])
         color = share @ p.rgb / max(share.sum(), 1e-12)
         grain = grain_at(middle, radius)
         found.append(Layer(middle, surface, begin, end, q90 - q10, grain, b - a, light, color))
     return tuple(found)
+
+
+def weights_in(p: PassProbe, far: float, radius: float, layer: Layer) -> np.ndarray:
+    """Return how much of the weight of each sample (S,) lies between begin and end of a layer. Σ is `Layer.weight`.
+
+    The weight is spread evenly over a sample's stretch, as in `pass_layers`. The sum lacks the thousandth on either
+    side of the layer.
+
+    Args:
+        p: the pass in which the layer was found.
+        far: the ray's far bound, in world units.
+        radius: the scene's radius, in world units.
+        layer: a layer of this pass.
+    """
+    begin, end = _grains(np.array([layer.begin, layer.end]), radius)
+    return p.weights.astype(np.float64) * _overlaps(*_stretches(p, far, radius), begin, end)
+
+
+def _stretches(p: PassProbe, far: float, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return begin and end of each sample's stretch, as numbers of grains: two times (S,), which never fall."""
+    t = p.t.astype(np.float64)
+    until = np.minimum(np.maximum(p.until.astype(np.float64), t), np.append(t[1:], np.inf))
+    until = np.where(np.isfinite(until) & (until < 4 * max(far, t[-1])), until, t + GRAIN * radius)  # an endless δ
+    low, high = _grains(t, radius), _grains(np.maximum(until, t + 1e-9 * radius), radius)
+    knots = np.maximum.accumulate(np.stack([low, high], -1).ravel())
+    return knots[::2], knots[1::2]
+
+
+def _overlaps(low: np.ndarray, high: np.ndarray, begin: float, end: float) -> np.ndarray:
+    """Return which share of each stretch (S,) from low to high lies between begin and end."""
+    inside = np.minimum(high, end) - np.maximum(low, begin)
+    whole = (low >= begin) & (high <= end)  # also a stretch without length
+    return np.where(whole, 1.0, np.clip(inside / np.maximum(high - low, 1e-300), 0.0, 1.0))
 
 
 def _grains(t: np.ndarray, radius: float) -> np.ndarray:

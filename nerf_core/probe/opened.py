@@ -122,7 +122,7 @@ def _with_point(
         radiance = open_radiance(method, scene, ray, opened.camera.c2w[:, 1], t, around)
     if isinstance(method, Radiant) and layer is not None:
         looking = torch.from_numpy(-evidence.directions)
-        emitted = LayerRadiance(method, ray, layer).radiance(torch.from_numpy(point)[None], looking)[0].numpy()
+        emitted = LayerRadiance(method, scene, ray, layer).radiance(torch.from_numpy(point)[None], looking)[0].numpy()
         evidence = replace(evidence, layer_emitted=emitted)
     if radiance is not None and radiance.layer is not None and not asked:
         radiance = replace(radiance, default="layer")

@@ -11,7 +11,7 @@ from torch import Tensor
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Dense, Radiant
 from nerf_core.probe.directions import SPHERE_COLUMNS, SPHERE_ROWS, Around, RadianceProbe, disc_grid
-from nerf_core.probe.layers import layers_of
+from nerf_core.probe.layers import layers_of, weights_in
 from nerf_core.probe.records import PassProbe, RayProbe
 from nerf_core.probe.standing import Layer
 from nerf_core.rendering.view_dependence import view_dependence
@@ -58,13 +58,13 @@ def open_radiance(
     here, towards = torch.from_numpy(point)[None], torch.from_numpy(-along)[None]
     rgb = method.radiance(here, every)[0].cpu().numpy()
     dependence = float(view_dependence(method, here, towards)[0])
-    shares = [last.weights] if layer is None else [last.weights, layer_shares(ray, layer)]
+    shares = [last.weights] if layer is None else [last.weights, layer_shares(ray, scene, layer)]
     whole, *mixed = mixtures(method, ray, np.stack(shares), every)
     whole = whole + ((1 - ray.opacity) * ray.background).astype(np.float32)
     layer_rgb, layer_dependence, bounds = rgb, dependence, None
     if layer is not None:
         layer_rgb, bounds = mixed[0], np.array([layer.begin, layer.end])
-        layer_dependence = float(view_dependence(LayerRadiance(method, ray, layer), here, towards)[0])
+        layer_dependence = float(view_dependence(LayerRadiance(method, scene, ray, layer), here, towards)[0])
     return RadianceProbe(
         ray.step, point, float(t), directions, rgb[:-1], rgb[-1], dependence, bounds, layer_rgb[:-1], layer_rgb[-1],
         layer_dependence, whole[:-1], axes, pole, azimuth0, normal, around,
@@ -83,18 +83,17 @@ def layer_at(layers: Sequence[Layer], t: float) -> Layer | None:
     return next((layer for layer in layers if layer.begin <= t <= layer.end), None)
 
 
-def layer_shares(ray: RayProbe, layer: Layer) -> np.ndarray:
-    """Return w_i / Σ w (S,) for the samples of the last pass whose stretch meets the layer, and 0 for the others."""
-    last = ray.passes[-1]
-    weights = last.weights * ((last.until > layer.begin) & (last.t < layer.end))
-    return weights / weights.sum(dtype=np.float64)
+def layer_shares(ray: RayProbe, scene: Scene, layer: Layer) -> np.ndarray:
+    """Return w_i / Σ w (S,) for the samples of the last pass. A sample counts by the part that lies in the layer."""
+    weights = weights_in(ray.passes[-1], ray.far, scene.radius, layer)
+    return weights / weights.sum()
 
 
 class LayerRadiance:
     """The colour that a layer of a ray shows, as if it were a point: Σ w c(x, d) / Σ w with the weights of the ray."""
 
-    def __init__(self, method: Radiant, ray: RayProbe, layer: Layer) -> None:
-        self._method, self._ray, self._shares = method, ray, layer_shares(ray, layer)[None]
+    def __init__(self, method: Radiant, scene: Scene, ray: RayProbe, layer: Layer) -> None:
+        self._method, self._ray, self._shares = method, ray, layer_shares(ray, scene, layer)[None]
 
     def radiance(self, points: Tensor, directions: Tensor) -> Tensor:
         """Return the colours (P, K, 3) along K ray directions (K, 3). All points (P, 3) are the same layer."""

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from panel_states import make_ray
+from panel_states import make_ray, make_scene
 
 from nerf_core.probe import PassProbe
-from nerf_core.probe.layers import grain_at, pass_layers
+from nerf_core.probe.layers import grain_at, pass_layers, weights_in
+from nerf_core.probe.radiance import layer_shares
 
 RADIUS, FAR = 1.0, 6.0
 
@@ -69,6 +70,9 @@ def test_weights_add_up_whatever_the_samples() -> None:
         found = pass_layers(with_weights(t, weights, until), 400, 1.5)
         assert sum(layer.weight for layer in found) <= weights.sum() + 1e-6
         for layer in found:
+            inside = weights_in(with_weights(t, weights, until), 400, 1.5, layer)
+            assert (inside <= weights).all()
+            assert inside.sum() == pytest.approx(0.998 * layer.weight)  # a thousandth lies on either side
             assert layer.begin <= layer.t <= layer.end
             assert 0 <= layer.thickness <= layer.end - layer.begin + 1e-9
         assert [layer.t for layer in found] == sorted(layer.t for layer in found)
@@ -80,3 +84,21 @@ def test_the_heaviest_layer_is_the_wall() -> None:
     heaviest = max(found, key=lambda layer: layer.weight)
     assert heaviest.t == pytest.approx(3.8, abs=0.1)
     assert pass_layers(replace(ray.passes[-1], weights=0 * ray.passes[-1].weights), ray.far, RADIUS) == ()
+
+
+def test_a_sample_that_reaches_out_of_a_layer_counts_by_the_part_within() -> None:
+    """A long red sample between two thin blue walls: only its end belongs to the peak of the second wall."""
+    t = np.array([1.0, 1.01, 1.02, 3.0, 3.01, 3.02])
+    weights = np.array([0.2, 0.1, 0.3, 0.1, 0.2, 0.05])
+    p = with_weights(t, weights, np.append(t[1:], 3.03))
+    p = replace(p, rgb=np.array([*[[0, 0, 1.0]] * 2, [1.0, 0, 0], *[[0, 0, 1.0]] * 3]))
+    first, second = pass_layers(p, FAR, RADIUS)
+    for wall in (first, second):
+        inside = weights_in(p, FAR, RADIUS, wall)
+        assert inside.sum() == pytest.approx(0.998 * wall.weight)
+        red = inside[2] / inside.sum()
+        np.testing.assert_allclose(wall.color, [red, 0, 1 - red], atol=0.005)
+        ray, scene = replace(make_ray(), passes=(p,), far=FAR), replace(make_scene(), radius=RADIUS)
+        np.testing.assert_allclose(layer_shares(ray, scene, wall), inside / inside.sum())
+    assert weights_in(p, FAR, RADIUS, second)[2] < 0.02  # of 0.3
+    np.testing.assert_allclose(weights_in(p, FAR, RADIUS, second)[3:].sum(), 0.35, atol=0.001)

@@ -353,8 +353,11 @@ def test_a_layer_emits_its_samples_mixed_by_their_weights(scene: Scene) -> None:
             found = open_radiance(method, scene, ray, camera.c2w[:, 1], layer.t)
             assert found.layer is not None
             assert found.layer.tolist() == [layer.begin, layer.end]
-            inside = (last.until > layer.begin) & (last.t < layer.end)
-            w = last.weights[inside].astype(np.float64)
+            part = np.clip(last.until, layer.begin, layer.end) - np.clip(last.t, layer.begin, layer.end)
+            part = np.where(last.weights > 0, part / (last.until - last.t), 0.0)
+            inside = part > 0
+            w = (part * last.weights)[inside]
+            assert w.sum() == pytest.approx(layer.weight, rel=0.01)
             np.testing.assert_allclose(found.layer_back_rgb, w @ last.rgb[inside] / w.sum(), atol=4e-3)
             some = np.arange(0, len(found.directions), 301)
             points = ray.origin + last.t[inside, None].astype(np.float64) * ray.direction
