@@ -35,12 +35,18 @@ def main() -> int:
     parser.add_argument("--offscreen", action="store_true", help="draw through EGL instead of in a window")
     args = parser.parse_args()
     captures: list[Path | None] = [path.resolve() for path in args.captures] or [None]
-    with tempfile.TemporaryDirectory() as home:  # what the random user saves and clears
-        os.chdir(home)
-        for name in ("HOME", "XDG_DATA_HOME", "XDG_CONFIG_HOME", "XDG_CACHE_HOME"):
-            if name != "XDG_CACHE_HOME" or name not in os.environ:
-                os.environ[name] = home
+    with tempfile.TemporaryDirectory() as home:
+        live_in(home)
         return _run(args, captures)
+
+
+def live_in(home: str) -> None:
+    """Make a folder the place of all that the random user saves and clears, and of all autosaves."""
+    os.chdir(home)
+    for name in ("HOME", "XDG_DATA_HOME", "XDG_CONFIG_HOME", "XDG_CACHE_HOME", "TMPDIR"):
+        if name != "XDG_CACHE_HOME" or name not in os.environ:
+            os.environ[name] = home
+    tempfile.tempdir = home  # it is known already, so that TMPDIR alone would change nothing in this process
 
 
 def _run(args: argparse.Namespace, captures: list[Path | None]) -> int:
@@ -80,7 +86,8 @@ def _run(args: argparse.Namespace, captures: list[Path | None]) -> int:
             end = time.monotonic() + 0.02
             app.run(lambda end=end: time.monotonic() > end)
             steps = max(steps, app.state.snapshot.step)
-            faults += [n.notice.text for n in app.state.notices if "worker failed" in n.notice.text and n not in faults]
+            told = [shown.notice.text for shown in app.state.notices]
+            faults += [text for text in told if "worker failed" in text and text not in faults]
         gc.collect()
         held.append(_megabytes())
         objects = len(gc.get_objects())

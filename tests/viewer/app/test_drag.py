@@ -285,7 +285,7 @@ def test_while_training_an_old_picture_is_kept_for_a_third_more_steps_and_six_se
     worker.answer(4)
     wait(app, 0.5)
     assert app.stale
-    worker.step = 2 * STEPS  # (4/3)^2.4: the old picture counts as one of stride 5
+    worker.step = 2 * STEPS  # 2^2.4: the old picture counts as one of stride 5
     worker.answer(4)
     wait(app, 0.5)
     assert not app.stale
