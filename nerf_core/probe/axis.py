@@ -17,7 +17,7 @@ TAIL = 0.001  # the share of a pass's weight, at either end, that may lie outsid
 MARGIN = 0.15  # the shown part is extended on either side by this share of its length
 FAR = 4.0  # turns: see `chosen_axis`
 FEWEST = 4.0  # grains: the shown part is at least this long
-ROUND = np.array([m * 10.0**k for k in range(-4, 7) for m in (1, 2, 5)])  # distances that are worth a tick
+ROUND = np.array([0.0, *(m * 10.0**k for k in range(-4, 7) for m in (1, 2, 5))])  # distances that are worth a tick
 APART = 0.07  # of the axis: ticks are at least this far apart
 
 
@@ -50,9 +50,10 @@ class Axis:
         assert self.turn is not None  # the plotting libraries have ticks for t itself
         places = np.append(self.place(ROUND), 2 * self.turn)
         labels = [f"{t:g}" for t in ROUND] + ["∞"]
-        best = np.argsort(["∞1".find(label[0]) % 3 for label in labels], kind="stable")  # the roundest first
+        rank = {"": 0, "∞": 0, "1": 1}  # by the first digit that is not 0; the roundest first
+        best = sorted(range(len(labels)), key=lambda k: rank.get(labels[k].strip("0.")[:1], 2))
         kept: list[int] = []
-        for k in best.tolist():
+        for k in best:
             near = any(abs(places[k] - places[other]) < APART * (high - low) for other in kept)
             if low <= places[k] <= high and not near:
                 kept.append(k)

@@ -25,6 +25,7 @@ PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus
 LOG_DECADES = 4  # decades below the peak density that a log axis shows
 DRAG_ID = 0
 REACH_EM = 0.3  # the mouse still hits a sample at this distance from its interval
+BESIDE_EM = 1.0  # room beside a plot: half of the label of a tick at its end
 ROW_EM = 1.0  # height of a row of the strip; the ticks of all passes share one row, so that names do not overlap
 
 LogChoice = Literal["auto", "on", "off"]
@@ -101,7 +102,7 @@ class RayPlots:
             self._scale_density(passes)  # training has raised it beyond the axis
         pad = 0.25 * ui.em
         implot.push_style_var(implot.StyleVar_.plot_min_size, ImVec2(ui.em, ui.em))
-        implot.push_style_var(implot.StyleVar_.plot_padding, ImVec2(pad, pad))
+        implot.push_style_var(implot.StyleVar_.plot_padding, ImVec2(BESIDE_EM * ui.em, pad))
         implot.push_style_var(implot.StyleVar_.label_padding, ImVec2(pad, pad))
         reading, dragged = None, None
         strip = (3 if passes else 2) * ROW_EM * ui.em + 2 * pad

@@ -72,6 +72,13 @@ def test_a_contracted_axis_goes_there_and_back_and_ends_at_infinity() -> None:
     np.testing.assert_allclose(axis.distance(places[:-1]), [float(label) for label in labels[:-1]])
 
 
+def test_the_roundest_distances_have_ticks() -> None:
+    """Also below 1: 0.1 is as round as 10."""
+    assert Axis(0.2).ticks(0.0, 0.4)[1] == ["0", "0.05", "0.1", "0.2", "0.5", "1", "∞"]
+    assert Axis(1.0).ticks(0.03, 1.2)[1] == ["0.1", "0.2", "0.5", "1"]
+    assert Axis(4.0).ticks(0.0, 8.0)[1] == ["0", "1", "2", "5", "10", "20", "∞"]
+
+
 def test_contracted_distance_is_the_contraction_of_a_ray_through_the_centre() -> None:
     """From a camera in the middle along an axis, it is that of the space in which grids represent the scene."""
     scene = replace(make_scene(), synthetic=False, ndc=None, center=np.zeros(3), radius=1.5)

@@ -574,6 +574,45 @@ def test_the_axis_shows_the_part_with_weight_or_the_whole_ray(screen: Screen) ->
     assert "ray.contracted" not in screen.widgets
 
 
+def test_the_last_tick_of_a_contracted_axis_is_not_clipped(screen: Screen, monkeypatch: pytest.MonkeyPatch) -> None:
+    from viewer.draw import ray_plots
+    from viewer.panels.ray import RayPanel
+
+    panel, state = RayPanel(), make_state(make_snapshot())
+    opened = state.snapshot.opened
+    assert opened is not None
+    ray, scene = replace(opened.ray, far=300.0), replace(opened.scene, synthetic=False)
+    opened = replace(opened, ray=ray, scene=scene)
+    state.snapshot = replace(state.snapshot, opened=opened, scene=scene)
+    state.axis, screen.size = "contracted", (700, 300)
+    screen.frame(panel, state)
+    rooms: list[float] = []
+    axis, implot = contracted_axis(ray, scene), ray_plots.implot
+    assert axis is not None
+    panel.plots.show(*axis.place(np.array([20.0, 100.0])).tolist())
+    begin_plot, end_plot = implot.begin_plot, implot.end_plot
+
+    def begun(title: str, size: ImVec2, flags: int) -> bool:
+        """Note where the plot ends, with all that is beside it."""
+        rooms.append(imgui.get_cursor_screen_pos().x + size.x)
+        return begin_plot(title, size, flags)
+
+    def ended() -> None:
+        """Take off where the last tick's label ends."""
+        low, high = panel.plots.shown()
+        places, labels = axis.ticks(low, high)
+        tick = implot.get_plot_pos().x + (places[-1] - low) / (high - low) * implot.get_plot_size().x
+        assert labels[-1] == "100"
+        rooms[-1] -= tick + imgui.calc_text_size(labels[-1]).x / 2
+        end_plot()
+
+    monkeypatch.setattr(implot, "begin_plot", begun)
+    monkeypatch.setattr(implot, "end_plot", ended)
+    screen.frame(panel, state)
+    assert len(rooms) == 3
+    assert 0 <= min(rooms) <= max(rooms) < screen.em
+
+
 def test_the_median_depth_can_be_asked_for_again(screen: Screen) -> None:
     panel, state = PANELS.get("radiance")(), make_state(make_snapshot())
     assert state.inspect is not None
