@@ -29,7 +29,8 @@ LOG_CHOICES: tuple[tuple[LogChoice, str], ...] = (
     ("off", "a linear axis for every ray"),
 )
 OVERVIEW_EM = 1.0  # height of the strip of the whole ray
-OVERVIEW = "the whole ray; the frame is the part shown above. Click to show all of it, or the part with the weight"
+OVERVIEW = "the whole ray{}; the frame is the part shown above. Click to show all of it, or the part with the weight"
+TO_INFINITY = " to infinity, over contracted distance"
 CONTRACTED = "contracted distance"
 LOW_EM = 18.0  # height of the plots if the figures are below them
 
@@ -118,7 +119,7 @@ class RayPanel:
             ends = self._axis.place(np.array([ray.near, ray.far])).tolist()
             self.plots.show(*(self._part if self.plots.shows(*ends) else ends))
         ui.mark("ray.overview")
-        imgui.set_item_tooltip(OVERVIEW)
+        imgui.set_item_tooltip(OVERVIEW.format("" if axis.turn is None else TO_INFINITY))
         low, end = axis.place(np.array([ray.near, ray.far if axis.turn is None else np.inf])).tolist()
 
         def x(t: np.ndarray) -> list[float]:

@@ -613,6 +613,23 @@ def test_the_last_tick_of_a_contracted_axis_is_not_clipped(screen: Screen, monke
     assert 0 <= min(rooms) <= max(rooms) < screen.em
 
 
+def test_the_strip_of_the_whole_ray_says_what_it_runs_over(screen: Screen, monkeypatch: pytest.MonkeyPatch) -> None:
+    from viewer.panels.ray import RayPanel
+
+    panel, state = RayPanel(), make_state(make_snapshot())
+    tips: list[str] = []
+    monkeypatch.setattr(imgui, "set_item_tooltip", tips.append)
+    opened = state.snapshot.opened
+    assert opened is not None
+    for synthetic in (True, False):
+        scene = replace(opened.scene, synthetic=synthetic)
+        state.snapshot = replace(state.snapshot, opened=replace(opened, scene=scene), scene=scene)
+        tips.clear()
+        screen.frame(panel, state)
+        (tip,) = (tip for tip in tips if tip.startswith("the whole ray"))
+        assert ("over contracted distance" in tip) == (not synthetic)
+
+
 def test_the_median_depth_can_be_asked_for_again(screen: Screen) -> None:
     panel, state = PANELS.get("radiance")(), make_state(make_snapshot())
     assert state.inspect is not None
