@@ -46,6 +46,16 @@ class Camera:
             self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy
         )
 
+    def shrunk(self, factor: int) -> Camera:
+        """Return the camera of a photo that is averaged over blocks of factor × factor pixels.
+
+        Pixels at the right and lower edges that fill no block are dropped. A photo smaller than `factor` on a side is
+        averaged over smaller blocks.
+        """
+        factor = min(factor, self.width, self.height)
+        width, height = self.width // factor, self.height // factor
+        return replace(self, width=width * factor, height=height * factor).resized(width, height)
+
     def moved(self, c2w: np.ndarray) -> Camera:
         """Return the camera with another pose: the first 3 rows of `c2w`, (3, 4) or (4, 4)."""
         return replace(self, c2w=np.asarray(c2w, dtype=np.float64)[:3, :4])

@@ -84,6 +84,13 @@ class Scene:
         """Return the indices of the views in a split; empty if the capture does not have it."""
         return self.splits.get(name, ())
 
+    def trained(self, count: int) -> tuple[int, ...]:
+        """Return the views of `count` training photos, evenly spread; 0 or too many: of all."""
+        views = self.split("train")
+        if not 0 < count < len(views):
+            return views
+        return tuple(views[i] for i in np.linspace(0, len(views) - 1, count).round().astype(int))
+
     def held_out(self) -> tuple[str, tuple[int, ...]]:
         """Return the split that evaluation uses by default (test, else val) and its views."""
         for name in ("test", "val"):

@@ -46,7 +46,7 @@ class CpuVoxels:
         self._grid: VoxelGrid | None = None  # the grid that the buffers below have the size of
         self._gradient = np.zeros((shards, 0), np.float32)
         self._touched = np.zeros((shards, 0), np.uint64)
-        self._visible = self._touched
+        self._marks = np.zeros((shards, 0), np.uint8)
         self._scratch: list[_Scratch] = []
 
     def render(self, grid: VoxelGrid, rays: BoxRays, how: March) -> Tensor:
@@ -95,16 +95,18 @@ class CpuVoxels:
             transmittance=notes[:, note.TRANSMITTANCE], rgb=notes[:, note.RED : note.RED + 3], pixel=pixel,
         )  # fmt: skip
 
-    def resample(self, old: VoxelGrid, new: VoxelGrid, first: int, last: int) -> None:
+    def resample(self, old: VoxelGrid, new: VoxelGrid, first: int, last: int) -> Tensor:
         begin, step = old.at_vertex(new)
         arrays, places = old.arrays(), new.places()[first:last].numpy()
         rows, out = old.rows.numpy().ravel(), new.rows[ROWS * first : ROWS * last].numpy().ravel()
+        found = torch.zeros(ROWS * len(places), dtype=torch.uint8)
 
         def work(s: int) -> None:
-            scratch = _scratch(1)
-            loops.resample(arrays, rows, begin, step, places, *split(len(places), self.shards, s), scratch, out)
+            part = split(len(places), self.shards, s)
+            loops.resample(arrays, rows, begin, step, places, *part, _scratch(1), out, found.numpy())
 
         each_shard(self.shards, work)
+        return found
 
     def accumulate(self, grid: VoxelGrid, rays: BoxRays, truth: Tensor, how: March) -> tuple[float, int]:
         arrays, given, scratch = grid.arrays(), ray_arrays(rays, how.offsets), self._buffers(grid, how)
@@ -117,8 +119,8 @@ class CpuVoxels:
             first, last = split(len(rays), self.shards, s)
             sums[s] = loops.gradients(
                 arrays, given, colors, first, last, np.float32(how.step), np.float32(how.bias), rows, background,
-                scratch[s], pixel, self._gradient[s], self._touched[s], self._visible[s], np.float32(how.threshold),
-                np.float32(how.smoothness),
+                scratch[s], pixel, self._gradient[s], self._touched[s], np.float32(how.smoothness),
+                np.float32(how.distortion), np.float32(how.unit), how.folded,
             )  # fmt: skip
 
         each_shard(self.shards, work)
@@ -132,15 +134,29 @@ class CpuVoxels:
         self._fit(grid)
         return torch.from_numpy(self._gradient.sum(0)).view(-1, WIDTH)
 
-    def seen(self, grid: VoxelGrid) -> Tensor:
+    def mark(self, grid: VoxelGrid, rays: BoxRays, how: March, spare: float) -> None:
+        arrays, given, scratch = grid.arrays(), ray_arrays(rays, how.offsets), self._buffers(grid, how)
         self._fit(grid)
-        bits = np.unpackbits(np.bitwise_or.reduce(self._visible).view(np.uint8), bitorder="little")
-        return torch.from_numpy(bits.astype(bool))
+        rows, background, pixel = (
+            grid.rows.numpy().ravel(),
+            how.background.numpy(),
+            np.empty((len(rays), 5), np.float32),
+        )
 
-    def see(self, grid: VoxelGrid, seen: Tensor) -> None:
+        def work(s: int) -> None:
+            loops.mark(
+                arrays, given, *split(len(rays), self.shards, s), np.float32(how.step), np.float32(how.bias), rows,
+                background, scratch[s], pixel, self._marks[s], np.float32(spare),
+            )  # fmt: skip
+
+        each_shard(self.shards, work)
+
+    def marked(self, grid: VoxelGrid) -> Tensor:
         self._fit(grid)
-        self._visible[:] = 0
-        self._visible[0] = np.packbits(seen.numpy(), bitorder="little").view(np.uint64)
+        return torch.from_numpy(self._marks.max(0))
+
+    def unmark(self) -> None:
+        self._marks[:] = 0
 
     def update(self, grid: VoxelGrid, moments: Tensor, ema: Tensor, adam: Adam) -> None:
         self._fit(grid)
@@ -156,7 +172,7 @@ class CpuVoxels:
         if self._grid is None or self._grid.rows is not grid.rows:
             self._gradient = torch.zeros(self.shards, grid.bricks * ROWS * WIDTH).numpy()
             self._touched = np.zeros((self.shards, grid.bricks), np.uint64)
-            self._visible = np.zeros((self.shards, grid.bricks), np.uint64)
+            self._marks = np.zeros((self.shards, grid.bricks * ROWS), np.uint8)
         self._grid = grid
 
     def _buffers(self, grid: VoxelGrid, how: March) -> list[_Scratch]:
@@ -188,6 +204,7 @@ def _compile() -> None:
     kernels.render(grid, rays, march)
     kernels.trace(grid, rays, march)
     kernels.accumulate(grid, rays, torch.zeros(1, 3), march)
+    kernels.mark(grid, rays, march, 0.5)
     kernels.resample(grid, grid, 0, grid.bricks)
     spare = torch.zeros_like(grid.rows), torch.zeros_like(grid.rows)
     kernels.update(grid, *spare, Adam(0.1, 0.1, 0.9, 0.9, 1.0, 1.0, 1e-4, 1.0))

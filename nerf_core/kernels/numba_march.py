@@ -58,10 +58,11 @@ def _bent(wx: Any, wy: Any, wz: Any, dx: Any, dy: Any, dz: Any) -> Any:
 
 
 @jit
-def march(cells: Any, rays: Any, r: Any, step: Any, notes: Any) -> Any:  # noqa: PLR0915  one loop, with all that it needs in registers
+def march(cells: Any, rays: Any, r: Any, step: Any, notes: Any) -> Any:  # noqa: PLR0912, PLR0915  one loop, with all that it needs in registers
     """Find the samples of ray r in occupied cells, front to back.
 
-    Writes each one's cell, position in it, t and Δt to `notes`. Returns how many there are.
+    Writes each one's cell, position in it, t and Δt to `notes`. Returns how many there are. A cell whose sides were
+    doubled d times is counted in cells of its size, with d << 12 added along x. cells[4] is `occupied` or `kinds`.
     """
     nx, ny, nz = cells.size[0], cells.size[1], cells.size[2]
     blocks_y, blocks_z = (ny + 3) >> 2, (nz + 3) >> 2
@@ -87,7 +88,7 @@ def march(cells: Any, rays: Any, r: Any, step: Any, notes: Any) -> Any:  # noqa:
     n = 0
     while t < last and n < capacity:
         px, py, pz = gx + t * vx, gy + t * vy, gz + t * vz
-        dt = straight
+        dt, bent_inwards = straight, False
         if cells.contracted:
             wx, wy, wz = ox + t * dx, oy + t * dy, oz + t * dz
             f, slope, norm = _bent(wx, wy, wz, dx, dy, dz)
@@ -96,7 +97,8 @@ def march(cells: Any, rays: Any, r: Any, step: Any, notes: Any) -> Any:  # noqa:
                 px, py, pz = (wx * f - bx) * sx, (wy * f - by) * sy, (wz * f - bz) * sz
                 ux, uy, uz = (dx * f + wx * slope) * sx, (dy * f + wy * slope) * sy, (dz * f + wz * slope) * sz
                 dt = step / math.sqrt(ux * ux + uy * uy + uz * uz)
-                if slope > 0:
+                bent_inwards = slope > 0
+                if bent_inwards:
                     dt = min(dt, NEARING * norm / length)
         dt = max(dt, t * STEPPED)
         # Outside by rounding at the border; or NaN, which must not become the index of a cell.
@@ -113,12 +115,24 @@ def march(cells: Any, rays: Any, r: Any, step: Any, notes: Any) -> Any:  # noqa:
             if norm > 1:
                 gap = min(gap, STRAIGHT * norm / length)
             t += max(np.floor(gap / dt) + F(1), F(1)) * dt
-        elif cells.occupied[np.uint64((i * ny + j) * nz + k)] == 0:
+            continue
+        kind = cells[4][np.uint64((i * ny + j) * nz + k)]
+        if kind == 0:
             t += dt
         else:
             at = n * NOTES
-            notes[at + CELL_X], notes[at + CELL_Y], notes[at + CELL_Z] = F(i), F(j), F(k)
-            notes[at + X], notes[at + Y], notes[at + Z] = px - F(i), py - F(j), pz - F(k)
+            if kind == 1:
+                notes[at + CELL_X], notes[at + CELL_Y], notes[at + CELL_Z] = F(i), F(j), F(k)
+                notes[at + X], notes[at + Y], notes[at + Z] = px - F(i), py - F(j), pz - F(k)
+            else:  # a larger cell: its steps are longer
+                d = np.int64(kind) - 1
+                i, j, k = i >> d, j >> d, k >> d
+                share = F(1) / F(1 << d)
+                notes[at + CELL_X], notes[at + CELL_Y], notes[at + CELL_Z] = F(i + (d << 12)), F(j), F(k)
+                notes[at + X], notes[at + Y], notes[at + Z] = px * share - F(i), py * share - F(j), pz * share - F(k)
+                dt *= F(1 << d)
+                if bent_inwards:
+                    dt = min(dt, NEARING * norm / length)
             notes[at + DISTANCE] = t
             notes[at + WIDTH] = dt
             n += 1

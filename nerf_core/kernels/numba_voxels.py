@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from nerf_core.common.jit.vectors import exp, gather, jit, prefetch, scatter, smooth
+from nerf_core.common.jit.vectors import exp, gather, jit, prefetch, scatter, scatter_smooth
 from nerf_core.kernels.numba_march import (
     ALPHA,
     BLUE,
@@ -23,6 +23,7 @@ from nerf_core.kernels.numba_march import (
     RAW,
     RED,
     TRANSMITTANCE,
+    WIDTH,
     X,
     Y,
     Z,
@@ -33,15 +34,19 @@ F = np.float32
 # The values of `nerf_core.volume`, written out: compiled loops are cached, and the cache's key contains only files with
 # loops, so that a change elsewhere would not be compiled.
 STOP = F(1e-3)  # that of `compositing`
+HALVINGS = 24  # that of `voxel_kernels`
 SH0, SH1 = F(0.28209479), F(0.48860251)  # those of `voxel_grid`
 
 
 @jit
-def _corners(i: Any, j: Any, k: Any, ny: Any, nz: Any, table: Any, corners: Any, at: Any) -> None:
-    """The offsets in `rows` of the 8 vertices of cell (i, j, k), z fastest. ny, nz: bricks along y and z."""
+def _corners(i: Any, j: Any, k: Any, ny: Any, nz: Any, table: Any, begin: Any, corners: Any, at: Any) -> None:
+    """The offsets in `rows` of the 8 vertices of cell (i, j, k), z fastest.
+
+    begin: where the table of the cell's size begins in `table`. ny, nz: its bricks along y and z.
+    """
     li, lj, lk = i & 3, j & 3, k & 3
     if li < 3 and lj < 3 and lk < 3:  # all in one brick
-        base = np.int64(table[np.uint64(((i >> 2) * ny + (j >> 2)) * nz + (k >> 2))])
+        base = np.int64(table[np.uint64(begin + ((i >> 2) * ny + (j >> 2)) * nz + (k >> 2))])
         row = (base * 64 + (li << 4) + (lj << 2) + lk) << 4
         corners[at] = row
         corners[at + 1] = row + 16
@@ -54,7 +59,7 @@ def _corners(i: Any, j: Any, k: Any, ny: Any, nz: Any, table: Any, corners: Any,
         return
     for c in range(8):
         a, b, d = i + (c >> 2), j + ((c >> 1) & 1), k + (c & 1)
-        base = np.int64(table[np.uint64(((a >> 2) * ny + (b >> 2)) * nz + (d >> 2))])
+        base = np.int64(table[np.uint64(begin + ((a >> 2) * ny + (b >> 2)) * nz + (d >> 2))])
         corners[at + c] = (base * 64 + ((a & 3) << 4) + ((b & 3) << 2) + (d & 3)) << 4
 
 
@@ -75,11 +80,16 @@ def _weigh(fx: Any, fy: Any, fz: Any, weights: Any, at: Any) -> None:
 @jit
 def _place(grid: Any, n: Any, rows: Any, corners: Any, weights: Any, notes: Any) -> None:
     """Compute the corners and weights of n samples, and prefetch their rows."""
-    bricks_y, bricks_z = (grid.size[1] >> 2) + 1, (grid.size[2] >> 2) + 1
+    bricks_y, bricks_z = grid.sides[0, 0], grid.sides[0, 1]
     for s in range(n):
         at = s * NOTES
         i, j, k = int(notes[at + CELL_X]), int(notes[at + CELL_Y]), int(notes[at + CELL_Z])
-        _corners(i, j, k, bricks_y, bricks_z, grid.table, corners, at)
+        d = i >> 12
+        if d == 0:
+            _corners(i, j, k, bricks_y, bricks_z, grid.table, np.int64(0), corners, at)
+        else:
+            i -= d << 12
+            _corners(i, j, k, grid.sides[d, 0], grid.sides[d, 1], grid.table, grid.begins[d], corners, at)
         prefetch(rows, corners, at)
         _weigh(notes[at + X], notes[at + Y], notes[at + Z], weights, at)
 
@@ -182,14 +192,25 @@ def trace(
 
 
 @jit
+def _place_in_ray(t: Any, unit: Any, folded: Any) -> Any:
+    """s in units of `unit`; folded: t/(t + 1) of it, so that all of space has a finite length."""
+    t = t / unit
+    return t / (F(1) + t) if folded else t
+
+
+@jit
 def gradients(
     grid: Any, rays: Any, truth: Any, first: Any, last: Any, step: Any, bias: Any, rows: Any, background: Any,
-    scratch: Any, pixel: Any, gradient: Any, touched: Any, visible: Any, threshold: Any, smoothness: Any,
+    scratch: Any, pixel: Any, gradient: Any, touched: Any, smoothness: Any, distortion: Any, unit: Any, folded: Any,
 ) -> Any:  # fmt: skip
-    """Add ∂(½ Σ squared error)/∂rows of rays first ≤ r < last to `gradient`.
+    """Add ∂(½ Σ squared error + smoothness + distortion)/∂rows of rays first ≤ r < last to `gradient`; see `March`.
 
     Returns the sum of squared errors, and the number of samples.
 
+    A loss with ∂L/∂w_i = a_i beside the colours acts like one more channel with the colours a_i and no background, so
+    that it is added to what an error takes from the colours. For distortion, with weights and positions summed in
+    front of sample i (−) and behind it (+):
+    a_i = λ (2 (s_i (W⁻ − W⁺) − (S⁻ − S⁺)) + ⅔ w_i Δs_i), W = Σ w, S = Σ w s.
     With S_i = Σ_{j>i} w_j c_j + T_end · background, ∂C/∂σ_i = δ_i (T_{i+1} c_i − S_i): NeRF Eq. 3, differentiated.
     """
     basis = scratch.values[48:52]
@@ -209,14 +230,30 @@ def gradients(
         er, eg, eb = pixel[r, 0] - truth[r, 0], pixel[r, 1] - truth[r, 1], pixel[r, 2] - truth[r, 2]
         error += er * er + eg * eg + eb * eb
         behind = (F(1) - pixel[r, 3]) * (background[0] * er + background[1] * eg + background[2] * eb)
+        w_behind, s_behind, w_front, s_front = F(0), F(0), F(0), F(0)
+        if distortion > 0:
+            for q in range(n):
+                at = q * 8
+                w = notes[at + TRANSMITTANCE] * notes[at + ALPHA]
+                w_front += w
+                s_front += w * _place_in_ray(notes[at + DISTANCE], unit, folded)
         for q in range(n):
             at = (n - 1 - q) * 8
             r1, g1, b1 = notes[at + RED], notes[at + GREEN], notes[at + BLUE]
             transmittance, alpha = notes[at + TRANSMITTANCE], notes[at + ALPHA]
             w, along = transmittance * alpha, r1 * er + g1 * eg + b1 * eb
-            if w > threshold:  # marked at the cell's lowest vertex
-                row = np.uint64(corners[at] >> 4)
-                visible[row >> np.uint64(6)] |= np.uint64(1) << (row & np.uint64(63))
+            if distortion > 0:
+                place = _place_in_ray(notes[at + DISTANCE], unit, folded)
+                width = notes[at + WIDTH] / unit
+                if folded:
+                    width *= (F(1) - place) * (F(1) - place)
+                w_front -= w
+                s_front -= w * place
+                along += distortion * (
+                    F(2) * (place * (w_front - w_behind) - (s_front - s_behind)) + F(2 / 3) * w * width
+                )
+                w_behind += w
+                s_behind += w * place
             by_sigma = step * (transmittance * (F(1) - alpha) * along - behind)
             behind += w * along
             gr, gg, gb = w * er * r1 * (F(1) - r1), w * eg * g1 * (F(1) - g1), w * eb * b1 * (F(1) - b1)
@@ -225,9 +262,10 @@ def gradients(
                 values[20 + c] = gg * basis[c]
                 values[24 + c] = gb * basis[c]
             values[28] = by_sigma / (F(1) + exp(-notes[at + RAW]))  # softplus' is the sigmoid
-            scatter(gradient, corners, weights, at, values, 16)
             if smoothness > 0:
-                smooth(gradient, rows, corners, at, values, 32)
+                scatter_smooth(gradient, corners, weights, at, values, 16, rows, 32)
+            else:
+                scatter(gradient, corners, weights, at, values, 16)
             for c in range(8):
                 row = np.uint64(corners[at + c] >> 4)
                 touched[row >> np.uint64(6)] |= np.uint64(1) << (row & np.uint64(63))
@@ -235,33 +273,108 @@ def gradients(
 
 
 @jit
-def resample(
-    grid: Any, rows: Any, begin: Any, step: Any, places: Any, first: Any, last: Any, scratch: Any, out: Any
+def mark(
+    grid: Any, rays: Any, first: Any, last: Any, step: Any, bias: Any, rows: Any, background: Any, scratch: Any,
+    pixel: Any, marks: Any, spare: Any,
 ) -> None:  # fmt: skip
-    """Interpolate the rows of bricks first ≤ b < last, which lie at `places` in their table.
+    """Mark the cells that the pixels of rays first ≤ r < last need; see `VoxelKernels.mark`."""
+    basis, sums = scratch.values[48:52], np.zeros(HALVINGS + 1, np.float32)
+    corners, notes = scratch.corners, scratch.notes
+    for r in range(first, last):
+        n = march(grid, rays, r, step, notes)
+        _place(grid, n, rows, corners, scratch.weights, notes)
+        _basis(rays.views, r, basis)
+        n = _composite(
+            n, basis, step, bias, rows, corners, scratch.weights, scratch.values, notes, rows, False, pixel, r,
+            background,
+        )  # fmt: skip
+        sums[:] = 0
+        through = F(1) - pixel[r, 3]
+        for q in range(n):
+            at = q * NOTES
+            transmittance, alpha = notes[at + TRANSMITTANCE], notes[at + ALPHA]
+            off = max(
+                abs(notes[at + RED] - background[0]), abs(notes[at + GREEN] - background[1]),
+                abs(notes[at + BLUE] - background[2]),
+            )  # fmt: skip
+            plain = min(through / max(transmittance * (F(1) - alpha), F(1e-12)), F(1))
+            w = transmittance * alpha * (F(1) - plain + plain * off)
+            h = _halvings(w)
+            notes[at + RAW] = h
+            sums[h] += w
+        least, total = HALVINGS, sums[HALVINGS]  # the groups from `least` on are not needed
+        while least > 0 and total + sums[least - 1] <= spare:
+            least -= 1
+            total += sums[least]
+        for q in range(n):
+            at = q * NOTES
+            if notes[at + RAW] < least:  # marked at the cell's lowest vertex
+                row = np.uint64(corners[at] >> 4)
+                marks[row] = max(marks[row], np.uint8(1 + HALVINGS - np.int64(notes[at + RAW])))
 
-    Vertex v lies at begin + v · step, in cells of `grid`.
+
+@jit
+def _halvings(w: Any) -> Any:
+    """The h with 2⁻ʰ ≥ w > 2⁻ʰ⁻¹ (w ≤ 1), at most HALVINGS."""
+    h, power = 0, F(0.5)
+    while w <= power and h < HALVINGS:
+        power *= F(0.5)
+        h += 1
+    return h
+
+
+@jit
+def resample(
+    grid: Any, rows: Any, begin: Any, step: Any, places: Any, first: Any, last: Any, scratch: Any, out: Any, found: Any
+) -> None:  # fmt: skip
+    """Interpolate rows for the vertices of bricks first ≤ b < last, which lie at `places` in their tables.
+
+    Finest vertex v lies at begin + v · step, in finest cells of `grid`. found: the doublings of the cells that were
+    interpolated; see `VoxelKernels.resample`.
     """
     corners, weights, values = scratch.corners, scratch.weights, scratch.values
-    bricks_y, bricks_z = (grid.size[1] >> 2) + 1, (grid.size[2] >> 2) + 1
     for b in range(first, last):
         for q in range(64):
-            x = begin[0] + step[0] * ((places[b, 0] << 2) + (q >> 4))
-            y = begin[1] + step[1] * ((places[b, 1] << 2) + ((q >> 2) & 3))
-            z = begin[2] + step[2] * ((places[b, 2] << 2) + (q & 3))
-            i = min(max(math.floor(x), 0), grid.size[0] - 1)
-            j = min(max(math.floor(y), 0), grid.size[1] - 1)
-            k = min(max(math.floor(z), 0), grid.size[2] - 1)
-            _corners(i, j, k, bricks_y, bricks_z, grid.table, corners, 0)
-            fx, fy, fz = F(min(max(x - i, 0.0), 1.0)), F(min(max(y - j, 0.0), 1.0)), F(min(max(z - k, 0.0), 1.0))
-            _weigh(fx, fy, fz, weights, 0)
-            for c in range(8):
-                if corners[c] < 0:  # the table has no brick for it
-                    corners[c], weights[c] = 0, F(0)
+            x = _snapped(begin[0] + step[0] * (((places[b, 1] << 2) + (q >> 4)) << places[b, 0]))
+            y = _snapped(begin[1] + step[1] * (((places[b, 2] << 2) + ((q >> 2) & 3)) << places[b, 0]))
+            z = _snapped(begin[2] + step[2] * (((places[b, 3] << 2) + (q & 3)) << places[b, 0]))
+            most, best = -1.0, 0
+            for d in range(len(grid.begins)):
+                held = _lookup(grid, d, x, y, z, corners, weights)
+                if held > most + 1e-6:
+                    most, best = held, d
+            _lookup(grid, best, x, y, z, corners, weights)
             gather(values, 0, rows, corners, weights, 0)
+            found[b * 64 + q] = best
             at = (b * 64 + q) * 16
             for c in range(16):
                 out[at + c] = values[c]
+
+
+@jit
+def _snapped(x: Any) -> Any:
+    """x, or the nearest multiple of 2⁻¹⁰ if rounding may have moved it away from there."""
+    nearest = math.floor(x * 1024 + 0.5) / 1024
+    return nearest if abs(x - nearest) < 1e-6 else x
+
+
+@jit
+def _lookup(grid: Any, d: Any, x: Any, y: Any, z: Any, corners: Any, weights: Any) -> Any:
+    """The corners and weights at a point among cells of d doublings; returns the weight of corners that have rows."""
+    share = 1.0 / (1 << d)
+    x, y, z = x * share, y * share, z * share
+    i = min(max(math.floor(x), 0), ((grid.size[0] + (1 << d) - 1) >> d) - 1)
+    j = min(max(math.floor(y), 0), ((grid.size[1] + (1 << d) - 1) >> d) - 1)
+    k = min(max(math.floor(z), 0), ((grid.size[2] + (1 << d) - 1) >> d) - 1)
+    _corners(i, j, k, grid.sides[d, 0], grid.sides[d, 1], grid.table, grid.begins[d], corners, 0)
+    fx, fy, fz = F(min(max(x - i, 0.0), 1.0)), F(min(max(y - j, 0.0), 1.0)), F(min(max(z - k, 0.0), 1.0))
+    _weigh(fx, fy, fz, weights, 0)
+    held = 0.0
+    for c in range(8):
+        if corners[c] < 0:  # the table has no brick for it
+            corners[c], weights[c] = 0, F(0)
+        held += weights[c]
+    return held
 
 
 @jit

@@ -21,7 +21,8 @@ NEARING = 0.25  # longest step towards the centre, relative to the same: far out
 class Marched(NamedTuple):
     """M samples, ray after ray, front to back.
 
-    ray: (M,). t, width: (M,). cell: (M, 3). within: (M, 3), the position in the cell, in [0, 1].
+    ray: (M,). t, width: (M,). cell: (M, 3), counted in cells of its size. within: (M, 3), the position in the cell, in
+    [0, 1]. doublings: (M,), the cell's size; see `VoxelGrid`.
     """
 
     ray: Tensor
@@ -29,6 +30,7 @@ class Marched(NamedTuple):
     width: Tensor
     cell: Tensor
     within: Tensor
+    doublings: Tensor
 
 
 class _Where(NamedTuple):
@@ -125,14 +127,21 @@ def march(cells: Cells, rays: BoxRays, step: float, offsets: Tensor) -> Marched:
             dt = torch.where((here.norm > 1) & here.nearing, dt.minimum(NEARING * away), dt)
         dt = dt.maximum(t[alive] * STEPPED)
         cell, sampled, leap, gap = _cell_at(cells, here)
+        doublings = torch.where(sampled, cells.doublings_of(cell), 0)
+        longer = (1 << doublings)[:, None]
+        dt = dt * longer[:, 0]
+        if cells.contracted:
+            bent = (here.norm > 1) & here.nearing & (doublings > 0)
+            dt = torch.where(bent, dt.minimum(NEARING * away), dt)
         if cells.contracted:
             gap = torch.where(here.norm > 1, gap.minimum(STRAIGHT * away), gap)
         steps = torch.where(leap > 0, (gap / dt).floor().clamp(min=0) + 1, 1.0)
-        found.append((alive[sampled], t[alive][sampled], dt[sampled], cell[sampled], (here.position - cell)[sampled]))
+        own = cell // longer
+        within = here.position / longer - own
+        found.append(tuple(v[sampled] for v in (alive, t[alive], dt, own, within, doublings)))
         t[alive] = t[alive] + steps * dt
     if not found:
-        found.append((everyone[:0], t[:0], t[:0], everyone.new_zeros(0, 3), t.new_zeros(0, 3)))
-    ray, t, width, cell, within = (torch.cat(parts) for parts in zip(*found, strict=True))
-    order = ray.argsort(stable=True)
-    ray, t, width, cell, within = (v[order] for v in (ray, t, width, cell, within))
-    return Marched(ray, t, width, cell, within)
+        found.append((everyone[:0], t[:0], t[:0], everyone.new_zeros(0, 3), t.new_zeros(0, 3), everyone[:0]))
+    merged = [torch.cat(parts) for parts in zip(*found, strict=True)]
+    order = merged[0].argsort(stable=True)
+    return Marched(*(v[order] for v in merged))

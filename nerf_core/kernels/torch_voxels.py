@@ -13,7 +13,7 @@ from torch.nn import functional
 
 from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels.torch_march import march
-from nerf_core.kernels.voxel_kernels import Adam, March, Traced
+from nerf_core.kernels.voxel_kernels import HALVINGS, Adam, March, Traced
 from nerf_core.volume.compositing import STOP
 from nerf_core.volume.voxel_grid import DENSITY, ROWS, WIDTH, VoxelGrid, view_basis
 
@@ -34,9 +34,9 @@ class VoxelSamples(NamedTuple):
 
 def voxel_samples(grid: VoxelGrid, rays: BoxRays, how: March) -> VoxelSamples:
     """March, and find the rows and weights of the samples' corners."""
-    ray, t, width, cell, within = march(grid, rays, how.step, how.offsets)
+    ray, t, width, cell, within, doublings = march(grid, rays, how.step, how.offsets)
     corners = torch.cartesian_prod(*[torch.arange(2, device=ray.device)] * 3)
-    rows = grid.row_of((cell[:, None] + corners).reshape(-1, 3)).view(-1, 8)
+    rows = grid.row_of((cell[:, None] + corners).reshape(-1, 3), doublings.repeat_interleave(8)).view(-1, 8)
     weights = torch.where(corners == 1, within[:, None], 1 - within[:, None]).prod(-1)
     return VoxelSamples(ray, t, width, rows, weights)
 
@@ -77,6 +77,20 @@ def composite(
     return Composited(pixel, used, raw, alpha, transmittance, rgb)
 
 
+def _distortion(samples: VoxelSamples, done: Composited, how: March, count: int) -> Tensor:
+    """The distortion of all rays; see `March`. Each ray on its own, all pairs of its samples."""
+    s, width = samples.t / how.unit, samples.width / how.unit
+    if how.folded:
+        s = s / (1 + s)
+        width = width * (1 - s).square()
+    w = done.alpha * done.transmittance
+    total = (w.square() * width)[done.used].sum() / 3
+    for r in range(count):
+        mine = done.used & (samples.ray == r)
+        total = total + (w[mine][:, None] * w[mine] * (s[mine][:, None] - s[mine]).abs()).sum()
+    return total
+
+
 class TorchVoxels:
     """`VoxelKernels` in torch operations, on any device."""
 
@@ -84,14 +98,14 @@ class TorchVoxels:
 
     def __init__(self) -> None:
         self._of: Tensor | None = None  # the rows that the tensors below have the size of
-        self._gradient = self._touched = self._visible = torch.empty(0)
+        self._gradient = self._touched = self._marks = torch.empty(0)
 
     def _fit(self, grid: VoxelGrid) -> None:
         if self._of is not grid.rows:
             self._of = grid.rows
             self._gradient = torch.zeros_like(grid.rows)
-            self._touched, self._visible = (
-                torch.zeros(len(grid.rows), dtype=torch.bool, device=grid.rows.device) for _ in range(2)
+            self._touched, self._marks = (
+                torch.zeros(len(grid.rows), dtype=kind, device=grid.rows.device) for kind in (torch.bool, torch.uint8)
             )
 
     def _composited(self, rows: Tensor, grid: VoxelGrid, rays: BoxRays, how: March) -> tuple[VoxelSamples, Composited]:
@@ -109,11 +123,26 @@ class TorchVoxels:
         parts = (samples.t, samples.width, done.raw, done.alpha, done.transmittance, done.rgb)
         return Traced(row_offsets, *(v[done.used] for v in parts), pixel=done.pixel)
 
-    def resample(self, old: VoxelGrid, new: VoxelGrid, first: int, last: int) -> None:
+    def resample(self, old: VoxelGrid, new: VoxelGrid, first: int, last: int) -> Tensor:
         begin, step = (torch.from_numpy(v).to(new.rows.device) for v in old.at_vertex(new))
         at = begin + new.vertices(first, last) * step
-        cell = at.floor().long().clamp(min=0).minimum(torch.tensor(old.size, device=at.device) - 1)
-        new.rows[ROWS * first : ROWS * last] = old.interpolate(cell, (at - cell).clamp(0, 1).to(new.rows.dtype))
+        nearest = (at * 1024).round() / 1024
+        at = torch.where((at - nearest).abs() < 1e-6, nearest, at)  # what rounding moved away from a vertex
+        corners = torch.cartesian_prod(*[torch.arange(2, device=at.device)] * 3)
+        most = torch.full_like(at[:, 0], -1, dtype=torch.float32)
+        best, rows = torch.zeros_like(most, dtype=torch.uint8), new.rows[ROWS * first : ROWS * last]
+        for d in range(len(old.tables)):
+            size = torch.tensor([-(-n >> d) for n in old.size], device=at.device)
+            place = at / (1 << d)
+            cell = place.floor().long().clamp(min=0).minimum(size - 1)
+            within = (place - cell).clamp(0, 1).float()
+            weight = torch.where(corners == 1, within[:, None], 1 - within[:, None]).prod(-1)
+            row = old.row_of((cell[:, None] + corners).view(-1, 3), d).view(-1, 8)
+            weight = torch.where(row >= 0, weight, 0)
+            better = weight.sum(-1) > most + 1e-6
+            value = torch.einsum("pc,pcw->pw", weight, old.rows[row.clamp(min=0)])
+            rows[better], best[better], most[better] = value[better], d, weight.sum(-1)[better]
+        return best
 
     def accumulate(self, grid: VoxelGrid, rays: BoxRays, truth: Tensor, how: March) -> tuple[float, int]:
         self._fit(grid)
@@ -123,11 +152,12 @@ class TorchVoxels:
         corner = samples.rows[done.used]
         raw = rows[corner, DENSITY]
         rough = (raw - raw.mean(1, keepdim=True)).square().sum()
-        (gradient,) = torch.autograd.grad(squared / 2 + how.smoothness * rough / 2, rows)
+        loss = squared / 2 + how.smoothness * rough / 2
+        if how.distortion > 0:
+            loss = loss + how.distortion * _distortion(samples, done, how, len(rays))
+        (gradient,) = torch.autograd.grad(loss, rows)
         self._gradient += gradient
         self._touched[corner.flatten()] = True
-        weight = (done.alpha * done.transmittance)[done.used]
-        self._visible[corner[weight > how.threshold, 0]] = True
         return float(squared.detach()), int(done.used.sum())
 
     def forget(self) -> None:
@@ -138,13 +168,29 @@ class TorchVoxels:
         self._fit(grid)
         return self._gradient.clone()
 
-    def seen(self, grid: VoxelGrid) -> Tensor:
+    @torch.no_grad()
+    def mark(self, grid: VoxelGrid, rays: BoxRays, how: March, spare: float) -> None:
         self._fit(grid)
-        return self._visible.clone()
+        samples, done = self._composited(grid.rows, grid, rays, how)
+        ray, alpha, front = samples.ray[done.used], done.alpha[done.used], done.transmittance[done.used]
+        off = (done.rgb[done.used] - how.background).abs().amax(-1)
+        plain = ((1 - done.pixel[ray, 3]) / (front * (1 - alpha)).clamp(min=1e-12)).clamp(max=1)
+        weight = alpha * front * (1 - plain + plain * off)
+        halvings = (-weight.log2()).floor().clamp(0, HALVINGS).long()  # floor: 2⁻ʰ ≥ w > 2⁻ʰ⁻¹
+        sums = torch.zeros(len(rays), HALVINGS + 1, device=weight.device)
+        sums.index_put_((ray, halvings), weight, accumulate=True)
+        needed = sums.flip(1).cumsum(1).flip(1) > spare  # with all smaller groups
+        corner = samples.rows[done.used]
+        kept = needed[ray, halvings]
+        worth = (1 + HALVINGS - halvings[kept]).to(torch.uint8)
+        self._marks.scatter_reduce_(0, corner[kept, 0], worth, "amax")
 
-    def see(self, grid: VoxelGrid, seen: Tensor) -> None:
+    def marked(self, grid: VoxelGrid) -> Tensor:
         self._fit(grid)
-        self._visible.copy_(seen)
+        return self._marks.clone()
+
+    def unmark(self) -> None:
+        self._marks.zero_()
 
     def update(self, grid: VoxelGrid, moments: Tensor, ema: Tensor, adam: Adam) -> None:
         self._fit(grid)

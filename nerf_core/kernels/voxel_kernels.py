@@ -11,6 +11,8 @@ from nerf_core.geometry.spaces import BoxRays
 from nerf_core.volume.packed import Packed
 from nerf_core.volume.voxel_grid import VoxelGrid
 
+HALVINGS = 24  # float32 tells weights down to 2⁻²⁴ from 0 beside 1
+
 
 @dataclass(frozen=True)
 class March:
@@ -20,7 +22,8 @@ class March:
     bias: added to the raw density before softplus. background: (3,).
     offsets: (R,), where each ray's first sample lies in its step, 0 … 1.
     smoothness: weight of ½ Σ (σ_k − mean)² over the raw densities at the 8 corners of every sample's cell.
-    threshold: the weight above which a sample marks its cell as seen; 1: none does.
+    distortion: weight λ of λ (Σ_ij w_i w_j |s_i − s_j| + ⅓ Σ_i w_i² Δs_i) for each ray, which draws its weights
+        together (mip-NeRF 360, Eq. 15, arXiv:2111.12077). s = t / unit, or s/(1 + s) of it if `folded`.
     """
 
     step: float
@@ -28,7 +31,9 @@ class March:
     background: Tensor
     offsets: Tensor
     smoothness: float = 0.0
-    threshold: float = 1.0
+    distortion: float = 0.0
+    unit: float = 1.0
+    folded: bool = False
 
 
 class Adam(NamedTuple):
@@ -77,8 +82,13 @@ class VoxelKernels(Protocol):
         """The pixels of rays, with the samples from which they were composited."""
         ...
 
-    def resample(self, old: VoxelGrid, new: VoxelGrid, first: int, last: int) -> None:
-        """Interpolate `old` at the vertices of bricks first ≤ b < last of `new`. Vertices without a row count as 0."""
+    def resample(self, old: VoxelGrid, new: VoxelGrid, first: int, last: int) -> Tensor:
+        """Interpolate `old` at the vertices of bricks first ≤ b < last of `new`.
+
+        A vertex is interpolated among the smallest cells of `old` around it that have rows for all corners, or for most
+        of the weight; corners without a row count as 0. A vertex that is one of `old` takes its row.
+        Returns the doublings of those cells, (64 · bricks,) uint8.
+        """
         ...
 
     def accumulate(self, grid: VoxelGrid, rays: BoxRays, truth: Tensor, how: March) -> tuple[float, int]:
@@ -96,15 +106,25 @@ class VoxelKernels(Protocol):
         """The gradients summed so far, (M, 16)."""
         ...
 
-    def seen(self, grid: VoxelGrid) -> Tensor:
-        """Which cells had a sample with a weight above `threshold` since the last `see`: (M,) bool.
+    def mark(self, grid: VoxelGrid, rays: BoxRays, how: March, spare: float) -> None:
+        """Mark the cells that the pixels of rays need.
 
+        A ray's samples are put into groups of like weight w, 2⁻ʰ ≥ w > 2⁻ʰ⁻¹, h ≤ HALVINGS. The groups of the smallest
+        weights, as many as have at most the weight `spare` together, are not needed: without their samples, no channel
+        of the pixel changes by more than about `spare`. The cells of all other samples are marked.
+        """
+        ...
+
+    def marked(self, grid: VoxelGrid) -> Tensor:
+        """What the cells are worth, (M,) uint8.
+
+        0 if no pixel needs the cell, else 1 + HALVINGS − h for its greatest weight, 2⁻ʰ ≥ w > 2⁻ʰ⁻¹.
         A cell is marked at the row of its lowest vertex.
         """
         ...
 
-    def see(self, grid: VoxelGrid, seen: Tensor) -> None:
-        """Set what `seen` returns."""
+    def unmark(self) -> None:
+        """Forget which cells are marked."""
         ...
 
     def update(self, grid: VoxelGrid, moments: Tensor, ema: Tensor, adam: Adam) -> None:

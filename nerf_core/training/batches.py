@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -55,12 +54,9 @@ class PixelSampler:
         Raises:
             UserError: the scene has no training photos.
         """
-        views = list(scene.split("train"))
+        views = list(scene.trained(train_images))
         if not views:
             raise UserError(f"{scene.name}: no training photos: every photo is held out")
-        if 0 < train_images < len(views):
-            kept = np.linspace(0, len(views) - 1, train_images).round().astype(int)
-            views = [views[i] for i in kept]
         self.scene, self.views, self.device = scene, views, device
         self.generator = torch.Generator().manual_seed(seed)
         self._photos: dict[int, _Level] = {}
@@ -96,7 +92,7 @@ class PixelSampler:
             photos = self.scene.photos.at(self.views)
             cameras = [self.scene.views[i].camera for i in self.views]
             if shrink > 1:
-                cameras = [shrunk_camera(camera, shrink) for camera in cameras]
+                cameras = [camera.shrunk(shrink) for camera in cameras]
                 photos = shrunk(photos, [(camera.width, camera.height) for camera in cameras], shrink)
             self._photos = {shrink: _Level(photos, cameras, self.scene)}
         return self._photos[shrink]
@@ -113,23 +109,12 @@ class PixelSampler:
         self.generator.set_state(state["generator"])
 
 
-def shrunk_camera(camera: Camera, factor: int) -> Camera:
-    """Return the camera of a photo that is averaged over blocks of factor × factor pixels.
-
-    Pixels at the right and lower edges that fill no block are dropped. A photo smaller than `factor` on a side is
-    averaged over smaller blocks.
-    """
-    factor = min(factor, camera.width, camera.height)
-    width, height = camera.width // factor, camera.height // factor
-    return replace(camera, width=width * factor, height=height * factor).resized(width, height)
-
-
 def shrunk(photos: Photos, sizes: Sequence[tuple[int, int]], factor: int) -> Photos:
     """Average photos over blocks of factor × factor pixels.
 
     Args:
         photos: N photos.
-        sizes: their new sizes (width, height), those of `shrunk_camera`.
+        sizes: their new sizes (width, height), those of `Camera.shrunk`.
         factor: the side of a block, in pixels.
     """
     small = Photos.empty(sizes)

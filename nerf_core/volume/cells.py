@@ -56,6 +56,10 @@ class Cells:
             self.leap.numpy().ravel(), self.occupied.view(torch.uint8).numpy().ravel(), self.contracted,
         )  # fmt: skip
 
+    def doublings_of(self, cell: Tensor) -> Tensor:
+        """Return how often the side of each occupied cell was doubled: (P, 3) int64 → (P,) int64, here 0."""
+        return torch.zeros_like(cell[:, 0])
+
     def cells_of(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Find the cells of points.
 

@@ -1,13 +1,17 @@
 """A sparse grid of parameters: one row for each vertex of an occupied cell, none in empty space.
 
-Vertices are stored in bricks of 4 × 4 × 4, z fastest. A row has 16 float32: 3 × 4 spherical-harmonic coefficients of
-colour, the raw density, and padding to one cache line. `table` says where each brick is stored.
+Cells have several sizes, as in an octree: the finest ones, and others whose sides are 2, 4, 8 … times as long. A cell
+of `doublings` d begins at a multiple of 2ᵈ finest cells. Vertices of cells of one size are stored in bricks of
+4 × 4 × 4, z fastest; neighbouring cells of different sizes have vertices of their own. A row has 16 float32: 3 × 4
+spherical-harmonic coefficients of colour, the raw density, and padding to one cache line. `tables` say where each brick
+is stored.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +23,7 @@ from nerf_core.volume.cells import Cells, blocks, leaps
 BRICK = 4  # vertices a side
 ROWS = BRICK**3
 WIDTH = 16  # floats of a row
+MOST_SIZES = 10  # sizes of cells in a grid
 DENSITY = 12  # where a row's raw density lies
 # 1/√4π and √(3/4π), as in `encodings.spherical_harmonics`, but rounded: as a float32, SH0 differs from the exact value
 # by one unit in the last place, and another value would change the weights that a seed gives.
@@ -26,42 +31,57 @@ SH0, SH1 = 0.28209479, 0.48860251
 
 
 class GridArrays(NamedTuple):
-    """Numpy views of a `VoxelGrid`, for the kernels: the fields of `CellArrays`, and `table`."""
+    """Numpy views of a `VoxelGrid`, for the kernels.
+
+    The first six are the fields of `CellArrays`; here, `kinds` says which size a cell has. table: all tables, one after
+    another. begins: (D,) where each table begins. sides: (D, 2) its number of bricks along y and z.
+    """
 
     origin: np.ndarray
     scale: np.ndarray
     size: np.ndarray
     leap: np.ndarray
-    occupied: np.ndarray
+    kinds: np.ndarray
     contracted: bool
     table: np.ndarray
+    begins: np.ndarray
+    sides: np.ndarray
 
 
 @dataclass(frozen=True)
 class VoxelGrid(Cells):
-    """Cells with parameters at their vertices.
+    """Cells with parameters at their vertices. `size`, `voxel` and `occupied` count the finest cells.
 
-    table: (bx, by, bz) int32, the number of each brick in `rows`, −1 where none is stored.
+    kinds: (x, y, z) uint8 for each finest cell: 0 if it is empty, else 1 + the doublings of the cell that it is in.
+    tables: for each number of doublings, (bx, by, bz) int32: where each brick lies in `rows`, −1 where none is stored.
     rows: (64 · bricks, 16) float32, brick after brick.
     """
 
-    table: Tensor
+    kinds: Tensor
+    tables: tuple[Tensor, ...]
     rows: Tensor
 
     @staticmethod
     def over(origin: np.ndarray, voxel: np.ndarray, occupied: Tensor, contracted: bool) -> VoxelGrid:
-        """A grid of zeros with bricks for all occupied cells; for the arguments see `Cells`."""
-        bricks = bricks_of(occupied)
-        table = torch.full(bricks.shape, -1, dtype=torch.int32, device=occupied.device)
-        count = int(bricks.sum())
-        table[bricks] = torch.arange(count, dtype=torch.int32, device=occupied.device)
-        rows = torch.zeros(count * ROWS, WIDTH, device=occupied.device)
-        x, y, z = occupied.shape
-        return VoxelGrid((x, y, z), origin, voxel, contracted, occupied, leaps(occupied), table, rows)
+        """A grid of zeros with cells of one size; for the arguments see `Cells`."""
+        return VoxelGrid.of_kinds(origin, voxel, occupied.to(torch.uint8), contracted)
+
+    @staticmethod
+    def of_kinds(origin: np.ndarray, voxel: np.ndarray, kinds: Tensor, contracted: bool) -> VoxelGrid:
+        """A grid of zeros with bricks for all occupied cells; for the arguments see the class."""
+        needed = [bricks_of(cells) for cells in cells_of_each_size(kinds)]
+        return _assembled(origin, voxel, kinds, contracted, needed, None)
 
     def arrays(self) -> GridArrays:
         """The arrays that the CPU kernels read."""
-        return GridArrays(*self.cell_arrays(), self.table.numpy().ravel())
+        own = self.cell_arrays()._replace(occupied=self.kinds.numpy().ravel())
+        shapes = np.array([table.shape for table in self.tables], np.int64)
+        ends = np.cumsum(shapes.prod(1))
+        return GridArrays(*own, self._table, ends - shapes.prod(1), np.ascontiguousarray(shapes[:, 1:]))
+
+    @cached_property
+    def _table(self) -> np.ndarray:
+        return np.concatenate([table.numpy().ravel() for table in self.tables])
 
     @property
     def bricks(self) -> int:
@@ -69,90 +89,173 @@ class VoxelGrid(Cells):
         return len(self.rows) // ROWS
 
     def with_cells(self, occupied: Tensor) -> VoxelGrid:
-        """The same rows, with fewer occupied cells."""
-        return replace(self, occupied=occupied, leap=leaps(occupied))
+        """The same rows, with fewer occupied cells: (x, y, z) bool. A larger cell stays or goes whole."""
+        return replace(self, occupied=occupied, leap=leaps(occupied), kinds=self.kinds * occupied)
 
-    def dense(self, values: Tensor) -> Tensor:
-        """Spread one value a row (M,) over the whole grid: (x + 1, y + 1, z + 1), zero where no row is stored."""
-        bricks = torch.zeros(*self.table.shape, ROWS, dtype=values.dtype, device=values.device)
-        bricks[self.table >= 0] = values.view(-1, ROWS)
-        shape = [BRICK * n for n in self.table.shape]
-        whole = bricks.view(*self.table.shape, BRICK, BRICK, BRICK).permute(0, 3, 1, 4, 2, 5).reshape(shape)
-        x, y, z = self.size
-        return whole[: x + 1, : y + 1, : z + 1]
+    def cells_with(self, values: Tensor) -> tuple[Tensor, ...]:
+        """Spread one value for each row (M,) over the cells whose lowest vertex the row is.
+
+        Returns a tensor for each number of doublings d, (⌈x/2ᵈ⌉, ⌈y/2ᵈ⌉, ⌈z/2ᵈ⌉), with zero where no row is stored.
+        """
+        spread = []
+        for d, table in enumerate(self.tables):
+            bricks = torch.zeros(*table.shape, ROWS, dtype=values.dtype, device=values.device)
+            stored = table >= 0
+            bricks[stored] = values.view(-1, ROWS)[table[stored].long()]
+            shape = [BRICK * n for n in table.shape]
+            whole = bricks.view(*table.shape, BRICK, BRICK, BRICK).permute(0, 3, 1, 4, 2, 5).reshape(shape)
+            x, y, z = (-(-n >> d) for n in self.size)
+            spread.append(whole[:x, :y, :z])
+        return tuple(spread)
 
     def places(self) -> Tensor:
-        """Where the bricks lie in the table, in the order of their rows: (bricks, 3) int64."""
-        return (self.table >= 0).nonzero().contiguous()  # nonzero returns it column by column
+        """For each brick in the order of the rows, its doublings and its place in that table: (bricks, 4) int64."""
+        found = []
+        for d, table in enumerate(self.tables):
+            place = (table >= 0).nonzero()
+            found.append(torch.cat([torch.full_like(place[:, :1], d), place], -1))
+        return torch.cat(found).contiguous()
 
-    def row_of(self, vertex: Tensor) -> Tensor:
-        """The rows of vertices: (P, 3) int64 → (P,) int64, −1 outside of the grid and where no row is stored."""
-        most = BRICK * torch.tensor(self.table.shape, device=vertex.device)
-        inside = ((vertex >= 0) & (vertex < most)).all(-1)
-        v = torch.where(inside[:, None], vertex, 0)
-        b = v // BRICK
-        brick = self.table[b[:, 0], b[:, 1], b[:, 2]].long()
-        local = v - BRICK * b
-        row = brick * ROWS + local[:, 0] * BRICK * BRICK + local[:, 1] * BRICK + local[:, 2]
-        return torch.where(inside & (brick >= 0), row, -1)
+    def row_of(self, vertex: Tensor, doublings: Tensor | int = 0) -> Tensor:
+        """The rows of vertices.
+
+        vertex: (P, 3) int64, counted in cells of their size. doublings: (P,) int64 or one number, that size.
+        Returns (P,) int64, −1 outside of the grid and where no row is stored.
+        """
+        size = torch.as_tensor(doublings, device=vertex.device).expand(len(vertex))
+        row = torch.full_like(vertex[:, 0], -1)
+        for d, table in enumerate(self.tables):
+            most = BRICK * torch.tensor(table.shape, device=vertex.device)
+            inside = ((vertex >= 0) & (vertex < most)).all(-1) & (size == d)
+            v = torch.where(inside[:, None], vertex, 0)
+            b = v // BRICK
+            brick = table[b[:, 0], b[:, 1], b[:, 2]].long()
+            local = v - BRICK * b
+            found = brick * ROWS + local[:, 0] * BRICK * BRICK + local[:, 1] * BRICK + local[:, 2]
+            row = torch.where(inside & (brick >= 0), found, row)
+        return row
+
+    def doublings_of(self, cell: Tensor) -> Tensor:
+        return (self.kinds[tuple(cell.unbind(-1))].long() - 1).clamp(min=0)
+
+    def own(self, cell: Tensor, within: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Find the cells, of any size, that finest cells are part of. An empty one is a cell of its own.
+
+        cell: (P, 3) int64. within: (P, 3) in [0, 1], the position in it.
+        Returns the doublings (P,) int64, the cells (P, 3) counted in cells of their size, and the positions in them.
+        """
+        doublings = self.doublings_of(cell)
+        own = cell >> doublings[:, None]
+        inside = cell - (own << doublings[:, None])
+        return doublings, own, (inside + within) / (1 << doublings[:, None])
 
     def interpolate(self, cell: Tensor, within: Tensor) -> Tensor:
         """Interpolate rows trilinearly. Vertices without a row count as zero.
 
-        cell: (P, 3) int64. within: (P, 3) in [0, 1], the position in the cell. Returns (P, 16).
+        cell: (P, 3) int64, finest cells. within: (P, 3) in [0, 1], the position in the cell. Returns (P, 16).
         """
+        doublings, own, within = self.own(cell, within)
         corners = torch.cartesian_prod(*[torch.arange(2, device=cell.device)] * 3)
         weight = torch.where(corners == 1, within[:, None], 1 - within[:, None]).prod(-1)
-        row = self.row_of((cell[:, None] + corners).view(-1, 3)).view(-1, len(corners))
+        row = self.row_of((own[:, None] + corners).view(-1, 3), doublings.repeat_interleave(len(corners)))
+        row = row.view(-1, len(corners))
         weight = torch.where(row >= 0, weight, 0).to(self.rows.dtype)
         return torch.einsum("pc,pcw->pw", weight, self.rows[row.clamp(min=0)])
 
     def vertices(self, first: int = 0, last: int | None = None) -> Tensor:
-        """The vertex of each row of the bricks first ≤ b < last: (64 · bricks, 3) int64."""
-        brick = self.places()[first:last]
-        inside = torch.cartesian_prod(*[torch.arange(BRICK, device=brick.device)] * 3)
-        return (BRICK * brick[:, None] + inside).reshape(-1, 3)
+        """The vertex of each row of the bricks first ≤ b < last, in finest cells: (64 · bricks, 3) int64."""
+        place = self.places()[first:last]
+        inside = torch.cartesian_prod(*[torch.arange(BRICK, device=place.device)] * 3)
+        return ((BRICK * place[:, None, 1:] + inside) << place[:, None, :1]).reshape(-1, 3)
 
     def at_vertex(self, other: VoxelGrid) -> tuple[np.ndarray, np.ndarray]:
         """Where the vertices of the `other` grid lie in this one.
 
-        Returns first and step, each (3,): in cells of this grid, vertex v of the other lies at first + v · step.
+        Returns first and step, each (3,): in finest cells of this grid, finest vertex v of the other lies at
+        first + v · step.
         """
         return (other.origin - self.origin) / self.voxel, other.voxel / self.voxel
 
     def state(self) -> dict[str, Tensor]:
         """The tensors of a checkpoint."""
+        bricks = {f"bricks.{d}": table >= 0 for d, table in enumerate(self.tables)}
         return {
             "origin": torch.from_numpy(self.origin), "voxel": torch.from_numpy(self.voxel),
-            "occupied": self.occupied, "bricks": self.table >= 0, "rows": self.rows,
+            "kinds": self.kinds, **bricks, "rows": self.rows,
         }  # fmt: skip
 
     @staticmethod
     def restored(state: Mapping[str, Tensor], contracted: bool) -> VoxelGrid:
-        """The grid that `state()` described.
+        """The grid that `state()` described. Earlier versions wrote "occupied" and "bricks", for cells of one size.
 
-        Raises ValueError if the tensors do not fit each other: the kernels check neither table nor cells.
+        Raises ValueError if the tensors do not fit each other: the kernels check neither tables nor cells.
         """
-        occupied, bricks, rows = state["occupied"], state["bricks"], state["rows"]
+        old = "kinds" not in state
+        kinds, rows = state["occupied" if old else "kinds"], state["rows"]
+        names = ["bricks"] if old else sorted(name for name in state if name.startswith("bricks."))
+        bricks = [state[name] for name in names]
         origin, voxel = (state[name].cpu().numpy().astype(np.float64) for name in ("origin", "voxel"))
         sound = (
-            occupied.dtype == bricks.dtype == torch.bool and occupied.ndim == bricks.ndim == 3
+            kinds.dtype == (torch.bool if old else torch.uint8) and kinds.ndim == 3
+            and (old or names == [f"bricks.{d}" for d in range(len(names))]) and 1 <= len(names) <= MOST_SIZES
+            and all(v.dtype == torch.bool and v.ndim == 3 for v in bricks)
             and rows.dtype == torch.float32 and origin.shape == voxel.shape == (3,)
-            and bool(occupied.any()) and np.isfinite(origin).all() and (voxel > 0).all()
+            and bool(kinds.any()) and np.isfinite(origin).all() and (voxel > 0).all()
         )  # fmt: skip
-        if not sound:
+        if not sound or int(kinds.max()) > len(names) or any(n % (1 << (len(names) - 1)) for n in kinds.shape):
             raise ValueError("the voxel grid is not of the kind that is written")
-        needed = bricks_of(occupied)
-        if needed.shape != bricks.shape or bool((needed & ~bricks).any()):
-            raise ValueError("the voxel grid lacks rows for its cells")
-        count = int(bricks.sum())
-        if rows.shape != (count * ROWS, WIDTH):
+        kinds = kinds.to(torch.uint8).contiguous().clone()
+        of_each = cells_of_each_size(kinds, len(names))
+        if any(not torch.equal(spread(cells, d), kinds == d + 1) for d, cells in enumerate(of_each)):
+            raise ValueError("the voxel grid has parts of cells")
+        for one, cells in zip(bricks, of_each, strict=True):
+            needed = bricks_of(cells)
+            if needed.shape != one.shape or bool((needed & ~one).any()):
+                raise ValueError("the voxel grid lacks rows for its cells")
+        if rows.shape != (ROWS * sum(int(one.sum()) for one in bricks), WIDTH):
             raise ValueError("the voxel grid's rows do not fit its bricks")
-        table = torch.full(bricks.shape, -1, dtype=torch.int32, device=rows.device)
-        table[bricks] = torch.arange(count, dtype=torch.int32, device=rows.device)
-        x, y, z = occupied.shape
-        own = torch.empty_like(rows).copy_(rows)  # a copy: kernels change it in place, and need its alignment
-        return VoxelGrid((x, y, z), origin, voxel, contracted, occupied.clone(), leaps(occupied), table, own)
+        return _assembled(origin, voxel, kinds, contracted, bricks, rows)
+
+
+def _assembled(
+    origin: np.ndarray, voxel: np.ndarray, kinds: Tensor, contracted: bool, bricks: list[Tensor], rows: Tensor | None
+) -> VoxelGrid:
+    """A grid with the given bricks, numbered in order. rows: its parameters, which are copied; None: zeros."""
+    tables, count = [], 0
+    for one in bricks:
+        table = torch.full(one.shape, -1, dtype=torch.int32, device=kinds.device)
+        number = int(one.sum())
+        table[one] = torch.arange(count, count + number, dtype=torch.int32, device=kinds.device)
+        tables.append(table)
+        count += number
+    own = torch.zeros(count * ROWS, WIDTH, device=kinds.device)
+    if rows is not None:
+        own.copy_(rows)  # a copy: kernels change it in place, and need its alignment
+    x, y, z = kinds.shape
+    occupied = kinds > 0
+    return VoxelGrid((x, y, z), origin, voxel, contracted, occupied, leaps(occupied), kinds, tuple(tables), own)
+
+
+def cells_of_each_size(kinds: Tensor, sizes: int = 0) -> list[Tensor]:
+    """The cells of each size: for each number of doublings d, (⌈x/2ᵈ⌉, ⌈y/2ᵈ⌉, ⌈z/2ᵈ⌉) bool.
+
+    kinds: as in `VoxelGrid`. sizes: how many sizes there are; 0: as many as `kinds` has.
+    """
+    return [kinds[:: 1 << d, :: 1 << d, :: 1 << d] == d + 1 for d in range(sizes or max(1, int(kinds.max())))]
+
+
+def spread(cells: Tensor, doublings: int) -> Tensor:
+    """Repeat each cell 2ᵈ times along each axis: (x, y, z) → (2ᵈ x, 2ᵈ y, 2ᵈ z)."""
+    for axis in range(3):
+        cells = cells.repeat_interleave(1 << doublings, axis)
+    return cells
+
+
+def pooled(cells: Tensor, doublings: int) -> Tensor:
+    """Whether any of 2ᵈ × 2ᵈ × 2ᵈ cells is set; the sides are multiples of 2ᵈ: the reverse of `spread`."""
+    side = 1 << doublings
+    x, y, z = (n // side for n in cells.shape)
+    return cells.view(x, side, y, side, z, side).any(5).any(3).any(1)
 
 
 def bricks_of(occupied: Tensor) -> Tensor:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,13 +14,23 @@ from torch.nn import functional
 
 from nerf_core.geometry.scene import Scene
 from nerf_core.geometry.spaces import Space, pixel_size
-from nerf_core.kernels.voxel_kernels import VoxelKernels
+from nerf_core.kernels.voxel_kernels import HALVINGS, VoxelKernels
 from nerf_core.methods.voxels.config import VoxelConfig
-from nerf_core.volume.voxel_grid import BRICK, DENSITY, ROWS, VoxelGrid, bricks_of
+from nerf_core.volume.cells import grow
+from nerf_core.volume.voxel_grid import (
+    BRICK,
+    DENSITY,
+    ROWS,
+    VoxelGrid,
+    bricks_of,
+    cells_of_each_size,
+    pooled,
+    spread,
+)
 
 BRICKS = 2048  # bricks of a new grid between two calls of the yield callback: about 10 ms on two cores
-SHORTEST_LEVEL = 1.25  # the last level must be finer than the one before by at least this factor
-LARGER = 1.05  # cells of a grid with too many rows become larger by at least this factor at a time
+NEAR = 0.01  # cells beside one with at least this weight in some pixel are kept: a surface may yet move there
+LARGER = 1.05  # cells of a first grid with too many rows become larger by at least this factor at a time
 
 
 class Level(NamedTuple):
@@ -61,18 +71,13 @@ class Schedule:
         """Return the sides (3,) of a level's cells in box coordinates."""
         return self.finest * self.levels[level].scale
 
-    def forgets(self, level: int, since: int) -> bool:
-        """Whether to forget which cells were seen after `since` steps of a level: half way to the next pruning.
+    def drops(self, step: int) -> bool:
+        """Whether to drop cells before a step of the last level: after `prune_every` steps, 3, 7, 15 … times as many.
 
-        The first half does not count, because it is mostly fog.
+        The levels before drop cells at their end.
         """
-        last = level == len(self.levels) - 1
-        end = self.prune_every if last else self.levels[level + 1].begin - self.levels[level].begin
-        return since == end // 2
-
-    def prunes(self, level: int, since: int) -> bool:
-        """Whether to drop empty cells after `since` steps of a level. Levels before the last do so at their end."""
-        return level == len(self.levels) - 1 and since % self.prune_every == 0
+        times, rest = divmod(step - self.levels[-1].begin, self.prune_every)
+        return times > 0 and rest == 0 and (times + 1).bit_count() == 1
 
 
 def finest_cells(scene: Scene, space: Space, c: VoxelConfig) -> np.ndarray:
@@ -87,16 +92,18 @@ def finest_cells(scene: Scene, space: Space, c: VoxelConfig) -> np.ndarray:
 
 
 def planned(space: Space, c: VoxelConfig, finest: np.ndarray) -> list[Level]:
-    """Return the levels: from `start` cells to the finest ones in steps of `growth`, and the last step as needed."""
-    coarsest = (space.high - space.low).max() / c.start / finest.min()
-    count = max(0, math.ceil(math.log(max(coarsest, 1) / SHORTEST_LEVEL) / math.log(c.growth)))
-    levels, begin, steps = [], 0, float(c.level_steps)
-    for i in range(count + 1):
-        scale = max(coarsest, 1.0) ** (1 - i / count) if count else 1.0
+    """Return the levels, each with cells half as large as the one before, down to the finest ones.
+
+    The first has about `start` cells along the box's longest side. Each level has twice as many steps as the one
+    before, the last all the rest.
+    """
+    halvings = max(0, round(math.log2((space.high - space.low).max() / c.start / finest.min())))
+    levels, begin = [], 0
+    for i in range(halvings + 1):
+        scale = 2.0 ** (halvings - i)
         shrink = 2 ** max(0, int(math.log2(max(scale * c.pixels, 1))))
         levels.append(Level(scale, begin, shrink))
-        begin += round(steps)
-        steps *= c.growth
+        begin += c.level_steps << i
     return levels
 
 
@@ -117,29 +124,74 @@ def first_grid(space: Space, voxel: np.ndarray, most_rows: int) -> VoxelGrid:
     return VoxelGrid.over(space.low, voxel, everything, space.kind == "contracted")
 
 
-def finer_grid(old: VoxelGrid, cells: Tensor, voxel: np.ndarray, most_rows: int) -> VoxelGrid:
-    """Return a grid over the smallest box around some cells, without values.
+@dataclass(frozen=True)
+class Worth:
+    """What a grid's cells are worth; see `VoxelKernels.marked`.
+
+    needed: (x, y, z) bool like `occupied`, the cells that some pixel needs, and their neighbours.
+    of_each: for each number of doublings, what each cell of that size is worth.
+    """
+
+    needed: Tensor
+    of_each: tuple[Tensor, ...]
+
+    @staticmethod
+    def of(grid: VoxelGrid, marked: Tensor) -> Worth:
+        of_each = grid.cells_with(marked)
+        needed = _around(grid, of_each, class_of(NEAR))
+        for d, worth in enumerate(of_each):
+            needed |= spread(worth > 0, d)[tuple(slice(n) for n in grid.size)]
+        return Worth(needed & grid.occupied, of_each)
+
+
+def class_of(weight: float) -> int:
+    """The least that a cell is worth which has this weight in some pixel."""
+    return 1 + HALVINGS - math.ceil(-math.log2(weight))
+
+
+def _around(grid: VoxelGrid, of_each: tuple[Tensor, ...], least: int) -> Tensor:
+    """The cells that are worth `least` or more, and their neighbours: (x, y, z) bool like `occupied`."""
+    found = torch.zeros_like(grid.occupied)
+    for d, worth in enumerate(of_each):
+        found |= spread(grow(worth >= least), d)[tuple(slice(n) for n in grid.size)]
+    if len(of_each) > 1:
+        for d in range(len(of_each)):  # a larger cell is taken whole
+            part = found & (grid.kinds == d + 1)
+            found |= spread(pooled(part, d), d) & (grid.kinds == d + 1)
+    return found & grid.occupied
+
+
+def finer_grid(old: VoxelGrid, worth: Worth, split: float, most_rows: int) -> VoxelGrid:
+    """Return a grid with cells of half the size where that shows, without values.
+
+    The cells that no pixel needs are dropped. Those that have a weight of at least `split` in some pixel, and their
+    neighbours, are divided into eight. The others stay as they are: thin haze gains nothing from smaller cells.
 
     Args:
         old: the grid of the level before.
-        cells: bool, its cells that the new grid divides. At least one must be True.
-        voxel: (3,) the new cells' sides in box coordinates. They become larger if the grid has too many rows.
+        worth: what its cells are worth. Some must be needed.
+        split: the weight; it becomes larger if the grid has too many rows.
         most_rows: the most rows that the grid may have.
     """
-    found = cells.nonzero()
-    low, high = found.amin(0).numpy(), found.amax(0).numpy() + 1
-    origin, far = old.origin + low * old.voxel, old.origin + high * old.voxel
+    aligned = 1 << (len(old.tables) - 1)
+    found = worth.needed.nonzero()
+    low, high = (found.amin(0) // aligned * aligned).tolist(), (-(-(found.amax(0) + 1) // aligned) * aligned).tolist()
+    box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+    kept = (old.kinds * worth.needed)[box]
+    least = class_of(split)
     while True:
-        size = np.ceil((far - origin) / voxel - 1e-6).astype(int)
-        centres = [torch.from_numpy(((np.arange(n) + 0.5) * voxel[a] + origin[a] - old.origin[a]) / old.voxel[a])
-                   for a, n in enumerate(size)]  # fmt: skip
-        x, y, z = (v.floor().long().clamp(0, n - 1) for v, n in zip(centres, old.size, strict=True))
-        occupied = cells[x][:, y][:, :, z]
-        rows = ROWS * int(bricks_of(occupied).sum())
-        if rows <= most_rows:
+        larger = (
+            kept + (kept > 0)
+            if least > 1 + HALVINGS
+            else kept + ((kept > 0) & ~_around(old, worth.of_each, least)[box])
+        )
+        kinds = spread(larger, 1)
+        if ROWS * sum(int(bricks_of(cells).sum()) for cells in cells_of_each_size(kinds)) <= most_rows:
             break
-        voxel = voxel * max(LARGER, (rows / most_rows) ** (1 / 3))
-    return VoxelGrid.over(origin, voxel, occupied, old.contracted)
+        if least > 1 + HALVINGS:
+            break
+        least += 1
+    return VoxelGrid.of_kinds(old.origin + np.array(low) * old.voxel, old.voxel / 2, kinds, old.contracted)
 
 
 def resample(
@@ -147,13 +199,32 @@ def resample(
 ) -> None:
     """Fill `new` with the values of `old`, so that both show the same picture.
 
-    Density is per cell, so that a smaller cell has less of it: σ' = σ · (side of new / side of old).
+    Density is per side of a cell, so that a smaller cell has less of it: σ' = σ · (side of new / side of old).
     """
-    ratio = float(np.prod(new.voxel / old.voxel) ** (1 / 3))
+    finer = float(np.prod(new.voxel / old.voxel) ** (1 / 3))
+    places = new.places()
     for first in range(0, new.bricks, BRICKS):
         yield_callback()
         last = min(first + BRICKS, new.bricks)
-        kernels.resample(old, new, first, last)
+        doublings = kernels.resample(old, new, first, last)
         raw = new.rows[ROWS * first : ROWS * last, DENSITY]
+        ratio = finer * 2.0 ** (places[first:last, :1].expand(-1, ROWS).flatten() - doublings.long())
         sigma = (functional.softplus(raw + bias) * ratio).clamp(min=1e-30)  # 1e-30 keeps the logarithm finite
-        raw.copy_(sigma + torch.log(-torch.expm1(-sigma)) - bias)  # the inverse of softplus
+        raw.copy_(torch.where(ratio == 1, raw, sigma + torch.log(-torch.expm1(-sigma)) - bias))  # softplus' inverse
+
+
+def resampled_moments(kernels: VoxelKernels, old: VoxelGrid, new: VoxelGrid) -> Tensor:
+    """Return Adam's moments for a finer grid, (M, 16), so that training goes on as if nothing had happened.
+
+    old: the coarser grid, with its moments as `rows`.
+    A smaller cell has an eighth of the samples' weight in its gradient, and 1/64 in the squares.
+    """
+    found, places = replace(new, rows=torch.zeros_like(new.rows)), new.places()
+    for first in range(0, new.bricks, BRICKS):
+        last = min(first + BRICKS, new.bricks)
+        doublings = kernels.resample(old, found, first, last)
+        divided = places[first:last, :1].expand(-1, ROWS).flatten() == doublings.long()
+        part = found.rows[ROWS * first : ROWS * last]
+        part[divided, : DENSITY + 1] /= 8
+        part[divided, DENSITY + 1 :] /= 64
+    return found.rows

@@ -27,9 +27,8 @@ class VoxelConfig:
     )
     resolution: int = constant(400, "most cells along a side, whatever pixels asks for", least=1, most=1024)
     planes: int = constant(128, "cells in depth under NDC", least=4, most=1024)
-    growth: float = constant(1.7, "how many times finer each level is than the one before", least=1.05, most=16)
     level_steps: int = constant(
-        40, "steps of the first level; each further one has growth times as many, the last all the rest", least=1,
+        40, "steps of the first level; each further one has twice as many, the last all the rest", least=1,
         most=10**6,
     )  # fmt: skip
     most_rows: int = constant(
@@ -42,15 +41,29 @@ class VoxelConfig:
     slowdown: float = constant(400.0, "steps of a level after which the learning rates have halved", least=1)
     keep: float = constant(0.9, "Adam's beta1", share="[0, 1)")
     keep_square: float = constant(0.99, "Adam's beta2", share="[0, 1)")
-    epsilon: float = constant(1e-4, "Adam's epsilon, in units of one ray's gradient", least=1e-12)
+    epsilon: float = constant(1e-5, "Adam's epsilon, in units of one ray's gradient", least=1e-12)
     average: float = constant(
         0.98, "decay of the EMA of rows that pictures show; smaller while a level is young", share="[0, 1)"
     )
     smoothness: float = constant(2.5e-6, "weight of the smoothness of density in the loss")
-    prune: float = constant(0.05, "weight that some sample near a cell must have had lately, or the cell is dropped")
-    prune_every: int = constant(
-        400, "steps between looks at which cells to drop, in the last level", least=1, most=10**6
+    distortion: float = constant(
+        5e-3, "weight of distortion in the loss: it draws the weights along a ray together, out of haze"
     )
+    spare: float = constant(
+        0.0035,
+        "weight of the samples that a training pixel may lose with dropped cells: under one of 255 levels",
+        most=1,
+    )
+    spare_error: float = constant(
+        0.5, "the same as a share of the training pixels' RMS error, where that is more", most=1,
+    )  # fmt: skip
+    split: float = constant(
+        0.05, "weight that a cell must have in some training pixel to be divided at the next level", least=1e-6, most=1
+    )
+    prune_every: int = constant(
+        400, "steps of the last level until cells are first dropped; each time twice as many as before", least=1,
+        most=10**6,
+    )  # fmt: skip
     total_steps: int = constant(30_000, "steps of the schedule, unless --steps says otherwise", least=1, most=10**9)
     train_images: int = constant(0, "training photos that are used, evenly spread; 0: all", most=10**9)
 
@@ -65,12 +78,20 @@ class VoxelConfig:
         if (
             not scene.synthetic
         ):  # a place fills space that is empty around an object, so that each part of it is seen by fewer rays
-            config = replace(config, prune=0.02, smoothness=1e-4, step=1.0)
+            config = replace(config, smoothness=3e-5, distortion=0.01, split=0.1, step=1.0)
         return changed(config, changes, "voxels")
 
     @staticmethod
     def restore(config: Mapping[str, Any]) -> VoxelConfig:
-        return restored(VoxelConfig, config, "voxels")
+        return restored(VoxelConfig, _of_today(config), "voxels")
 
     def to_json(self) -> dict[str, Any]:
         return asdict(self)
+
+
+def _of_today(config: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A configuration that an earlier version may have written, without what there was and with what there was not."""
+    if "prune" not in config:
+        return config
+    known = {name: value for name, value in config.items() if name not in ("prune", "growth")}
+    return {"spare": 0.0035, "spare_error": 0.5, "split": 0.05, "distortion": 0.0, **known}

@@ -32,8 +32,9 @@ def explain(model: VoxelModel, rays: Rays) -> tuple[Stage, ...]:
     point = rays.origins + samples.t[:, strongest, None] * rays.directions
     cell, within = model.grid.cells_of(model.space.points(point))
     corners = torch.cartesian_prod(*[torch.arange(2)] * 3)
-    weights = torch.where(corners == 1, within, 1 - within).prod(-1).numpy()
-    index = model.grid.row_of(cell + corners)
+    doublings, own, inside = model.grid.own(cell, within)
+    weights = torch.where(corners == 1, inside, 1 - inside).prod(-1).numpy()
+    index = model.grid.row_of(own + corners, doublings.expand(len(corners)))
     raw = torch.where(index >= 0, model.ema_rows[index.clamp(min=0), DENSITY], 0).numpy()
     row, d = model.ema_grid.interpolate(cell, within)[0], rays.directions
     basis = view_basis(d)[0].numpy()

@@ -8,13 +8,15 @@ rows, and its gradient changes the same 8. Plenoxels (arXiv:2112.05131) and DVGO
 Pictures show an EMA (exponential moving average) of the rows, in which the noise of single batches averages out (Polyak
 and Juditsky 1992).
 
-Training begins with a coarse grid and shrunken photos. At the end of a level, cells that absorb no light are dropped
-and the others are divided for the next, finer level. So the time is spent where surfaces are.
+Training begins with a coarse grid and shrunken photos. At the end of a level, cells that no training pixel needs are
+dropped. Those that carry much of a pixel are divided for the next level, and thin haze stays in larger cells. So time
+is spent where surfaces are, and the picture is the same before and after.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import Self
 
@@ -23,22 +25,23 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from nerf_core.geometry.cameras import camera_rays
 from nerf_core.geometry.rays import Rays, Rendering, Trace
 from nerf_core.geometry.scene import Scene
 from nerf_core.geometry.spaces import Space
 from nerf_core.kernels.choice import voxel_kernels
 from nerf_core.kernels.voxel_kernels import Adam, March, Traced
 from nerf_core.methods import Defaults, Draw
-from nerf_core.methods.voxels.coarse_to_fine import Schedule, finer_grid, first_grid, resample
+from nerf_core.methods.voxels.coarse_to_fine import Schedule, Worth, finer_grid, first_grid, resample, resampled_moments
 from nerf_core.methods.voxels.config import VoxelConfig
-from nerf_core.volume.cells import grow
 from nerf_core.volume.packed import to_trace
 from nerf_core.volume.voxel_grid import DENSITY, VoxelGrid, view_basis
 
 PIECE = 4096  # rays between two calls of the yield callback: about 5 ms on two cores
 TILE = 8192
 SMALLEST = 1e-5  # a cell's side as a share of the box: no configuration allows smaller ones
-YOUNG = 4.0  # early in a level, at its step k, average only the last k/YOUNG steps: older rows are outdated
+MEMORY = 0.95  # decay of the mean error, per step
+YOUNG = 4.0  # early on, at step k, average only the last k/YOUNG steps: older rows are outdated
 
 
 class VoxelModel(Defaults):
@@ -47,7 +50,7 @@ class VoxelModel(Defaults):
     def __init__(self, scene: Scene, config: VoxelConfig, device: torch.device, seed: int) -> None:
         # on a CPU whatever the device, because the fast kernels run on a CPU
         self.config, self.device = config, torch.device("cpu")
-        self.space = Space.of(scene)
+        self.scene, self.space = scene, Space.of(scene)
         self.background = torch.tensor(scene.background)
         self.generator = torch.Generator().manual_seed(seed)
         self.generators = (self.generator,)
@@ -58,20 +61,18 @@ class VoxelModel(Defaults):
         self.grid = first_grid(self.space, self.schedule.voxel(self.level), config.most_rows)
         self.moments = torch.zeros_like(self.grid.rows)
         self.ema_rows = self.grid.rows.clone()
-        self.updates = 0  # Adam's updates since the level began
+        self.updates = 0  # Adam's updates
+        self.mean_error = 1.0  # mean squared error of the last some 20 steps
 
     # ---- training ---------------------------------------------------------------------------------------------------
 
     def undo(self, step: int) -> Callable[[], None]:
         """Return a function that drops gradients, and restores the coarser grid if the step began a new level."""
-        before = self.grid, self.moments, self.ema_rows, self.level, self.updates
-        seen = self.kernels.seen(self.grid) if self.level < self.schedule.level_at(step) else None
+        before = self.grid, self.moments, self.ema_rows, self.level
 
         def back() -> None:
             self.kernels.forget()
-            if seen is not None:
-                self.grid, self.moments, self.ema_rows, self.level, self.updates = before
-                self.kernels.see(self.grid, seen)
+            self.grid, self.moments, self.ema_rows, self.level = before
 
         return back
 
@@ -91,16 +92,17 @@ class VoxelModel(Defaults):
         c, error = self.config, 0.0
         while self.level < self.schedule.level_at(step):
             self._refine(yield_callback)
+        if self.schedule.drops(step):
+            self._drop_cells(yield_callback)
         offsets = torch.rand(len(rays), generator=self.generator)
         for start in range(0, len(rays), PIECE):
             part = slice(start, start + PIECE)
-            march = self._march(offsets[part], c.smoothness, c.prune)
+            march = self._training_march(offsets[part])
             boxed = self.space.rays(rays[part])
             error += self.kernels.accumulate(self.grid, boxed, truth[part], march)[0]
             yield_callback()
         self.updates += 1
-        since = max(0, step - self.schedule.levels[self.level].begin)
-        slower = 1 / (1 + since / c.slowdown)
+        slower = 1 / (1 + step / c.slowdown)
         correction1, correction2 = (1 / (1 - beta**self.updates) for beta in (c.keep, c.keep_square))
         ema_rate = max(1 - c.average, YOUNG / (YOUNG + self.updates - 1))
         self.kernels.update(
@@ -110,49 +112,70 @@ class VoxelModel(Defaults):
                 correction1, correction2, c.epsilon, ema_rate,
             ),
         )  # fmt: skip
-        self._drop_cells(since + 1)
-        return error / (3 * len(rays))
-
-    def _drop_cells(self, since: int) -> None:
-        """Drop empty cells at the times of the schedule; `since` is the number of steps in this level.
-
-        No yield callback is called here, so that it is never abandoned half way.
-        """
-        if self.schedule.forgets(self.level, since):
-            self._reset_seen()
-        elif self.schedule.prunes(self.level, since):
-            cells = self._seen_cells() & self.grid.occupied
-            if cells.any():  # a picture of pure background must keep cells that can learn
-                self.grid = self.grid.with_cells(cells)
-            self._reset_seen()
+        mean = error / (3 * len(rays))
+        self.mean_error += max(1 - MEMORY, 1 / (step + 1)) * (mean - self.mean_error)
+        return mean
 
     @property
     def ema_grid(self) -> VoxelGrid:
         """The grid that pictures show: the EMA of the rows."""
         return replace(self.grid, rows=self.ema_rows)
 
-    def _march(self, offsets: Tensor, smoothness: float = 0.0, threshold: float = 1.0) -> March:
-        return March(self.config.step, self.config.bias, self.background, offsets, smoothness, threshold)
+    def _march(self, offsets: Tensor) -> March:
+        return March(self.config.step, self.config.bias, self.background, offsets)
+
+    def _training_march(self, offsets: Tensor) -> March:
+        """How rays are sampled in training. Distortion is measured in t′, or in half the box, folded if unbounded."""
+        c, kind = self.config, self.space.kind
+        unit = 1.0 if kind == "ndc" else self.space.extent
+        return replace(
+            self._march(offsets), smoothness=c.smoothness, distortion=c.distortion, unit=unit,
+            folded=kind == "contracted",
+        )  # fmt: skip
 
     # ---- coarse to fine ---------------------------------------------------------------------------------------------
 
-    def _reset_seen(self) -> None:
-        self.kernels.see(self.grid, torch.zeros(len(self.grid.rows), dtype=torch.bool, device=self.device))
+    def worth(self, yield_callback: Callable[[], None] = lambda: None) -> Worth:
+        """Return what the cells are worth to the training photos.
 
-    def _seen_cells(self) -> Tensor:
-        """The cells that were part of a pixel since the last reset, and their neighbours."""
-        x, y, z = self.grid.size
-        return grow(self.grid.dense(self.kernels.seen(self.grid))[:x, :y, :z])
+        Without the cells that are not needed, no pixel changes by more than about `spare`, or `spare_error` of the
+        photos' RMS error. See `VoxelKernels.mark`.
+        """
+        self.kernels.unmark()
+        spare = max(self.config.spare, self.config.spare_error * self.mean_error**0.5)
+        for rays in self._training_pixels():
+            for start in range(0, len(rays), PIECE):
+                part = self.space.rays(rays[start : start + PIECE])
+                middle = torch.full((len(part),), 0.5)
+                self.kernels.mark(self.ema_grid, part, self._march(middle), spare)
+                yield_callback()
+        return Worth.of(self.grid, self.kernels.marked(self.ema_grid))
+
+    def _training_pixels(self) -> Iterator[Rays]:
+        """The rays of the training photos' pixels at this level, photo after photo, one for each cell's width."""
+        scale, _, shrink = self.schedule.levels[self.level]
+        apart = max(1, round(scale * self.config.pixels / shrink))
+        for n, i in enumerate(self.scene.trained(self.config.train_images)):
+            camera = self.scene.views[i].camera.shrunk(shrink)
+            rows, columns = np.mgrid[n % apart : camera.height : apart, n // apart % apart : camera.width : apart]
+            pixels = np.stack([columns.ravel(), rows.ravel()], -1)
+            yield camera_rays(camera, self.scene.near, self.scene.far, pixels).to(self.device)
+
+    def _drop_cells(self, yield_callback: Callable[[], None]) -> None:
+        cells = self.worth(yield_callback).needed
+        if cells.any():  # a picture of pure background must keep cells that can learn
+            self.grid = self.grid.with_cells(cells)
 
     def _refine(self, yield_callback: Callable[[], None]) -> None:
-        """Begin the next level: a smaller box around the seen cells, divided into smaller cells."""
-        cells = self._seen_cells() & self.grid.occupied
-        if not cells.any():  # nothing has been learnt yet: keep all cells
-            cells = self.grid.occupied
-        grid = finer_grid(self.grid, cells, self.schedule.voxel(self.level + 1), self.config.most_rows)
+        """Begin the next level: a smaller box around the needed cells, and smaller cells where that shows."""
+        worth = self.worth(yield_callback)
+        if not worth.needed.any():  # nothing has been learnt yet: keep all cells
+            worth = replace(worth, needed=self.grid.occupied)
+        grid = finer_grid(self.grid, worth, self.config.split, self.config.most_rows)
         resample(self.kernels, self.ema_grid, grid, self.config.bias, yield_callback)
+        self.moments = resampled_moments(self.kernels, replace(self.grid, rows=self.moments), grid)
         self.level += 1
-        self.grid, self.moments, self.ema_rows, self.updates = grid, torch.zeros_like(grid.rows), grid.rows.clone(), 0
+        self.grid, self.ema_rows = grid, grid.rows.clone()
 
     # ---- rendering --------------------------------------------------------------------------------------------------
 
@@ -187,7 +210,7 @@ class VoxelModel(Defaults):
     def density(self, points: Tensor) -> Tensor:
         """Return the density (P,); it is 0 in empty cells, where rays take no samples."""
         rows, cell = self._rows_at(points)
-        unit = float(np.prod(self.grid.voxel) ** (1 / 3)) * self.space.extent
+        unit = float(np.prod(self.grid.voxel) ** (1 / 3)) * self.space.extent * (1 << self.grid.doublings_of(cell))
         sigma = functional.softplus(rows[:, DENSITY] + self.config.bias) / unit
         return torch.where(self.grid.occupied[tuple(cell.unbind(-1))], sigma, 0)
 
@@ -219,12 +242,12 @@ class VoxelModel(Defaults):
         return {f"grid.{k}": v for k, v in self.grid.state().items()}
 
     def state(self) -> dict[str, Tensor]:
-        numbers = {"level": self.level, "updates": self.updates}
+        numbers = {"level": self.level, "updates": self.updates, "error": self.mean_error}
         return (
             self.grid_state()
-            | {k: torch.tensor(v) for k, v in numbers.items()}
+            | {k: torch.tensor(v, dtype=torch.float64 if k == "error" else None) for k, v in numbers.items()}
             | {"moments": self.moments, "average": self.ema_rows}
-            | {"seen": self.kernels.seen(self.grid), "generator": self.generator.get_state()}
+            | {"generator": self.generator.get_state()}
         )
 
     def load_grid(self, state: Mapping[str, Tensor]) -> None:
@@ -247,11 +270,14 @@ class VoxelModel(Defaults):
         average = state["average"]
         if any(v.shape != grid.rows.shape or v.dtype != torch.float32 for v in (moments, average)):
             raise ValueError("the optimiser's moments or the rows' average do not fit the voxel grid")
-        if state["seen"].shape != moments.shape[:1] or state["seen"].dtype != torch.bool:
-            raise ValueError("what was seen does not fit the voxel grid")
-        if not 0 <= level < len(self.schedule.levels) or int(state["updates"]) < 0:
-            raise ValueError(f"level {level} of {len(self.schedule.levels)}, {int(state['updates'])} updates")
+        if "error" in state:
+            error = float(state["error"])
+        else:  # an earlier version wrote it, which had more levels and forgot the moments with each
+            level, error = min(level, len(self.schedule.levels) - 1), 0.0
+        if not 0 <= level < len(self.schedule.levels) or int(state["updates"]) < 0 or not 0 <= error < math.inf:
+            raise ValueError(
+                f"level {level} of {len(self.schedule.levels)}, {int(state['updates'])} updates, an error of {error}"
+            )
         self.grid, self.moments, self.ema_rows = grid, *(torch.empty_like(v).copy_(v) for v in (moments, average))
-        self.kernels.see(self.grid, state["seen"])
-        self.level, self.updates = level, int(state["updates"])
+        self.level, self.updates, self.mean_error = level, int(state["updates"]), error
         self.generator.set_state(state["generator"])
