@@ -29,7 +29,8 @@ from nerf_core.volume.voxel_grid import (
 )
 
 BRICKS = 2048  # bricks of a new grid between two calls of the yield callback: about 10 ms on two cores
-NEAR = 0.01  # cells beside one with at least this weight in some pixel are kept: a surface may yet move there
+import os
+NEAR = float(os.environ.get('NEAR', 0.01))  # cells beside one with at least this weight in some pixel are kept: a surface may yet move there
 LARGER = 1.05  # cells of a first grid with too many rows become larger by at least this factor at a time
 
 

@@ -55,7 +55,7 @@ class VoxelConfig:
         most=1,
     )
     spare_error: float = constant(
-        0.5, "the same as a share of the training pixels' RMS error, where that is more", most=1,
+        0.5, "the same as a share of the training pixels' RMS error, where that is more", most=100,
     )  # fmt: skip
     split: float = constant(
         0.05, "weight that a cell must have in some training pixel to be divided at the next level", least=1e-6, most=1

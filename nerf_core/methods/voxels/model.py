@@ -40,6 +40,7 @@ from nerf_core.volume.voxel_grid import DENSITY, VoxelGrid, view_basis
 PIECE = 4096  # rays between two calls of the yield callback: about 5 ms on two cores
 TILE = 8192
 SMALLEST = 1e-5  # a cell's side as a share of the box: no configuration allows smaller ones
+ENOUGH = 400_000  # training pixels that are asked which cells they need: a second on two cores
 MEMORY = 0.95  # decay of the mean error, per step
 YOUNG = 4.0  # early on, at step k, average only the last k/YOUNG steps: older rows are outdated
 
@@ -152,11 +153,15 @@ class VoxelModel(Defaults):
         return Worth.of(self.grid, self.kernels.marked(self.ema_grid))
 
     def _training_pixels(self) -> Iterator[Rays]:
-        """The rays of the training photos' pixels at this level, photo after photo, one for each cell's width."""
+        """The rays of the training photos' pixels at this level, photo after photo.
+
+        One for each cell's width, and at most ENOUGH: what is missed between them is seen in other photos.
+        """
         scale, _, shrink = self.schedule.levels[self.level]
-        apart = max(1, round(scale * self.config.pixels / shrink))
-        for n, i in enumerate(self.scene.trained(self.config.train_images)):
-            camera = self.scene.views[i].camera.shrunk(shrink)
+        cameras = [self.scene.views[i].camera.shrunk(shrink) for i in self.scene.trained(self.config.train_images)]
+        many = sum(camera.width * camera.height for camera in cameras) / ENOUGH
+        apart = max(1, round(scale * self.config.pixels / shrink), math.ceil(math.sqrt(many)))
+        for n, camera in enumerate(cameras):
             rows, columns = np.mgrid[n % apart : camera.height : apart, n // apart % apart : camera.width : apart]
             pixels = np.stack([columns.ravel(), rows.ravel()], -1)
             yield camera_rays(camera, self.scene.near, self.scene.far, pixels).to(self.device)

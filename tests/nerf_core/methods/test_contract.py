@@ -29,7 +29,7 @@ SMALL: dict[str, dict[str, str]] = {
     "nerf": {"rays": "32", "coarse_samples": "16", "fine_samples": "16", "depth": "6", "width": "32"},
     "nerf-guided": {"guide_steps": "1", "depth": "6", "width": "32"},
     "hash": {"samples": "2000", "levels": "4", "log2_rows": "10", "cells": "16", "update_every": "2", "hidden": "16"},
-    "voxels": {"start": "6", "growth": "1.5", "level_steps": "1", "pixels": "0.5"},
+    "voxels": {"start": "6", "level_steps": "1", "pixels": "0.5"},
 }
 # Batches of about 77 rays, so that a step calls the yield callback only a few times.
 FEW_RAYS = {
