@@ -147,7 +147,9 @@ def plot(results: dict[str, Any], file: Path) -> None:
         for color, peer in enumerate(results["peers"].values()):
             runs = sorted(peer.get("runs", []), key=lambda run: run[key])
             if runs:
-                axes.plot([r[key] for r in runs], [r["psnr"] for r in runs], "o-", color=f"C{color}", label=peer["name"])
+                axes.plot(
+                    [r[key] for r in runs], [r["psnr"] for r in runs], "o-", color=f"C{color}", label=peer["name"]
+                )
         axes.set(xlabel={"cpu": "CPU seconds", "wall": "wall seconds"}[key], xlim=(0, None))
         axes.grid(alpha=0.3)
     panels[0].set(ylabel="PSNR on held-out photos, dB")

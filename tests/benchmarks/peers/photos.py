@@ -95,7 +95,9 @@ def pinhole(camera: Camera, image: np.ndarray, downscale: int) -> tuple[Camera, 
     width, height = round(camera.width / downscale), round(camera.height / downscale)
     small = replace(camera.resized(width, height), cx=width / 2, cy=height / 2, lens=PINHOLE)
     u, v = np.linspace(0, width, 65), np.linspace(0, height, 65)
-    border = np.concatenate([np.stack(np.broadcast_arrays(x, y), -1) for x, y in ((u, 0), (u, height), (0, v), (width, v))])
+    border = np.concatenate(
+        [np.stack(np.broadcast_arrays(x, y), -1) for x, y in ((u, 0), (u, height), (0, v), (width, v))]
+    )
     size = np.array([camera.width, camera.height])
     while not ((-1e-6 <= (at := seen_at(camera, small, border))) & (at <= size + 1e-6)).all():
         small = replace(small, fx=small.fx * ZOOM, fy=small.fy * ZOOM)

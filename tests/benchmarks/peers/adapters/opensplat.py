@@ -1,24 +1,34 @@
 """OpenSplat: 3D Gaussian splatting in C++ (https://github.com/pierotofy/OpenSplat), a binary that the user names.
 
 It draws one held-out photo at most, and only while it trains, so the splats that it writes are drawn here: as in 3D
-Gaussian splatting (Kerbl et al. 2023, arXiv:2308.04079), with the constants of OpenSplat's own rasteriser.
+Gaussian splatting (Kerbl et al. 2023, arXiv:2308.04079), with the constants of OpenSplat's own rasteriser. Pictures
+agree with OpenSplat's to the rounding of 8 bits.
+
+The CPU rasteriser of version 1.1.5 does not sort by depth: it reads the third columns of a (P, 3) array as if they lay
+side by side. It trains with that order too, so that its models look best in it. Here the training photos tell whether a
+model is to be drawn in that order or by depth.
 """
 
 from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numba
 import numpy as np
+from PIL import Image
+
+Key = Callable[[np.ndarray, dict[str, Any]], np.ndarray]
 
 NAME, UNIT, FIRST = "OpenSplat", "iterations", 200
 OPTION, HELP = "opensplat", "the opensplat binary"
 
 BACKGROUND = (0.6130, 0.0101, 0.3984)  # OpenSplat trains over this colour
 BLUR = 0.3  # square pixels added to a splat's covariance
+NEAR, FAR = 0.001, 1000.0  # of its projection
 LIMIT = 1.3  # of the field of view: farther out the projection is linearised there
 Y0, Y1 = 0.28209479177387814, 0.4886025119029199  # real spherical harmonics, degrees 0 to 3
 Y2 = (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396)
@@ -55,7 +65,40 @@ def render(photos: Path, folder: Path, given: str) -> list[np.ndarray]:
     whole = json.loads((photos / "transforms.json").read_text(encoding="utf-8"))
     frames = {frame["file_path"]: frame for frame in whole["frames"]}
     splats = read_splats(folder / "splat.ply")
-    return [draw(splats, frames[name]) for name in whole["test_filenames"]]
+    train = whole["train_filenames"]
+    places = np.array([frames[name]["transform_matrix"] for name in train])[:, :3, 3]
+    unit = float(np.abs(places - places.mean(0)).max())
+    errors = {}
+    for key in (depth_order, lambda view, frame: released_order(view / unit, frame)):
+        shown = [draw(splats, frames[name], key) - picture(photos / name) for name in train[:: len(train) // 4]]
+        errors[key] = np.mean([np.square(v).mean() for v in shown])
+    best = min(errors, key=lambda key: errors[key])
+    return [draw(splats, frames[name], best) for name in whole["test_filenames"]]
+
+
+def picture(file: Path) -> np.ndarray:
+    return np.asarray(Image.open(file)) / 255
+
+
+def depth_order(view: np.ndarray, frame: dict[str, Any]) -> np.ndarray:
+    """Return what to sort splats by: their depth.
+
+    Args:
+        view: (P, 3) their centres in camera axes, z forward.
+        frame: one of transforms.json.
+    """
+    return view[:, 2]
+
+
+def released_order(view: np.ndarray, frame: dict[str, Any]) -> np.ndarray:
+    """Return what version 1.1.5 sorts by; see above. Lengths are in its unit, the cameras' largest coordinate."""
+    x, y, z = view.T
+    w = np.maximum(z, 1e-6)
+    depth = ((FAR + NEAR) * z - FAR * NEAR) / (FAR - NEAR)
+    projected = np.stack(
+        [2 * frame["fl_x"] / frame["w"] * x / w, 2 * frame["fl_y"] / frame["h"] * y / w, depth / w], -1
+    )
+    return np.append(projected.astype(np.float32).ravel(), [0, 0])[2 : 2 + len(view)]
 
 
 def read_splats(file: Path) -> dict[str, np.ndarray]:
@@ -66,8 +109,8 @@ def read_splats(file: Path) -> dict[str, np.ndarray]:
     return dict(zip(names, rows.T, strict=True))
 
 
-def draw(splats: dict[str, np.ndarray], frame: dict[str, Any]) -> np.ndarray:
-    """Draw one frame of transforms.json, float64 (H, W, 3)."""
+def draw(splats: dict[str, np.ndarray], frame: dict[str, Any], key: Key) -> np.ndarray:
+    """Draw one frame of transforms.json, float64 (H, W, 3), with the splats sorted by `key`."""
 
     def stacked(name: str, count: int) -> np.ndarray:
         return np.stack([splats[f"{name}_{i}"] for i in range(count)], -1).astype(np.float64)
@@ -84,7 +127,9 @@ def draw(splats: dict[str, np.ndarray], frame: dict[str, Any]) -> np.ndarray:
     edge = LIMIT * size / (2 * focal)
     tx, ty = (np.clip(v / z, -e, e) for v, e in zip((x, y), edge, strict=True))
     zero = np.zeros_like(z)
-    jacobian = np.stack([focal[0] * np.stack([1 / z, zero, -tx / z], -1), focal[1] * np.stack([zero, 1 / z, -ty / z], -1)], 1)
+    jacobian = np.stack(
+        [focal[0] * np.stack([1 / z, zero, -tx / z], -1), focal[1] * np.stack([zero, 1 / z, -ty / z], -1)], 1
+    )
     flat = jacobian @ turned
     covariance = flat @ flat.transpose(0, 2, 1) + BLUR * np.eye(2)
     centres = np.stack([x, y], -1) / z[:, None] * focal + size / 2 - 0.5
@@ -93,7 +138,7 @@ def draw(splats: dict[str, np.ndarray], frame: dict[str, Any]) -> np.ndarray:
     harmonics = np.concatenate([stacked("f_dc", 3)[kept][:, :, None], rest], 2)
     directions = ahead[kept] / np.linalg.norm(ahead[kept], axis=1, keepdims=True)
     colour = np.maximum(np.einsum("pck,pk->pc", harmonics, basis(directions)) + 0.5, 0)
-    order = np.argsort(z)
+    order = np.argsort(key(view, frame)[kept], kind="stable")
     return blend(size[::-1], *(v[order] for v in (centres, covariance, opacity, colour)), np.array(BACKGROUND))
 
 
