@@ -78,7 +78,7 @@ def timed(command: list[str], log: Path, limit: float) -> dict[str, float]:
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
         end = log.read_text(encoding="utf-8", errors="replace").strip()[-300:]
-        ended = f"ended after {limit:.0f} s" if wall >= limit else f"exit status {process.returncode}"
+        ended = f"ended after {limit:g} s" if wall >= limit else f"exit status {process.returncode}"
         raise PeerError(f"{ended}: {end}")
     return {"cpu": usage.ru_utime + usage.ru_stime, "wall": wall, "peak_gib": usage.ru_maxrss / 2**20}
 
@@ -153,7 +153,8 @@ def plot(results: dict[str, Any], file: Path) -> None:
         axes.set(xlabel={"cpu": "CPU seconds", "wall": "wall seconds"}[key], xlim=(0, None))
         axes.grid(alpha=0.3)
     panels[0].set(ylabel="PSNR on held-out photos, dB")
-    panels[0].legend(loc="lower right")
+    if panels[0].lines:
+        panels[0].legend(loc="lower right")
     figure.suptitle(f"{results['photos']}\n{results['machine']}", fontsize=9)
     figure.tight_layout()
     figure.savefig(file)

@@ -99,7 +99,7 @@ def pinhole(camera: Camera, image: np.ndarray, downscale: int) -> tuple[Camera, 
         [np.stack(np.broadcast_arrays(x, y), -1) for x, y in ((u, 0), (u, height), (0, v), (width, v))]
     )
     size = np.array([camera.width, camera.height])
-    while not ((-1e-6 <= (at := seen_at(camera, small, border))) & (at <= size + 1e-6)).all():
+    while not (((at := seen_at(camera, small, border)) >= -1e-6) & (at <= size + 1e-6)).all():
         small = replace(small, fx=small.fx * ZOOM, fy=small.fy * ZOOM)
     x, y = ((np.arange(n * downscale) + 0.5) / downscale for n in (width, height))
     at = seen_at(camera, small, np.stack(np.meshgrid(x, y), -1))

@@ -176,7 +176,11 @@ def draw(photos: Path, folder: Path) -> None:
         view = frames[name]
         y, x = np.divmod(np.arange(view["w"] * view["h"]), view["w"])
         rows = [
-            np.array(grid.color(rays(view, x[k : k + RAYS], y[k : k + RAYS]), np.full(len(x[k : k + RAYS]), 0.5), 2 * SAMPLES)).T
+            np.array(
+                grid.color(
+                    rays(view, x[k : k + RAYS], y[k : k + RAYS]), np.full(len(x[k : k + RAYS]), 0.5), 2 * SAMPLES
+                )
+            ).T
             for k in range(0, len(x), RAYS)
         ]
         found[str(i)] = np.concatenate(rows).reshape(view["h"], view["w"], 3)

@@ -57,7 +57,9 @@ def command(photos: Path, folder: Path, amount: float, given: str) -> list[str]:
         "warmup-length": min(500, n // 10),
     }
     words = [f"--{name}={value}" for name, value in schedule.items()]
-    return [given or "opensplat", str(photos / "train"), "--cpu", "--keep-crs", "-o", str(folder / "splat.ply"), *words]
+    # its rasteriser has one thread; torch's second one would wait busily, for a third more CPU seconds and no less wall
+    start = ["env", "OMP_NUM_THREADS=1", given or "opensplat"]
+    return [*start, str(photos / "train"), "--cpu", "--keep-crs", "-o", str(folder / "splat.ply"), *words]
 
 
 def render(photos: Path, folder: Path, given: str) -> list[np.ndarray]:
