@@ -110,7 +110,7 @@ def test_a_missing_program_is_said(
 
 def test_every_adapter_has_the_members_of_one() -> None:
     found = compare.adapters()
-    assert set(found) == {"ours", "opensplat", "mitsuba3", "nerfacto"}
+    assert set(found) == {"ours", "opensplat", "mitsuba", "nerfacto"}
     for peer in found.values():
         assert peer.FIRST > 0
         assert all(callable(getattr(peer, name)) for name in ("missing", "command", "render"))

@@ -51,14 +51,16 @@ PATIENCE = 10  # times the CPU seconds asked for: then the process is ended
 def adapters() -> dict[str, ModuleType]:
     """Load the files in `adapters`. Each has these members.
 
-    NAME, UNIT: what the table calls the program and its amounts. FIRST: the amount of the first, short run.
+    NAME, UNIT: what the table calls the program and its amounts; --peers takes the first word of NAME.
+    FIRST: the amount of the first, short run.
     OPTION, HELP: a command-line option, given to the functions as text ("" without it).
     missing(given): what to install, or "" if all is there.
     command(photos, folder, amount, given): the words that train so much and write the model into `folder`.
     render(photos, folder, given): the held-out views by that model, float (H, W, 3), in the order of test_filenames.
     """
-    names = sorted(file.stem for file in (HERE / "adapters").glob("*.py") if file.stem != "__init__")
-    return {name: importlib.import_module(f"peers.adapters.{name}") for name in names}
+    files = sorted((HERE / "adapters").glob("*.py"))
+    found = [importlib.import_module(f"peers.adapters.{file.stem}") for file in files]
+    return {peer.NAME.split()[0].lower(): peer for peer in found}
 
 
 class PeerError(Exception):
@@ -105,13 +107,15 @@ def measure(
     peer: ModuleType, photos: Path, out: Path, target: float, known: list[tuple[float, float]], given: str
 ) -> dict[str, Any]:
     """Train for about `target` CPU seconds, and compare the held-out photos. `known` grows by the runs."""
-    for attempt in range(ATTEMPTS):
+    attempt = 0
+    while True:
+        attempt += 1
         amount = next_amount(known, peer.FIRST, target)
         folder = out / f"{target:g}s-{attempt}-{time.time_ns()}"
         folder.mkdir(parents=True)
         found = timed(peer.command(photos, folder, amount, given), folder / "log.txt", max(60, PATIENCE * target))
         known.append((amount, found["cpu"]))
-        if abs(found["cpu"] / target - 1) <= CLOSE:
+        if abs(found["cpu"] / target - 1) <= CLOSE or attempt == ATTEMPTS:
             break
     whole = json.loads((photos / "transforms.json").read_text(encoding="utf-8"))
     values = []
@@ -199,16 +203,15 @@ def main() -> None:
         for name in args.peers:
             peer, given = found[name], getattr(args, found[name].OPTION.replace("-", "_"))
             entry = results["peers"].setdefault(name, {"name": peer.NAME, "unit": peer.UNIT, "runs": [], "known": []})
-            entry["missing"] = peer.missing(given)
-            if not entry["missing"]:
+            entry["missing"] = done = peer.missing(given)
+            if not done:
                 try:
                     run = measure(peer, photos, args.out / name, time_asked, entry["known"], given)
-                except PeerError as error:
-                    entry["missing"] = str(error)
-                else:
+                    done = "{asked:g} CPU s: {cpu:.1f} taken, {wall:.1f} s, {psnr:.2f} dB".format(**run)
                     entry["runs"] = [r for r in entry["runs"] if r["asked"] != time_asked]
                     entry["runs"].append({**run, "machine": machine})
-            done = entry["missing"] or "{asked:g} CPU s: {cpu:.1f} taken, {wall:.1f} s, {psnr:.2f} dB".format(**run)
+                except PeerError as error:
+                    entry["missing"] = done = str(error)
             print(f"{name}: {done}", flush=True)
             file.write_text(json.dumps(results, indent=1), encoding="utf-8")
     plot(results, args.out / "peers.png")

@@ -58,7 +58,7 @@ def train(photos: Path, folder: Path, iterations: int) -> None:
 def draw(folder: Path) -> None:
     """Write the held-out views to pictures.npz."""
     without_lpips()
-    torch = importlib.import_module("torch")
+    torch: Any = importlib.import_module("torch")
     torch.load = functools.partial(torch.load, weights_only=False)  # its own checkpoint, from a moment ago
     setup = importlib.import_module("nerfstudio.utils.eval_utils").eval_setup
     _, pipeline, _, _ = setup(folder / "run" / "nerfacto" / "now" / "config.yml", test_mode="test")
@@ -76,7 +76,8 @@ def without_lpips() -> None:
     def none(**_: Any) -> Any:
         return importlib.import_module("torch").nn.Identity()
 
-    importlib.import_module("torchmetrics.image.lpip").LearnedPerceptualImagePatchSimilarity = none
+    metrics: Any = importlib.import_module("torchmetrics.image.lpip")
+    metrics.LearnedPerceptualImagePatchSimilarity = none
 
 
 if __name__ == "__main__":
