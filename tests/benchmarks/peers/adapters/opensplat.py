@@ -54,7 +54,7 @@ def command(photos: Path, folder: Path, amount: float, given: str) -> list[str]:
         "num-iters": n,
         "num-downscales": 0,
         "sh-degree-interval": max(1, n // 30),
-        "warmup-length": min(500, n // 10),
+        "warmup-length": min(500, max(100, n // 10)),  # from 100 on, opacities are not reset at the start
     }
     words = [f"--{name}={value}" for name, value in schedule.items()]
     # its rasteriser has one thread; a second one of torch waits busily: a third more CPU seconds, 6 % less wall
