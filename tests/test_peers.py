@@ -32,6 +32,9 @@ def test_what_is_written_is_the_capture(prepared: Path, format_name: str) -> Non
     original = load_scene(DEMO, LoadOptions(downscale=2))
     written = load_scene(prepared, LoadOptions(format=format_name))
     assert written.held_out()[0] == "test"
+    for name in ("near", "far"):
+        lengths = (getattr(s, name) * np.linalg.norm(s.to_input[:3, 0]) for s in (original, written))
+        assert len({round(float(length), 9) for length in lengths}) == 1
     for split in ("train", "test"):
         assert len(written.split(split)) == len(original.split(split)) > 0
         for i, k in zip(written.split(split), original.split(split), strict=True):

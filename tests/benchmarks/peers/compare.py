@@ -146,7 +146,7 @@ def plot(results: dict[str, Any], file: Path) -> None:
     mpl.use("Agg")
     from matplotlib import pyplot
 
-    figure, panels = pyplot.subplots(1, 2, figsize=(10, 4.5), dpi=120, sharey=True)
+    figure, panels = pyplot.subplots(1, 2, figsize=(10, 4.5), dpi=120, sharey=True, layout="constrained")
     for key, axes in zip(("cpu", "wall"), panels, strict=True):
         for color, peer in enumerate(results["peers"].values()):
             runs = sorted(peer.get("runs", []), key=lambda run: run[key])
@@ -158,9 +158,8 @@ def plot(results: dict[str, Any], file: Path) -> None:
         axes.grid(alpha=0.3)
     panels[0].set(ylabel="PSNR on held-out photos, dB")
     if panels[0].lines:
-        panels[0].legend(loc="lower right")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     figure.suptitle(f"{results['photos']}\n{results['machine']}", fontsize=9)
-    figure.tight_layout()
     figure.savefig(file)
 
 
