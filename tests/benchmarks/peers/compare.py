@@ -113,7 +113,7 @@ def measure(
         amount = next_amount(known, peer.FIRST, target)
         folder = out / f"{target:g}s-{attempt}-{time.time_ns()}"
         folder.mkdir(parents=True)
-        found = timed(peer.command(photos, folder, amount, given), folder / "log.txt", max(60, PATIENCE * target))
+        found = timed(peer.command(photos, folder, amount, given), folder / "log.txt", max(600, PATIENCE * target))
         known.append((amount, found["cpu"]))
         if abs(found["cpu"] / target - 1) <= CLOSE or attempt == ATTEMPTS:
             break
