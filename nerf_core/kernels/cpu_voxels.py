@@ -98,12 +98,13 @@ class CpuVoxels:
     def resample(self, old: VoxelGrid, new: VoxelGrid, first: int, last: int) -> Tensor:
         begin, step = old.at_vertex(new)
         arrays, places = old.arrays(), new.places()[first:last].numpy()
+        used = old.used.numpy()
         rows, out = old.rows.numpy().ravel(), new.rows[ROWS * first : ROWS * last].numpy().ravel()
         found = torch.zeros(ROWS * len(places), dtype=torch.uint8)
 
         def work(s: int) -> None:
             part = split(len(places), self.shards, s)
-            loops.resample(arrays, rows, begin, step, places, *part, _scratch(1), out, found.numpy())
+            loops.resample(arrays, rows, used, begin, step, places, *part, _scratch(1), out, found.numpy())
 
         each_shard(self.shards, work)
         return found

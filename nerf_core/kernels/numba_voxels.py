@@ -325,7 +325,8 @@ def _halvings(w: Any) -> Any:
 
 @jit
 def resample(
-    grid: Any, rows: Any, begin: Any, step: Any, places: Any, first: Any, last: Any, scratch: Any, out: Any, found: Any
+    grid: Any, rows: Any, used: Any, begin: Any, step: Any, places: Any, first: Any, last: Any, scratch: Any, out: Any,
+    found: Any,
 ) -> None:  # fmt: skip
     """Interpolate rows for the vertices of bricks first ≤ b < last, which lie at `places` in their tables.
 
@@ -339,11 +340,14 @@ def resample(
             y = _snapped(begin[1] + step[1] * (((places[b, 2] << 2) + ((q >> 2) & 3)) << places[b, 0]))
             z = _snapped(begin[2] + step[2] * (((places[b, 3] << 2) + (q & 3)) << places[b, 0]))
             most, best = -1.0, 0
-            for d in range(len(grid.begins)):
-                held = _lookup(grid, d, x, y, z, corners, weights)
+            for k in range(-2, len(grid.begins)):
+                d = places[b, 0] + k + 1 if k < 0 else k
+                if d < 0 or d >= len(grid.begins):
+                    continue
+                held = _lookup(grid, used, d, x, y, z, corners, weights)
                 if held > most + 1e-6:
                     most, best = held, d
-            _lookup(grid, best, x, y, z, corners, weights)
+            _lookup(grid, used, best, x, y, z, corners, weights)
             gather(values, 0, rows, corners, weights, 0)
             found[b * 64 + q] = best
             at = (b * 64 + q) * 16
@@ -359,8 +363,8 @@ def _snapped(x: Any) -> Any:
 
 
 @jit
-def _lookup(grid: Any, d: Any, x: Any, y: Any, z: Any, corners: Any, weights: Any) -> Any:
-    """The corners and weights at a point among cells of d doublings; returns the weight of corners that have rows."""
+def _lookup(grid: Any, used: Any, d: Any, x: Any, y: Any, z: Any, corners: Any, weights: Any) -> Any:
+    """The corners and weights at a point among cells of d doublings; returns the weight of corners in use."""
     share = 1.0 / (1 << d)
     x, y, z = x * share, y * share, z * share
     i = min(max(math.floor(x), 0), ((grid.size[0] + (1 << d) - 1) >> d) - 1)
@@ -371,7 +375,7 @@ def _lookup(grid: Any, d: Any, x: Any, y: Any, z: Any, corners: Any, weights: An
     _weigh(fx, fy, fz, weights, 0)
     held = 0.0
     for c in range(8):
-        if corners[c] < 0:  # the table has no brick for it
+        if corners[c] < 0 or not used[np.uint64(corners[c] >> 4)]:  # no brick for it, or no cell of this size
             corners[c], weights[c] = 0, F(0)
         held += weights[c]
     return held

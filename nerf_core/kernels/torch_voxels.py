@@ -128,21 +128,29 @@ class TorchVoxels:
         at = begin + new.vertices(first, last) * step
         nearest = (at * 1024).round() / 1024
         at = torch.where((at - nearest).abs() < 1e-6, nearest, at)  # what rounding moved away from a vertex
-        corners = torch.cartesian_prod(*[torch.arange(2, device=at.device)] * 3)
-        most = torch.full_like(at[:, 0], -1, dtype=torch.float32)
-        best, rows = torch.zeros_like(most, dtype=torch.uint8), new.rows[ROWS * first : ROWS * last]
-        for d in range(len(old.tables)):
-            size = torch.tensor([-(-n >> d) for n in old.size], device=at.device)
-            place = at / (1 << d)
-            cell = place.floor().long().clamp(min=0).minimum(size - 1)
-            within = (place - cell).clamp(0, 1).float()
-            weight = torch.where(corners == 1, within[:, None], 1 - within[:, None]).prod(-1)
-            row = old.row_of((cell[:, None] + corners).view(-1, 3), d).view(-1, 8)
-            weight = torch.where(row >= 0, weight, 0)
-            better = weight.sum(-1) > most + 1e-6
+        own = new.places()[first:last, :1].expand(-1, ROWS).flatten()
+        most = torch.full_like(own, -1, dtype=torch.float32)
+        best, rows = torch.zeros_like(own, dtype=torch.uint8), new.rows[ROWS * first : ROWS * last]
+        sizes = range(len(old.tables))
+        for d, tried in [(d, own + same == d) for same in (-1, 0) for d in sizes] + [(d, own >= 0) for d in sizes]:
+            row, weight = self._lookup(old, at, d)
+            held = weight.sum(-1)
+            better = tried & (held > most + 1e-6)
             value = torch.einsum("pc,pcw->pw", weight, old.rows[row.clamp(min=0)])
-            rows[better], best[better], most[better] = value[better], d, weight.sum(-1)[better]
+            rows[better], best[better], most[better] = value[better], d, held[better]
         return best
+
+    @staticmethod
+    def _lookup(old: VoxelGrid, at: Tensor, d: int) -> tuple[Tensor, Tensor]:
+        """The rows (P, 8) and weights (P, 8) at points among cells of d doublings; the weight is 0 where not in use."""
+        corners = torch.cartesian_prod(*[torch.arange(2, device=at.device)] * 3)
+        size = torch.tensor([-(-n >> d) for n in old.size], device=at.device)
+        place = at / (1 << d)
+        cell = place.floor().long().clamp(min=0).minimum(size - 1)
+        within = (place - cell).clamp(0, 1).float()
+        weight = torch.where(corners == 1, within[:, None], 1 - within[:, None]).prod(-1)
+        row = old.row_of((cell[:, None] + corners).view(-1, 3), d).view(-1, 8)
+        return row, torch.where((row >= 0) & old.used[row.clamp(min=0)], weight, 0)
 
     def accumulate(self, grid: VoxelGrid, rays: BoxRays, truth: Tensor, how: March) -> tuple[float, int]:
         self._fit(grid)

@@ -85,8 +85,9 @@ class VoxelKernels(Protocol):
     def resample(self, old: VoxelGrid, new: VoxelGrid, first: int, last: int) -> Tensor:
         """Interpolate `old` at the vertices of bricks first ≤ b < last of `new`.
 
-        A vertex is interpolated among the smallest cells of `old` around it that have rows for all corners, or for most
-        of the weight; corners without a row count as 0. A vertex that is one of `old` takes its row.
+        A vertex of cells that are there in `old` takes its row, and one of cells that were divided is interpolated in
+        them. Any other is interpolated among the smallest cells around it whose size has occupied cells at all corners,
+        or at most of their weight; the other corners count as 0.
         Returns the doublings of those cells, (64 · bricks,) uint8.
         """
         ...

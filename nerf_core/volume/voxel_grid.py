@@ -92,6 +92,16 @@ class VoxelGrid(Cells):
         """The same rows, with fewer occupied cells: (x, y, z) bool. A larger cell stays or goes whole."""
         return replace(self, occupied=occupied, leap=leaps(occupied), kinds=self.kinds * occupied)
 
+    @cached_property
+    def used(self) -> Tensor:
+        """Whether the vertex of each row is one of an occupied cell of its size: (M,) bool. Bricks hold others too."""
+        found = []
+        for cells, table in zip(cells_of_each_size(self.kinds, len(self.tables)), self.tables, strict=True):
+            x, y, z = table.shape
+            inside = vertices_of(cells).view(x, BRICK, y, BRICK, z, BRICK).permute(0, 2, 4, 1, 3, 5)
+            found.append(inside[table >= 0].reshape(-1))
+        return torch.cat(found)
+
     def cells_with(self, values: Tensor) -> tuple[Tensor, ...]:
         """Spread one value for each row (M,) over the cells whose lowest vertex the row is.
 
@@ -258,15 +268,20 @@ def pooled(cells: Tensor, doublings: int) -> Tensor:
     return cells.view(x, side, y, side, z, side).any(5).any(3).any(1)
 
 
-def bricks_of(occupied: Tensor) -> Tensor:
-    """The bricks that hold the vertices of cells: (x, y, z) bool → (bx, by, bz) bool."""
-    x, y, z = occupied.shape
-    vertices = torch.zeros([BRICK * (n // BRICK + 1) for n in (x, y, z)], dtype=torch.bool, device=occupied.device)
+def vertices_of(cells: Tensor) -> Tensor:
+    """The vertices of cells, with room for whole bricks: (x, y, z) bool → (4 bx, 4 by, 4 bz) bool."""
+    x, y, z = cells.shape
+    vertices = torch.zeros([BRICK * (n // BRICK + 1) for n in (x, y, z)], dtype=torch.bool, device=cells.device)
     for a in (0, 1):
         for b in (0, 1):
             for c in (0, 1):
-                vertices[a : a + x, b : b + y, c : c + z] |= occupied
-    return blocks(vertices)
+                vertices[a : a + x, b : b + y, c : c + z] |= cells
+    return vertices
+
+
+def bricks_of(cells: Tensor) -> Tensor:
+    """The bricks that hold the vertices of cells: (x, y, z) bool → (bx, by, bz) bool."""
+    return blocks(vertices_of(cells))
 
 
 def view_basis(d: Tensor) -> Tensor:

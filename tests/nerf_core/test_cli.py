@@ -333,7 +333,7 @@ def test_methods_are_listed_with_their_constants(capsys: pytest.CaptureFixture[s
     assert "  coarse_samples = 64 (from 3 to 16,384)\n      samples per ray of the coarse network, N_c\n" in text
     assert "  precision = float32 (float32 or bfloat16)" in text
     assert main(["methods", "nerf-guided"]) == 0
-    assert "  guide.growth = 1.7 (from 1.05 to 16)" in capsys.readouterr().out
+    assert "  guide.step = 0.7 (from 0.05 to 16)" in capsys.readouterr().out
     assert main(["methods", "wings"]) == 2
     assert "unknown method 'wings'" in capsys.readouterr().err
 

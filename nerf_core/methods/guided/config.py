@@ -15,7 +15,7 @@ from nerf_core.geometry.scene import Scene
 from nerf_core.methods.mlp.config import MlpConfig
 from nerf_core.methods.voxels.config import VoxelConfig
 
-GUIDE = "guide."  # prefix of the proposal grid's constants, as in --set guide.growth=1.5
+GUIDE = "guide."  # prefix of the proposal grid's constants, as in --set guide.step=0.5
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,6 @@ from nerf_core.volume.voxel_grid import (
 )
 
 BRICKS = 2048  # bricks of a new grid between two calls of the yield callback: about 10 ms on two cores
-import os
-NEAR = float(os.environ.get('NEAR', 0.01))  # cells beside one with at least this weight in some pixel are kept: a surface may yet move there
 LARGER = 1.05  # cells of a first grid with too many rows become larger by at least this factor at a time
 
 
@@ -137,9 +135,10 @@ class Worth:
     of_each: tuple[Tensor, ...]
 
     @staticmethod
-    def of(grid: VoxelGrid, marked: Tensor) -> Worth:
+    def of(grid: VoxelGrid, marked: Tensor, beside: float) -> Worth:
+        """beside: cells beside one with at least this weight in some pixel are needed too."""
         of_each = grid.cells_with(marked)
-        needed = _around(grid, of_each, class_of(NEAR))
+        needed = _around(grid, of_each, class_of(beside))
         for d, worth in enumerate(of_each):
             needed |= spread(worth > 0, d)[tuple(slice(n) for n in grid.size)]
         return Worth(needed & grid.occupied, of_each)
@@ -147,7 +146,7 @@ class Worth:
 
 def class_of(weight: float) -> int:
     """The least that a cell is worth which has this weight in some pixel."""
-    return 1 + HALVINGS - math.ceil(-math.log2(weight))
+    return max(1, 1 + HALVINGS - math.ceil(-math.log2(weight)))
 
 
 def _around(grid: VoxelGrid, of_each: tuple[Tensor, ...], least: int) -> Tensor:

@@ -38,7 +38,7 @@ class VoxelConfig:
     bias: float = constant(-3.0, "raw density of a new grid", least=-LARGEST)
     rate_color: float = constant(0.2, "Adam's learning rate for colour, falling as 1 / (1 + step / slowdown)")
     rate_density: float = constant(0.3, "Adam's learning rate for density, falling alike")
-    slowdown: float = constant(400.0, "steps of a level after which the learning rates have halved", least=1)
+    slowdown: float = constant(500.0, "steps after which the learning rates have halved", least=1)
     keep: float = constant(0.9, "Adam's beta1", share="[0, 1)")
     keep_square: float = constant(0.99, "Adam's beta2", share="[0, 1)")
     epsilon: float = constant(1e-5, "Adam's epsilon, in units of one ray's gradient", least=1e-12)
@@ -50,15 +50,20 @@ class VoxelConfig:
         5e-3, "weight of distortion in the loss: it draws the weights along a ray together, out of haze"
     )
     spare: float = constant(
-        0.0035,
-        "weight of the samples that a training pixel may lose with dropped cells: under one of 255 levels",
-        most=1,
+        0.0035, "most that a training pixel may lose with dropped cells: under one of 255 levels", most=1
     )
     spare_error: float = constant(
-        0.5, "the same as a share of the training pixels' RMS error, where that is more", most=100,
+        2.0, "the same in RMS errors of the training pixels, where that is more",
+        most=100,
     )  # fmt: skip
+    beside: float = constant(
+        0.05,
+        "weight that a cell must have in some training pixel for its neighbours to be kept too",
+        least=1e-7,
+        most=1,
+    )
     split: float = constant(
-        0.05, "weight that a cell must have in some training pixel to be divided at the next level", least=1e-6, most=1
+        0.2, "weight that a cell must have in some training pixel to be divided at the next level", least=1e-6, most=1
     )
     prune_every: int = constant(
         400, "steps of the last level until cells are first dropped; each time twice as many as before", least=1,
@@ -78,7 +83,7 @@ class VoxelConfig:
         if (
             not scene.synthetic
         ):  # a place fills space that is empty around an object, so that each part of it is seen by fewer rays
-            config = replace(config, smoothness=3e-5, distortion=0.01, split=0.1, step=1.0)
+            config = replace(config, smoothness=3e-5, distortion=0.01, spare_error=0.5, beside=1e-7, step=1.0)
         return changed(config, changes, "voxels")
 
     @staticmethod
@@ -94,4 +99,4 @@ def _of_today(config: Mapping[str, Any]) -> Mapping[str, Any]:
     if "prune" not in config:
         return config
     known = {name: value for name, value in config.items() if name not in ("prune", "growth")}
-    return {"spare": 0.0035, "spare_error": 0.5, "split": 0.05, "distortion": 0.0, **known}
+    return {"spare": 0.0035, "spare_error": 1.0, "beside": 0.05, "split": 0.2, "distortion": 0.0, **known}

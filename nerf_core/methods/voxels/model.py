@@ -150,7 +150,7 @@ class VoxelModel(Defaults):
                 middle = torch.full((len(part),), 0.5)
                 self.kernels.mark(self.ema_grid, part, self._march(middle), spare)
                 yield_callback()
-        return Worth.of(self.grid, self.kernels.marked(self.ema_grid))
+        return Worth.of(self.grid, self.kernels.marked(self.ema_grid), self.config.beside)
 
     def _training_pixels(self) -> Iterator[Rays]:
         """The rays of the training photos' pixels at this level, photo after photo.

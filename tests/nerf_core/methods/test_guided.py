@@ -161,8 +161,8 @@ def test_an_unknown_preset_and_a_useless_threshold_are_refused(scene: Scene) -> 
 
 
 def test_the_proposal_grids_constants_are_set_checked_and_stored(scene: Scene) -> None:
-    config = GuidedConfig.configure(scene, "auto", {"guide.growth": "1.5", "rays": "64"}, CPU)
-    assert (config.guide.growth, config.rays) == (1.5, 64)
+    config = GuidedConfig.configure(scene, "auto", {"guide.step": "1.5", "rays": "64"}, CPU)
+    assert (config.guide.step, config.rays) == (1.5, 64)
     assert GuidedConfig.restore(json.loads(json.dumps(config.to_json()))) == config
     for changes, text in (({"guide.rays": "x"}, "expected a whole number"), ({"guide": "3"}, "no such constant")):
         with pytest.raises(UserError, match=text):

@@ -13,13 +13,13 @@ from nerf_core.common.errors import UserError
 from nerf_core.geometry.cameras import camera_rays
 from nerf_core.geometry.ndc import Ndc
 from nerf_core.geometry.scene import Scene
-from nerf_core.geometry.spaces import Space, contract
+from nerf_core.geometry.spaces import BoxRays, Space, contract
 from nerf_core.kernels import choice
 from nerf_core.kernels.cpu_voxels import CpuVoxels
 from nerf_core.kernels.implementations import on_numba
 from nerf_core.kernels.torch_voxels import TorchVoxels
-from nerf_core.kernels.voxel_kernels import VoxelKernels
-from nerf_core.methods.voxels.coarse_to_fine import finer_grid
+from nerf_core.kernels.voxel_kernels import March, VoxelKernels
+from nerf_core.methods.voxels.coarse_to_fine import Worth, finer_grid, resample
 from nerf_core.methods.voxels.config import VoxelConfig
 from nerf_core.methods.voxels.method import Voxels
 from nerf_core.probe import open_ray
@@ -27,7 +27,7 @@ from nerf_core.rendering.images import render_camera
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer, nothing
 from nerf_core.volume.cells import grow, leaps
-from nerf_core.volume.voxel_grid import DENSITY, ROWS, VoxelGrid, bricks_of
+from nerf_core.volume.voxel_grid import DENSITY, ROWS, VoxelGrid, bricks_of, cells_of_each_size, spread
 
 CPU = torch.device("cpu")
 SMALL = VoxelConfig(rays=512, first_rays=256, start=8, pixels=0.5, level_steps=6)
@@ -145,7 +145,7 @@ def voxels_of(trainer: Trainer) -> Voxels:
 def test_a_refinement_changes_no_picture_and_training_goes_on(scene: Scene, place: Callable[[Scene], Scene]) -> None:
     """45 dB between the pictures before and after; larger cells keep their rows, bit for bit."""
     scene = place(scene)
-    trainer = run(scene, 40, spare_error=0, start=20, pixels=0.25, level_steps=40)
+    trainer = run(scene, 40, spare_error=0, start=24, pixels=0.2, level_steps=40)
     method = voxels_of(trainer)
     rays = [camera_rays(view.camera, scene.near, scene.far) for view in scene.views]
     before, old, updates = torch.cat([method.render(r).color for r in rays]), method.ema_grid, method.updates
@@ -170,6 +170,34 @@ def test_a_refinement_changes_no_picture_and_training_goes_on(scene: Scene, plac
     torch.testing.assert_close(method.moments[divided][:, :13], moments[row[divided]][:, :13] / 8)
 
 
+@pytest.mark.parametrize("contracted", [False, True])
+@pytest.mark.parametrize("kernels", [CpuVoxels(2), TorchVoxels()], ids=["numba", "torch"])
+def test_cells_that_are_not_divided_keep_the_picture_exactly(kernels: VoxelKernels, contracted: bool) -> None:
+    """Cells of three sizes side by side, in bricks that also hold vertices of no cell."""
+    g = torch.Generator().manual_seed(0)
+    kinds = spread(torch.randint(1, 4, (5, 4, 6), generator=g), 2)
+    kinds = torch.where(
+        kinds == 2, spread(torch.randint(1, 3, tuple(n // 2 for n in kinds.shape), generator=g), 1), kinds
+    )
+    half = 2.0 if contracted else 1.0
+    old = VoxelGrid.of_kinds(np.full(3, -half), 2 * half / np.array(kinds.shape), kinds.to(torch.uint8), contracted)
+    old.rows[:, : DENSITY + 1] = torch.randn(len(old.rows), DENSITY + 1, generator=g)
+    old.rows[~old.used] = 100.0  # must never be read
+    worth = Worth(
+        old.occupied, tuple(torch.zeros_like(one, dtype=torch.uint8) for one in cells_of_each_size(old.kinds))
+    )
+    new = finer_grid(old, worth, 1.0, 10**9)
+    assert int(new.kinds.max()) == int(old.kinds.max()) + 1
+    resample(kernels, old, new, 0.0, nothing)
+    directions = torch.nn.functional.normalize(torch.randn(500, 3, generator=g), dim=-1)
+    rays = BoxRays(0.3 * directions.roll(1, 0), directions, directions, torch.zeros(500), torch.full((500,), 5.0))
+    march = March(0.7, 0.0, torch.ones(3), torch.zeros(500))  # an offset is a share of the finest step
+    a, b = (kernels.render(grid, rays, march) for grid in (old, new))
+    # rounding may put a sample that lies on a cell's face on the other side of it
+    assert float((a - b).abs().amax(-1).sort().values[-10]) < 1e-3
+    assert float((a - b).abs().amax(-1).median()) < 1e-5
+
+
 def test_cells_with_thin_haze_stay_large_and_the_limit_of_rows_divides_fewer(scene: Scene) -> None:
     method = voxels_of(run(scene, 12))
     method.schedule.levels.extend([method.schedule.levels[-1]] * 3)
@@ -184,7 +212,7 @@ def test_cells_with_thin_haze_stay_large_and_the_limit_of_rows_divides_fewer(sce
 
 
 def test_dropping_cells_costs_no_pixel_a_level_and_held_out_photos_a_tenth_of_a_decibel(scene: Scene) -> None:
-    trainer = run(scene, 60, spare_error=0)
+    trainer = run(scene, 60, spare_error=0, split=1e-6)  # cells of one size, whose samples stay where they are
     method = voxels_of(trainer)
     rays = [camera_rays(scene.views[i].camera, scene.near, scene.far) for i in range(len(scene.views))]
     before = [method.render(r).color for r in rays]
@@ -221,21 +249,19 @@ def test_pictures_show_the_ema_of_the_last_steps(scene: Scene) -> None:
     assert not torch.equal(method.render(rays).color, drawn)
 
 
-def test_rates_fall_within_a_level_and_adam_goes_on_from_level_to_level(
+def test_rates_fall_with_every_step_and_adam_goes_on_from_level_to_level(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     trainer = run(scene, 0, slowdown=5)
     method, numbers = voxels_of(trainer), []
     update = method.kernels.update
     monkeypatch.setattr(method.kernels, "update", lambda *given: (numbers.append(given[-1]), update(*given)))
-    steps = method.schedule.levels[1].begin
-    for _ in range(steps + 2):
+    for _ in range(method.schedule.levels[1].begin + 2):
         trainer.step()
     c = method.config
     for step, adam in enumerate(numbers):
-        since = step if step < steps else step - steps
-        assert adam.rate_density == pytest.approx(c.rate_density / (1 + since / 5))
-        assert adam.rate_color == pytest.approx(c.rate_color / (1 + since / 5))
+        assert adam.rate_density == pytest.approx(c.rate_density / (1 + step / 5))
+        assert adam.rate_color == pytest.approx(c.rate_color / (1 + step / 5))
         assert adam.correction1 == pytest.approx(1 / (1 - c.keep ** (step + 1)))
         assert adam.correction2 == pytest.approx(1 / (1 - c.keep_square ** (step + 1)))
 
