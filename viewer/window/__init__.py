@@ -8,11 +8,6 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-# Before any GL context: torch.optim loads torch._dynamo, and with it triton, on first use. Triton's exported LLVM
-# symbols clash with those of Mesa's drivers, and the process would die in the middle of training.
-import torch
-import torch._dynamo  # noqa: F401
-
 from nerf_core.common.errors import UserError
 
 if TYPE_CHECKING:

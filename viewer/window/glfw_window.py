@@ -17,6 +17,7 @@ from nerf_core.common.errors import UserError
 
 from . import DEBIAN_PACKAGES, DisplayError
 from .glfw_keys import CURSORS, KEYS, MODIFIERS
+from .triton_first import bind_triton
 from .x11_connection import when_connection_is_lost
 
 ICON_PIXELS = 64  # the size in title bars and task lists
@@ -45,6 +46,7 @@ class GlfwWindow:
     """A `viewer.window.Window` on a screen. Raises DisplayError without a screen, UserError without OpenGL 3.3."""
 
     def __init__(self, title: str, size: tuple[int, int], visible: bool = True) -> None:
+        bind_triton()
         glfw.ERROR_REPORTING = "ignore"  # errors are read with get_error; a missing cursor shape does not matter
         if not glfw.init():
             raise DisplayError(f"cannot open a window: {_glfw_error()}: set DISPLAY or use --headless")
