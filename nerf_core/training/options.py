@@ -6,14 +6,16 @@ import math
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.datasets import LoadOptions, check_options
 from nerf_core.datasets.capture import DATASETS
 from nerf_core.methods import METHODS
-from nerf_core.training.loop import Goal
 from nerf_core.training.settings import RunSettings
+
+if TYPE_CHECKING:
+    from nerf_core.training.loop import Goal
 
 MOST_NAME_BYTES = 255  # of a file or folder: the limit of common systems
 
@@ -85,6 +87,8 @@ class TrainOptions:
 
     def goal(self, total_steps: int) -> Goal:
         """Return when training ends. total_steps: the length of the method's schedule, used without --steps."""
+        from nerf_core.training.loop import Goal
+
         return Goal(self.steps or total_steps, self.seconds or math.inf)
 
     def _changes(self) -> dict[str, str]:
