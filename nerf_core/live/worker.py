@@ -12,12 +12,14 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from nerf_core.common.errors import UserError
+from nerf_core.datasets.capture import DATASETS
 from nerf_core.live import messages
 from nerf_core.live.drawing import Drawing
 from nerf_core.live.mailbox import Mailbox
 from nerf_core.live.messages import FIRST_RUN, Command, Notice, Snapshot, ViewRequest
 from nerf_core.live.scheduler import Scheduler
 from nerf_core.live.shares import Situation
+from nerf_core.methods import METHODS
 from nerf_core.training.settings import RunSettings
 
 if TYPE_CHECKING:
@@ -62,6 +64,10 @@ class Worker:
     # ---- called from other threads --------------------------------------------------------------------------------
 
     def start(self) -> None:
+        """Start the thread. The first run is "loading" until torch is loaded, which takes a second."""
+        if "torch" not in sys.modules:
+            first = self._mailbox.snapshot(FIRST_RUN)
+            self._mailbox.deliver({FIRST_RUN: replace(first, status="loading", loading="PyTorch is loading")})
         self._thread.start()
 
     def send(self, command: Command) -> int:
@@ -114,19 +120,21 @@ class Worker:
     def _prepare(self) -> bool:
         """Load what trains and draws, make the first run, and return whether that went well.
 
-        torch takes a second to load. A window needs none of it, so it opens meanwhile.
+        torch takes a second to load. A window needs none of it, so it opens meanwhile. It does need what the methods are
+        called, as soon as it is not told to wait.
         """
-        first = self._mailbox.snapshot(FIRST_RUN)
-        if "torch" not in sys.modules:
-            self._mailbox.deliver({FIRST_RUN: replace(first, status="loading", loading="PyTorch is loading")})
         try:
+            METHODS.names(), DATASETS.names()
             self._runs[FIRST_RUN] = self._new_run(FIRST_RUN)
         except Exception as error:  # an installation that is not complete, say
             text = f"the worker failed: {type(error).__name__}: {error}"
-            self._mailbox.deliver({FIRST_RUN: replace(first, status="failed")})
+            first = replace(self._mailbox.snapshot(FIRST_RUN), status="failed", loading="")
+            self._mailbox.deliver({FIRST_RUN: first})
             self._mailbox.tell(Notice("error", text, detail=traceback.format_exc(), kind="failed", run=FIRST_RUN))
             self._mailbox.wake()
             return False
+        for problem in (*METHODS.problems, *DATASETS.problems):
+            self._mailbox.tell(Notice("warning", problem))
         return True
 
     def _work(self) -> None:

@@ -67,11 +67,11 @@ class TrainOptions:
                 f"--threads {shorten(self.threads)}: give a whole number from 1 to 1024, or 0 for all cores"
             )
         for option, value, names in (
-            ("format", self.format, DATASETS.names()),
-            ("method", self.method, METHODS.names()),
+            ("format", self.format, DATASETS.names),
+            ("method", self.method, METHODS.names),  # which loads torch
         ):
-            if value not in ("auto", *names):
-                raise UserError(f"--{option} {shorten(value)}: choose from auto, {', '.join(names)}")
+            if value != "auto" and value not in names():
+                raise UserError(f"--{option} {shorten(value)}: choose from auto, {', '.join(names())}")
         load = LoadOptions(self.format, self.downscale, self.max_size, self.ndc, self.background, self.memory_gb)
         check_options(load)
         return RunSettings(
