@@ -53,6 +53,7 @@ class GlfwWindow:
         self.has_display = visible
         self._handle = self._create(title, size, visible)
         self._cursors: dict[int, Any] = {}
+        self._cursor = -1  # the shape that is shown
         self._came = False
         self._closed = False
         try:
@@ -123,6 +124,10 @@ class GlfwWindow:
         return imgui.get_io()
 
     def _resized(self) -> None:
+        # Asked only now: GLFW asks the X server, and lets the worker's Python run meanwhile. In the middle of a frame,
+        # that costs milliseconds.
+        self._size = glfw.get_framebuffer_size(self._handle)
+        self._scale = max(glfw.get_window_content_scale(self._handle))
         self._came = True
         self.framebuffer.viewport = (0, 0, *self.size())
 
@@ -165,15 +170,16 @@ class GlfwWindow:
     # ---- the contract -----------------------------------------------------------------------------------------
 
     def size(self) -> tuple[int, int]:
-        return glfw.get_framebuffer_size(self._handle)
+        return self._size
 
     def scale(self) -> float:
-        return max(glfw.get_window_content_scale(self._handle))
+        return self._scale
 
     def resize(self, width: int, height: int) -> None:
         window, pixels = glfw.get_window_size(self._handle), self.size()
         ratio = window[0] / pixels[0] if pixels[0] else 1.0
         glfw.set_window_size(self._handle, round(width * ratio), round(height * ratio))
+        self._resized()
 
     def poll(self, timeout: float) -> bool:
         self._came = False
@@ -202,6 +208,9 @@ class GlfwWindow:
 
     def set_cursor(self, cursor: int) -> None:
         shape = CURSORS.get(cursor, CURSORS[imgui.MouseCursor_.arrow])
+        if shape == self._cursor:
+            return
+        self._cursor = shape
         if shape not in self._cursors:
             self._cursors[shape] = glfw.create_standard_cursor(shape)  # None if the system does not have this shape
         glfw.set_cursor(self._handle, self._cursors[shape])
