@@ -30,6 +30,7 @@ class Window(Protocol):
     context: moderngl.Context
     framebuffer: moderngl.Framebuffer  # its viewport always covers size()
     has_display: bool
+    keeps: bool  # what was drawn is still in the framebuffer after `swap`
 
     def size(self) -> tuple[int, int]:
         """Return the framebuffer's width and height; (0, 0) while minimised."""

@@ -22,6 +22,7 @@ class EglWindow:
     """A `viewer.window.Window` offscreen. Raises UserError if EGL or OpenGL 3.3 is missing."""
 
     has_display = False
+    keeps = True
 
     def __init__(self, size: tuple[int, int], scale: float = 1.0) -> None:
         bind_triton()

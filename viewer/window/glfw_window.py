@@ -70,10 +70,26 @@ class GlfwWindow:
         except Exception as error:  # moderngl raises plain Exception and ValueError for what the driver lacks
             raise UserError(f"cannot draw: no OpenGL 3.3 ({error}): install {DEBIAN_PACKAGES}") from error
         self.framebuffer = self.context.detect_framebuffer(0)
+        self.keeps = self._keeps()
         self._connect()
         if self.has_display:
             self._set_icon()
         self._resized()
+
+    def _keeps(self) -> bool:
+        """Find out by trial whether the framebuffer keeps what was drawn when it is shown.
+
+        OpenGL leaves that open. Mesa's software renderers copy it to an X11 window, so it stays. A graphics card mostly
+        exchanges two or three buffers, when it likes, and does not need to save pixels.
+        """
+        if glfw.get_platform() != glfw.PLATFORM_X11 or "pipe" not in self.context.info["GL_RENDERER"]:
+            return False
+        for shade in range(1, 4):  # nearly black: nobody sees it
+            self.framebuffer.clear(shade / 255, shade / 255, shade / 255, 1.0)
+            self.swap()
+            if self.framebuffer.read(viewport=(0, 0, 1, 1), components=3) != bytes([shade] * 3):
+                return False
+        return True
 
     @staticmethod
     def _create(title: str, size: tuple[int, int], visible: bool) -> Any:
