@@ -120,8 +120,8 @@ class Worker:
     def _prepare(self) -> bool:
         """Load what trains and draws, make the first run, and return whether that went well.
 
-        torch takes a second to load. A window needs none of it, so it opens meanwhile. It does need what the methods are
-        called, as soon as it is not told to wait.
+        torch takes a second to load, and the methods need it. A window opens meanwhile: it asks for them only when the
+        first run is no longer "loading".
         """
         try:
             METHODS.names(), DATASETS.names()

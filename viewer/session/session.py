@@ -14,7 +14,7 @@ from nerf_core.common.errors import UserError
 from nerf_core.common.files import clear_leftovers
 from nerf_core.common.output import complain
 from nerf_core.common.signals import Interrupted, Signals
-from nerf_core.live.messages import CancelExport, Notice, SaveUnsaved, Train
+from nerf_core.live.messages import CancelExport, SaveUnsaved, Train
 from nerf_core.live.worker import Worker
 from nerf_core.training.autosaves import any_autosave, clear_spare_leftovers, forget_old_autosaves
 from nerf_core.training.last_save import telling
