@@ -124,7 +124,8 @@ class Worker:
         first run is no longer "loading".
         """
         try:
-            METHODS.names(), DATASETS.names()
+            METHODS.names()  # loads them
+            DATASETS.names()
             self._runs[FIRST_RUN] = self._new_run(FIRST_RUN)
         except Exception as error:  # an installation that is not complete, say
             text = f"the worker failed: {type(error).__name__}: {error}"

@@ -104,10 +104,8 @@ def main() -> None:
     _print_times("moved camera to new pixels", orbiting.delays)
     _print_times("click to the new ray in every panel", microscope.opened)
     _print_times("between two looks at a pinned ray", microscope.looked)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # bytes on macOS, else KiB
-    print(
-        f"peak memory at step {worker.snapshot().step}: {peak / 2 ** (30 if sys.platform == 'darwin' else 20):.2f} GiB"
-    )
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (2**30 if sys.platform == "darwin" else 2**20)
+    print(f"peak memory at step {worker.snapshot().step:,}: {peak:.2f} GiB")
     worker.stop()
     app.close()
     window.close()

@@ -55,13 +55,13 @@ class Part(NamedTuple):
 
     box: what it may draw to; not empty.
     texture: the texture's name, then what stands for its content, and whether it is opaque.
-    count, first: of its indices.
+    first, length: of its indices.
     """
 
     box: Box
     texture: tuple[int, Hashable, bool]
-    count: int
     first: int
+    length: int
 
 
 class Drawn(NamedTuple):
@@ -84,7 +84,7 @@ class Drawn(NamedTuple):
         indices = np.frombuffer(self.indices, INDEX)
         found = EMPTY
         for part in self.parts:
-            used = places[indices[part.first : part.first + part.count]]
+            used = places[indices[part.first : part.first + part.length]]
             (left, top), (right, bottom) = np.floor(used.min(0)), np.ceil(used.max(0))
             box = part.box.common(Box(int(left), int(top), int(right), int(bottom)))
             if box:

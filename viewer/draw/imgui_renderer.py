@@ -138,7 +138,7 @@ class ImguiRenderer:
             name = command.tex_ref.get_tex_id()
             if box and command.elem_count:
                 content = name, self._contents[name], name in self._opaque
-                parts.append(Part(box, content, command.elem_count, command.idx_offset))
+                parts.append(Part(box, content, command.idx_offset, command.elem_count))
         return Drawn(
             ctypes.string_at(vertices.data_address(), vertices.size() * imgui.VERTEX_SIZE) if parts else b"",
             ctypes.string_at(indices.data_address(), indices.size() * imgui.INDEX_SIZE) if parts else b"",
@@ -156,7 +156,7 @@ class ImguiRenderer:
             name, _, opaque = part.texture
             self._textures[name].use()
             self.context.enable_only(moderngl.NOTHING if opaque else moderngl.BLEND)
-            self._arrays.render(moderngl.TRIANGLES, vertices=part.count, first=part.first)
+            self._arrays.render(moderngl.TRIANGLES, vertices=part.length, first=part.first)
 
     def _upload(self, one: Drawn) -> None:
         grown = False

@@ -24,7 +24,10 @@ SHARPEST = 0.1  # quantile: a picture is given up if not even this part of it sh
 
 
 class Shown(NamedTuple):
-    """A texture, row 0 at the top, the texture coordinates of the viewport's corners, its opacity, and what is in it."""
+    """A texture, row 0 at the top, the texture coordinates of the viewport's corners, and its opacity.
+
+    content: changes whenever what the texture shows does.
+    """
 
     texture: moderngl.Texture
     first: tuple[float, float]

@@ -21,7 +21,7 @@ def quad(left: float, top: float, right: float, bottom: float, content: int = 0,
     vertices = np.zeros(4, VERTEX)
     vertices["place"] = [(left, top), (right, top), (right, bottom), (left, bottom)]
     indices = np.array([0, 1, 2, 0, 2, 3], f"<u{imgui.INDEX_SIZE}")
-    part = Part(clip or Box(0, 0, 100, 100), (1, content, False), 6, 0)
+    part = Part(clip or Box(0, 0, 100, 100), (1, content, False), 0, 6)
     return Drawn(vertices.tobytes(), indices.tobytes(), (part,))
 
 
