@@ -121,6 +121,8 @@ class Artist:
         if picture.level_done and picture.coherent():  # the next piece may be of the next level, with other weights
             self._ready = picture.image()
         self._note_rate(picture, len(cells), time.perf_counter() - begin)
+        if picture.level_done and training:  # the next level has newer weights, and a copy of a fine grid takes 70 MB
+            self._model = self._copy = None
         return True
 
     def _note_rate(self, picture: Refinement, cells: int, seconds: float) -> None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from nerf_core.live.budget import Budget
 from nerf_core.live.mailbox import Mailbox
 from nerf_core.live.messages import ViewRequest
-from nerf_core.live.run import Run
+
+if TYPE_CHECKING:
+    from nerf_core.live.run import Run
 
 
 class Drawing:

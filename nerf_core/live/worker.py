@@ -9,18 +9,21 @@ import time
 import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from nerf_core.common.device import enough_memory
 from nerf_core.common.errors import UserError
+from nerf_core.datasets.capture import DATASETS
 from nerf_core.live import messages
 from nerf_core.live.drawing import Drawing
 from nerf_core.live.mailbox import Mailbox
 from nerf_core.live.messages import FIRST_RUN, Command, Notice, Snapshot, ViewRequest
-from nerf_core.live.run import Run
 from nerf_core.live.scheduler import Scheduler
 from nerf_core.live.shares import Situation
-from nerf_core.live.snapshot import snapshot_of, status_of
+from nerf_core.methods import METHODS
 from nerf_core.training.settings import RunSettings
+
+if TYPE_CHECKING:
+    from nerf_core.live.run import Run
 
 PUBLISH_SECONDS = 1 / 10  # between snapshots nobody waits for: a full picture takes some 5 ms to hand over
 IDLE_SECONDS = 0.25  # how long an idle worker sleeps before it looks again
@@ -47,7 +50,7 @@ class Worker:
         self._mailbox = Mailbox(wake, share)
         self._scheduler = Scheduler(share)
         self._settings = settings
-        self._runs = {FIRST_RUN: self._new_run(FIRST_RUN)}
+        self._runs: dict[int, Run] = {}
         self._thread = threading.Thread(target=self._live, name="nerf-worker", daemon=True)
         self._ended = False  # Quit was obeyed
         self._done = threading.Event()  # the thread has nothing more to do
@@ -61,6 +64,10 @@ class Worker:
     # ---- called from other threads --------------------------------------------------------------------------------
 
     def start(self) -> None:
+        """Start the thread. The first run is "loading" until torch is loaded, which takes a second."""
+        if "torch" not in sys.modules:
+            first = self._mailbox.snapshot(FIRST_RUN)
+            self._mailbox.deliver({FIRST_RUN: replace(first, status="loading", loading="PyTorch is loading")})
         self._thread.start()
 
     def send(self, command: Command) -> int:
@@ -105,9 +112,31 @@ class Worker:
 
     def _live(self) -> None:
         try:
-            self._work()
+            if self._prepare():
+                self._work()
         finally:
             self._done.set()
+
+    def _prepare(self) -> bool:
+        """Load what trains and draws, make the first run, and return whether that went well.
+
+        torch takes a second to load, and the methods need it. A window opens meanwhile: it asks for them only when the
+        first run is no longer "loading".
+        """
+        try:
+            METHODS.names()  # loads them
+            DATASETS.names()
+            self._runs[FIRST_RUN] = self._new_run(FIRST_RUN)
+        except Exception as error:  # an installation that is not complete, say
+            text = f"the worker failed: {type(error).__name__}: {error}"
+            first = replace(self._mailbox.snapshot(FIRST_RUN), status="failed", loading="")
+            self._mailbox.deliver({FIRST_RUN: first})
+            self._mailbox.tell(Notice("error", text, detail=traceback.format_exc(), kind="failed", run=FIRST_RUN))
+            self._mailbox.wake()
+            return False
+        for problem in (*METHODS.problems, *DATASETS.problems):
+            self._mailbox.tell(Notice("warning", problem))
+        return True
 
     def _work(self) -> None:
         if sys.platform == "linux":
@@ -190,6 +219,8 @@ class Worker:
     # ---- runs -------------------------------------------------------------------------------------------------------
 
     def _new_run(self, number: int) -> Run:
+        from nerf_core.live.run import Run
+
         return Run(number, self._settings, self._tell, self._say_loading)
 
     def _run(self, number: int) -> Run:
@@ -228,6 +259,8 @@ class Worker:
             self._trained = None
             return
         self._account_for_training(run, report.rays)
+        from nerf_core.common.device import enough_memory
+
         begin = time.perf_counter()
         with enough_memory():
             recorded = run.artist.pins.record(run.need_trainer())
@@ -324,6 +357,8 @@ class Worker:
 
     def _snapshot(self, run: Run, before: Snapshot) -> Snapshot:
         """Return the state of a run. If the device or the method raises, the run fails and keeps its last state."""
+        from nerf_core.live.snapshot import snapshot_of, status_of
+
         try:
             return snapshot_of(run, before, self._scheduler)
         except Exception as error:

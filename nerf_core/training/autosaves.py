@@ -11,11 +11,9 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from nerf_core.common.errors import UserError
 from nerf_core.common.files import clear_leftovers
@@ -25,6 +23,9 @@ from nerf_core.datasets import LoadOptions
 from nerf_core.geometry.scene import Scene
 from nerf_core.training.checkpoint import SUFFIX, describe, own_texts, tensor
 from nerf_core.training.settings import filled
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 MOST_NAME_BYTES = 100  # of a scene's name in a file's: systems take 255 bytes, and others are added
 AUTOSAVE = re.compile(rf".+-([0-9a-f]{{8}})-\d{{8}}-\d{{6}}-\d+{re.escape(SUFFIX)}")  # a name that `spare_files` gives
@@ -140,6 +141,8 @@ def small_picture(file: Path, rgba: np.ndarray | None) -> dict[str, Tensor]:
     """
     if rgba is None or not AUTOSAVE.fullmatch(file.name):
         return {}
+    import torch
+
     high, wide = rgba.shape[:2]
     scale = min(PICTURE_SIDE / max(high, wide), 1.0)
     rows, columns = max(round(scale * high), 1), max(round(scale * wide), 1)
@@ -151,12 +154,11 @@ def small_picture(file: Path, rgba: np.ndarray | None) -> dict[str, Tensor]:
 def picture(file: Path) -> np.ndarray | None:
     """Read the picture of an autosave: uint8 (h, w, 4). None: it has none, or what it has is damaged."""
     found = tensor(file, PICTURE)
-    if found is None or found.dtype != torch.uint8 or found.ndim != 3 or found.shape[2] != 3:
+    if found is None or found.dtype != np.uint8 or found.ndim != 3 or found.shape[2] != 3:
         return None
     if not 1 <= min(found.shape[:2]) <= max(found.shape[:2]) <= PICTURE_SIDE:
         return None
-    opaque = torch.full((*found.shape[:2], 1), 255, dtype=torch.uint8)
-    return torch.cat([found, opaque], dim=2).numpy()
+    return np.concatenate([found, np.full((*found.shape[:2], 1), 255, np.uint8)], axis=2)
 
 
 # ---- what is there ----------------------------------------------------------------------------------------------

@@ -10,13 +10,15 @@ import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.files import utf8_path, write_atomically
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 VERSION = 1
 SUFFIX = ".safetensors"
@@ -90,14 +92,17 @@ def describe(path: Path) -> dict[str, Any]:
     return _described(path, _read(path, tensors=False)[0]["nerf"])
 
 
-def tensor(path: Path, name: str) -> Tensor | None:
-    """Read one tensor alone, which is fast. Its checksum is not compared. None: there is none, or it is damaged."""
+def tensor(path: Path, name: str) -> np.ndarray | None:
+    """Read one tensor alone, which is fast and needs no torch. Its checksum is not compared.
+
+    None: there is none, it is damaged, or numpy has no such type.
+    """
     from safetensors import SafetensorError, safe_open
 
     try:
-        with utf8_path(path) as readable, safe_open(readable, framework="pt") as file:
+        with utf8_path(path) as readable, safe_open(readable, framework="numpy") as file:
             return file.get_tensor(name) if name in file.keys() else None  # noqa: SIM118  no dict
-    except (SafetensorError, OSError, ValueError):
+    except (SafetensorError, OSError, ValueError, TypeError, AttributeError):  # the last two: no such type in numpy
         return None
 
 
@@ -107,7 +112,8 @@ def _read(path: Path, *, tensors: bool) -> tuple[dict[str, str], dict[str, Tenso
     if not path.is_file():
         raise UserError(f"{path}: no such checkpoint; give a {SUFFIX} file that `nerf-core train` or Save wrote")
     try:
-        with utf8_path(path) as readable, safe_open(readable, framework="pt") as file:
+        framework = "pt" if tensors else "numpy"  # which loads no torch
+        with utf8_path(path) as readable, safe_open(readable, framework=framework) as file:
             metadata = file.metadata() or {}
             arrays = {name: file.get_tensor(name) for name in file.keys()} if tensors else {}  # noqa: SIM118  no dict
     except (SafetensorError, OSError, ValueError):
@@ -144,6 +150,8 @@ def _digest(version: str, text: str, arrays: Mapping[str, Tensor]) -> str:
 
     It is needed because safetensors itself has no checksum.
     """
+    import torch
+
     digest = hashlib.sha256(f"{version} {text}".encode())
     for name in sorted(arrays):
         value = arrays[name]

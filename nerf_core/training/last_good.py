@@ -5,10 +5,12 @@ from __future__ import annotations
 import time
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from nerf_core.training.trainer import Diverged, Trainer
 
+PART = 1 << 20  # numbers that are tested at a time, so that the test of a large tensor takes no memory of its size
 GOOD_SECONDS = 20.0  # between two copies: at most this much training is lost if the loss diverges
 
 
@@ -24,6 +26,7 @@ class LastGood:
 
     def __init__(self, trainer: Trainer) -> None:
         """Copy the state as it is now. Raises Diverged if it is not finite."""
+        self.state = {}
         self.remember(trainer)
 
     def due(self) -> bool:
@@ -35,12 +38,31 @@ class LastGood:
 
         A finite loss does not show that the weights are finite, because it is the loss of the weights before the step.
         """
-        state = {name: value.detach().to("cpu", copy=True) for name, value in trainer.state().items()}
-        broken = [n for n, v in state.items() if v.is_floating_point() and not bool(v.isfinite().all())]
+        state = trainer.state()
+        broken = [name for name, value in state.items() if not _finite(value)]
         if broken:
             raise Diverged(f"step {trainer.step_count}: {broken[0]} is not finite; {trainer.advice}")
-        self.description, self.state, self._time = trainer.describe(), state, time.monotonic()
+        copies = {name: self._room(name, value) for name, value in state.items()}
+        for name, value in state.items():
+            copies[name].copy_(value.detach())
+        self.description, self.state, self._time = trainer.describe(), copies, time.monotonic()
+
+    def _room(self, name: str, value: Tensor) -> Tensor:
+        """Memory for the copy of a tensor: the old copy's, if it fits and if nothing can go wrong half way.
+
+        Two copies of a fine voxel grid would take hundreds of MB. But a device can be lost while it is read, and then
+        the old copy is what is left.
+        """
+        old = self.state.get(name)
+        if old is not None and value.device.type == "cpu" and (old.shape, old.dtype) == (value.shape, value.dtype):
+            return old
+        return torch.empty_like(value, device="cpu")
 
     def restore(self, trainer: Trainer) -> None:
         """Return the trainer to the copied state."""
         trainer.go_to(self.description, self.state)
+
+
+def _finite(value: Tensor) -> bool:
+    """Return whether a tensor has no NaN and no infinity. Numbers that are no floats have none."""
+    return not value.is_floating_point() or all(bool(part.isfinite().all()) for part in value.reshape(-1).split(PART))

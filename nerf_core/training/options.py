@@ -6,14 +6,16 @@ import math
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.datasets import LoadOptions, check_options
 from nerf_core.datasets.capture import DATASETS
 from nerf_core.methods import METHODS
-from nerf_core.training.loop import Goal
 from nerf_core.training.settings import RunSettings
+
+if TYPE_CHECKING:
+    from nerf_core.training.loop import Goal
 
 MOST_NAME_BYTES = 255  # of a file or folder: the limit of common systems
 
@@ -65,11 +67,11 @@ class TrainOptions:
                 f"--threads {shorten(self.threads)}: give a whole number from 1 to 1024, or 0 for all cores"
             )
         for option, value, names in (
-            ("format", self.format, DATASETS.names()),
-            ("method", self.method, METHODS.names()),
+            ("format", self.format, DATASETS.names),
+            ("method", self.method, METHODS.names),  # which loads torch
         ):
-            if value not in ("auto", *names):
-                raise UserError(f"--{option} {shorten(value)}: choose from auto, {', '.join(names)}")
+            if value != "auto" and value not in names():
+                raise UserError(f"--{option} {shorten(value)}: choose from auto, {', '.join(names())}")
         load = LoadOptions(self.format, self.downscale, self.max_size, self.ndc, self.background, self.memory_gb)
         check_options(load)
         return RunSettings(
@@ -85,6 +87,8 @@ class TrainOptions:
 
     def goal(self, total_steps: int) -> Goal:
         """Return when training ends. total_steps: the length of the method's schedule, used without --steps."""
+        from nerf_core.training.loop import Goal
+
         return Goal(self.steps or total_steps, self.seconds or math.inf)
 
     def _changes(self) -> dict[str, str]:

@@ -18,11 +18,14 @@ import time
 
 def child(started: float) -> None:
     """Open the window as the command does. Print the seconds from `started` until each part is there."""
+    from nerf_core.common.command_line import parse
     from nerf_core.common.signals import Signals
     from nerf_core.live.messages import OpenScene, Train
     from nerf_core.training.settings import RunSettings
+    from viewer.cli import ViewerOptions
     from viewer.window import load_libraries, open_window
 
+    parse(ViewerOptions, "nerf-viewer", [])
     load_libraries()
     import viewer.session.session as sessions
 

@@ -11,13 +11,16 @@ and brings other panels to the front every half second. Prints
 - for orbiting, the delay from a moved camera until the first newly computed pixels are on the screen (not the warp of
   the old picture),
 - for the microscope, the delay from a click until every panel shows the new ray, and the time between two updates of a
-  pinned ray.
+  pinned ray,
+- the most memory that the process had at any time.
 """
 
 from __future__ import annotations
 
 import argparse
+import resource
 import statistics
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -101,6 +104,8 @@ def main() -> None:
     _print_times("moved camera to new pixels", orbiting.delays)
     _print_times("click to the new ray in every panel", microscope.opened)
     _print_times("between two looks at a pinned ray", microscope.looked)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (2**30 if sys.platform == "darwin" else 2**20)
+    print(f"peak memory at step {worker.snapshot().step:,}: {peak:.2f} GiB")
     worker.stop()
     app.close()
     window.close()

@@ -134,6 +134,30 @@ def test_messages_and_their_contents_load_neither_torch_nor_numba() -> None:
         assert done.stdout.split() == [], name
 
 
+def test_the_window_is_there_before_torch() -> None:
+    """torch takes a second to load. The command opens a window and draws a frame without it."""
+    code = """
+import sys
+from nerf_core.common.command_line import parse
+from nerf_core.common.signals import Signals
+from nerf_core.live.worker import Worker
+from viewer.cli import ViewerOptions
+from viewer.window import open_offscreen
+from viewer.session.session import Session
+settings = parse(ViewerOptions, "nerf-viewer", []).train.settings()
+window = open_offscreen((640, 400))
+with Signals() as signals:
+    Worker._live = lambda worker: worker._done.set()  # the thread that may load torch
+    session = Session(window, settings, signals, print)
+    session.app.settle()
+    text = session.worker.snapshot().loading
+    print(*{"torch", "numba", "llvmlite", "matplotlib", "pycolmap"} & set(sys.modules), text, sep="|")
+    session.close()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=CORE.parent)
+    assert done.stdout.splitlines()[-1] == "PyTorch is loading"
+
+
 def test_every_name_of_the_probe_is_found() -> None:
     for name in nerf_core.probe.__all__:
         assert getattr(nerf_core.probe, name).__class__.__name__ != "module", name

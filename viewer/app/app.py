@@ -184,12 +184,9 @@ class App:
         imgui.new_frame()
         actions = self._draw_interface()
         imgui.render()
-        target = self.window.framebuffer
-        target.use()
-        self.window.context.scissor = None
         surface = self.theme.surface  # docked panels paint no background
-        target.clear(surface.x, surface.y, surface.z, 1.0)
-        self._renderer.render(imgui.get_draw_data(), target)
+        ground = surface.x, surface.y, surface.z, 1.0
+        self._renderer.render(imgui.get_draw_data(), self.window.framebuffer, ground, self.window.keeps)
         for action in actions:
             self._actions.perform(action)
         self._save_screenshots()

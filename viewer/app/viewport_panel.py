@@ -106,8 +106,8 @@ class ViewportPanel:
         self.stale = self._picture.draw(preview, camera, scene.background, state.time)
         self._named = [layer.texture for layer in self._picture.shown]
         far = ImVec2(origin.x + camera.width, origin.y + camera.height)
-        for k, (texture, first, last, alpha) in enumerate(self._picture.shown):
-            image, tint = self._renderer.add(texture, opaque=k == 0), packed(ImVec4(1.0, 1.0, 1.0, alpha))
+        for k, (texture, first, last, alpha, content) in enumerate(self._picture.shown):
+            image, tint = self._renderer.add(texture, k == 0, content), packed(ImVec4(1.0, 1.0, 1.0, alpha))
             draw.add_image(image, origin, far, ImVec2(*first), ImVec2(*last), tint)
 
     def _draw_space(self, ui: PanelUi, state: AppState, scene: Scene, overlay: Overlay) -> None:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Hashable, Sequence
 
 import moderngl
 import numpy as np
 from imgui_bundle import imgui
+
+from .damage import Box, Drawn, Part, damage
 
 VERTEX_SHADER = """
 #version 330
@@ -38,6 +41,9 @@ void main() {
 BLEND = (moderngl.SRC_ALPHA, moderngl.ONE_MINUS_SRC_ALPHA, moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA)
 
 
+Ground = tuple[float, float, float, float]
+
+
 class ImguiRenderer:
     """Serves the current imgui context; its texture ids are GL texture names."""
 
@@ -48,7 +54,10 @@ class ImguiRenderer:
         self._indices = context.buffer(reserve=1 << 20, dynamic=True)
         self._arrays = self._make_arrays()
         self._textures: dict[int, moderngl.Texture] = {}
+        self._contents: dict[int, Hashable] = {}  # by texture: see `add`
         self._opaque: set[int] = set()
+        self.drawn: list[Box] = []  # where the last `render` drew
+        self._before: tuple[tuple[int, int], Ground, list[Drawn]] | None = None  # what `render` drew last
         # Indices have 32 bits in this build, so vertex offsets are not needed.
         imgui.get_io().backend_flags |= imgui.BackendFlags_.renderer_has_textures
         largest = context.info["GL_MAX_TEXTURE_SIZE"]
@@ -63,12 +72,18 @@ class ImguiRenderer:
             index_element_size=imgui.INDEX_SIZE,
         )
 
-    def add(self, texture: moderngl.Texture, opaque: bool = False) -> imgui.ImTextureRef:
+    def add(
+        self, texture: moderngl.Texture, opaque: bool = False, content: Hashable | None = None
+    ) -> imgui.ImTextureRef:
         """Let draw commands refer to `texture`. The caller keeps it and calls `remove` before releasing it.
 
-        opaque: the texture has no transparent texel, so that the pixels under it need not be read.
+        Args:
+            texture: the texture.
+            opaque: it has no transparent texel, so that the pixels under it need not be read.
+            content: changes whenever what the texture shows does. None: that may be any time.
         """
         self._textures[texture.glo] = texture
+        self._contents[texture.glo] = object() if content is None else content
         self._opaque.discard(texture.glo)  # GL reuses the name of a released texture
         if opaque:
             self._opaque.add(texture.glo)
@@ -78,66 +93,97 @@ class ImguiRenderer:
         self._textures.pop(texture.glo, None)
         self._opaque.discard(texture.glo)
 
-    def render(self, data: imgui.ImDrawData, target: moderngl.Framebuffer) -> None:
-        """Draw over the content of `target`, in its viewport."""
+    def render(
+        self, data: imgui.ImDrawData, target: moderngl.Framebuffer, ground: Ground | None = None, kept: bool = False
+    ) -> None:
+        """Draw what imgui shows into the viewport of `target`.
+
+        Args:
+            data: what imgui shows.
+            target: where to draw.
+            ground: the colour under it; None: over what is there.
+            kept: `target` has still what the last call drew, so that only what has changed is drawn.
+        """
         for texture in data.textures:
             self._update(texture)
-        width, height = data.display_size
+        width, height = int(data.display_size.x), int(data.display_size.y)
         if width <= 0 or height <= 0:
             return
+        lists = [self._read(commands, data) for commands in data.cmd_lists]
+        before, self._before = self._before, None  # whatever is raised, the next frame is drawn anew
+        dirty = [Box(0, 0, width, height)]
+        if kept and before is not None and before[:2] == ((width, height), ground):
+            dirty = damage(before[2], lists)
+        self.drawn = dirty
         target.use()
+        if ground is not None:
+            for box in dirty:
+                target.clear(*ground, viewport=box.for_gl(height))
         self.context.blend_func = BLEND  # pyright: ignore[reportAttributeAccessIssue]  write-only in moderngl's stubs
         x, y = data.display_pos
         self._program["place"] = (2 / width, -2 / height, -1 - 2 * x / width, 1 + 2 * y / height)
-        for commands in data.cmd_lists:
-            self._upload(commands)
-            for command in commands.cmd_buffer:
-                self._draw(command, (x, y), int(height))
+        for one in lists:
+            self._draw(one, dirty, height)
         self.context.scissor = None
+        if ground is not None:
+            self._before = (width, height), ground, lists
 
-    def _upload(self, commands: imgui.ImDrawList) -> None:
-        vertices, indices = commands.vtx_buffer, commands.idx_buffer
-        vertex_bytes, index_bytes = vertices.size() * imgui.VERTEX_SIZE, indices.size() * imgui.INDEX_SIZE
+    def _read(self, commands: imgui.ImDrawList, data: imgui.ImDrawData) -> Drawn:
+        vertices, indices, (x, y) = commands.vtx_buffer, commands.idx_buffer, data.display_pos
+        parts: list[Part] = []
+        for command in commands.cmd_buffer:
+            left, top, right, bottom = command.clip_rect
+            whole = Box(0, 0, int(data.display_size.x), int(data.display_size.y))
+            box = Box(int(left - x), int(top - y), int(right - x), int(bottom - y)).common(whole)
+            name = command.tex_ref.get_tex_id()
+            if box and command.elem_count:
+                content = name, self._contents[name], name in self._opaque
+                parts.append(Part(box, content, command.idx_offset, command.elem_count))
+        return Drawn(
+            ctypes.string_at(vertices.data_address(), vertices.size() * imgui.VERTEX_SIZE) if parts else b"",
+            ctypes.string_at(indices.data_address(), indices.size() * imgui.INDEX_SIZE) if parts else b"",
+            tuple(parts),
+            (x, y),
+        )
+
+    def _draw(self, one: Drawn, dirty: Sequence[Box], height: int) -> None:
+        """Draw a list of commands where something has changed."""
+        todo = [(part, box) for part in one.parts for place in dirty if (box := part.box.common(place))]
+        if todo:
+            self._upload(one)
+        for part, box in todo:
+            self.context.scissor = box.for_gl(height)
+            name, _, opaque = part.texture
+            self._textures[name].use()
+            self.context.enable_only(moderngl.NOTHING if opaque else moderngl.BLEND)
+            self._arrays.render(moderngl.TRIANGLES, vertices=part.length, first=part.first)
+
+    def _upload(self, one: Drawn) -> None:
         grown = False
-        for buffer, needed in ((self._vertices, vertex_bytes), (self._indices, index_bytes)):
-            if buffer.size < needed:
-                buffer.orphan(2 * needed)
+        for buffer, data in ((self._vertices, one.vertices), (self._indices, one.indices)):
+            if buffer.size < len(data):
+                buffer.orphan(2 * len(data))
                 grown = True
         if grown:
             self._arrays.release()
             self._arrays = self._make_arrays()
-        for buffer, data, size in (
-            (self._vertices, vertices, vertex_bytes),
-            (self._indices, indices, index_bytes),
-        ):
-            if size:
-                buffer.orphan()  # the driver may still read the old content
-                buffer.write((ctypes.c_ubyte * size).from_address(data.data_address()))
-
-    def _draw(self, command: imgui.ImDrawCmd, origin: tuple[float, float], height: int) -> None:
-        left, top, right, bottom = command.clip_rect
-        x, y = int(left - origin[0]), int(top - origin[1])
-        x2, y2 = int(right - origin[0]), int(bottom - origin[1])
-        if x2 <= x or y2 <= y or not command.elem_count:
-            return
-        self.context.scissor = (x, height - y2, x2 - x, y2 - y)
-        name = command.tex_ref.get_tex_id()
-        self._textures[name].use()
-        self.context.enable_only(moderngl.NOTHING if name in self._opaque else moderngl.BLEND)
-        self._arrays.render(moderngl.TRIANGLES, vertices=command.elem_count, first=command.idx_offset)
+        for buffer, data in ((self._vertices, one.vertices), (self._indices, one.indices)):
+            buffer.orphan()  # the driver may still read the old content
+            buffer.write(data)
 
     def _update(self, texture: imgui.ImTextureData) -> None:
         status = imgui.ImTextureStatus
         if texture.status == status.want_create:
             mine = self.context.texture((texture.width, texture.height), 4, _pixels(texture).tobytes())
             mine.repeat_x = mine.repeat_y = False
-            texture.set_tex_id(self.add(mine).get_tex_id())
+            texture.set_tex_id(self.add(mine, content=object()).get_tex_id())
             texture.status = status.ok
         elif texture.status == status.want_updates:
             mine, pixels = self._textures[texture.tex_id], _pixels(texture)
             for r in texture.updates:
                 part = pixels[r.y : r.y + r.h, r.x : r.x + r.w]
                 mine.write(part.tobytes(), viewport=(r.x, r.y, r.w, r.h))
+            # What was in it stays where it was: glyphs are added, and what refers to them is new.
             texture.status = status.ok
         elif texture.status == status.want_destroy:
             self._destroy(texture)
@@ -156,6 +202,7 @@ class ImguiRenderer:
         for mine in (self._arrays, self._vertices, self._indices, self._program):
             mine.release()
         self._textures.clear()
+        self._before = None
 
 
 def _pixels(texture: imgui.ImTextureData) -> np.ndarray:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
+
 import moderngl
 import numpy as np
 from imgui_bundle import imgui
 
 from .imgui_renderer import ImguiRenderer
+
+_numbers = itertools.count()
 
 
 class TextureCache:
@@ -15,6 +19,7 @@ class TextureCache:
     def __init__(self, renderer: ImguiRenderer) -> None:
         self._renderer = renderer
         self._held: dict[str, tuple[np.ndarray, moderngl.Texture]] = {}
+        self._uploads: dict[int, int] = {}  # by texture: the number of its last upload
         self._retired: list[moderngl.Texture] = []
 
     def begin_frame(self) -> None:
@@ -41,9 +46,10 @@ class TextureCache:
         if held is not rgba:
             texture.write(np.ascontiguousarray(rgba))
             self._held[key] = (rgba, texture)
+            self._uploads[texture.glo] = next(_numbers)
         kind = moderngl.LINEAR if smooth else moderngl.NEAREST
         texture.filter = (kind, kind)
-        return self._renderer.add(texture)
+        return self._renderer.add(texture, content=(self._uploads[texture.glo], smooth))
 
     def release(self) -> None:
         self._retired += [texture for _, texture in self._held.values()]

@@ -6,6 +6,7 @@ than the newest one: `Layer.blur` compares them, in pixels. The newest one fills
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from typing import NamedTuple
 
 import moderngl
@@ -23,12 +24,16 @@ SHARPEST = 0.1  # quantile: a picture is given up if not even this part of it sh
 
 
 class Shown(NamedTuple):
-    """A texture, row 0 at the top, the texture coordinates of the viewport's corners, and its opacity."""
+    """A texture, row 0 at the top, the texture coordinates of the viewport's corners, and its opacity.
+
+    content: changes whenever what the texture shows does.
+    """
 
     texture: moderngl.Texture
     first: tuple[float, float]
     last: tuple[float, float]
     alpha: float = 1.0
+    content: Hashable = None
 
 
 class ViewportPicture:
@@ -163,7 +168,7 @@ class ViewportPicture:
             layer.warp(self._program, canvas.target, camera, step, rival)
             kind = moderngl.NEAREST if scale == 1 else moderngl.LINEAR
             canvas.texture.filter = (kind, kind)
-        return Shown(canvas.texture, (0.0, 0.0), (1.0, 1.0))
+        return Shown(canvas.texture, (0.0, 0.0), (1.0, 1.0), content=wanted)
 
     def _drop_sharp(self) -> None:
         if self._sharp is not None:
@@ -203,4 +208,4 @@ def _direct(layer: Layer) -> Shown:
         tuple(((end - 0.5) / preview.stride + 0.5) / size for end, size in zip(corner, image.size, strict=True))
         for corner in ends
     )
-    return Shown(image, first, last)
+    return Shown(image, first, last, content=layer)

@@ -34,10 +34,9 @@ def warp_mesh(preview: Preview) -> tuple[np.ndarray, np.ndarray]:
     depth = preview.depth[np.ix_(rows, columns)].astype(np.float64)
     missing = np.isnan(depth)
     if missing.any():
-        near_hits = _depth_around(preview.depth, step)[np.ix_(rows, columns)]
-        depth = np.where(missing, near_hits, depth)
+        depth = np.where(missing, _depth_around(preview.depth, step, rows, columns), depth)
     if preview.stride >= SOFT and not missing.all():
-        smooth = _depth_around(preview.depth, max(step, SMOOTH))[np.ix_(rows, columns)]  # so that it does not fold
+        smooth = _depth_around(preview.depth, max(step, SMOOTH), rows, columns)  # so that it does not fold
         depth = np.where(np.isnan(smooth), np.median(depth[~missing]), smooth)
     x, y = columns * preview.stride + 0.5, rows * preview.stride + 0.5
     x[0], y[0], x[-1], y[-1] = (
@@ -75,22 +74,26 @@ def _lattice(count: int, step: int) -> np.ndarray:
     return np.append(np.arange(0, max(count - 1, 1), step), count - 1)
 
 
-def _depth_around(depth: np.ndarray, reach: int) -> np.ndarray:
-    """The mean depth of the hits within `reach` texels, NaN where there are none: (h, w) → (h, w).
+def _depth_around(depth: np.ndarray, reach: int, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """The mean depth of the hits within `reach` texels of some rows and columns, NaN where there are none.
+
+    (h, w), (R,) and (C,) → (R, C).
 
     It is 1 / mean(1/z). Over the picture of a plane 1/z is linear, so that a plane stays a plane. The mean of z itself
     would bend it.
     """
     hit = depth > 0
     with np.errstate(invalid="ignore", divide="ignore"):
-        inverse = np.where(hit, 1 / depth, 0).astype(np.float64)
+        inverse = np.where(hit, 1 / depth, np.float32(0)).astype(np.float64)
     sums = [inverse, hit.astype(np.float64)]
-    for axis in (0, 1):
-        pad = [(reach + 1, reach) if a == axis else (0, 0) for a in (0, 1)]
+    for axis, places in enumerate((rows, columns)):  # sums over rows, then only of these over columns
         length = depth.shape[axis]
+        high, low = np.minimum(places + reach + 1, length), np.maximum(places - reach, 0)
         for i, values in enumerate(sums):
-            total = np.cumsum(np.pad(values, pad), axis=axis)
-            high, low = np.arange(length) + 2 * reach + 1, np.arange(length)
+            total = np.empty([n + (a == axis) for a, n in enumerate(values.shape)])
+            before, after = (total[0], total[1:]) if axis == 0 else (total[:, 0], total[:, 1:])
+            before[...] = 0
+            np.cumsum(values, axis=axis, out=after)
             sums[i] = total.take(high, axis) - total.take(low, axis)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(sums[1] > 0.5, sums[1] / sums[0], np.nan)  # 0.5: these are counts, summed as floats

@@ -30,7 +30,6 @@ from nerf_core.live.messages import (
     StartExport,
     Train,
 )
-from nerf_core.live.pins import spare_pins
 from nerf_core.live.worker import Worker
 from nerf_core.rendering.export.requests import ExportStill
 from nerf_core.training.settings import RunSettings
@@ -171,6 +170,8 @@ class Script:
 
     def _check_room(self) -> None:
         """Raise UserError if there are too many pins. The demo's own pins give way to --pin; the user's do not."""
+        from nerf_core.live.pins import spare_pins  # with torch, which is loaded by now
+
         snapshot, asked = self._snapshot(), len(self.wishes.pins)
         spare = spare_pins(snapshot.pins, snapshot.scene) if snapshot.scene else []
         room = MOST_PINS - len(snapshot.pins) + len(spare)

@@ -14,10 +14,8 @@ from nerf_core.common.errors import UserError
 from nerf_core.common.files import clear_leftovers
 from nerf_core.common.output import complain
 from nerf_core.common.signals import Interrupted, Signals
-from nerf_core.datasets.capture import DATASETS
-from nerf_core.live.messages import CancelExport, Notice, SaveUnsaved, Train
+from nerf_core.live.messages import CancelExport, SaveUnsaved, Train
 from nerf_core.live.worker import Worker
-from nerf_core.methods import METHODS
 from nerf_core.training.autosaves import any_autosave, clear_spare_leftovers, forget_old_autosaves
 from nerf_core.training.last_save import telling
 from nerf_core.training.settings import RunSettings
@@ -117,15 +115,9 @@ class Session:
 
     def _offer_autosaves(self) -> None:
         """Serve the user, who has asked for nothing, with a window that offers to continue."""
-        self._tell_problems()
         self.app.state.left_off.read()
         self.app.state.show_left_off = True
         self.app.run(lambda: self.signals.received is not None)
-
-    def _tell_problems(self) -> None:
-        """Show which plugins cannot be loaded."""
-        for problem in (*METHODS.problems, *DATASETS.problems):
-            self.app.tell(Notice("warning", problem))
 
     def _say_in_window(self, error: str) -> None:
         """Serve the user, with a window that says why the capture was not opened: a launcher shows no terminal."""
@@ -137,7 +129,6 @@ class Session:
 
     def _attend(self, wishes: Wishes) -> None:
         """Serve the user until the window closes. A capture trains; a loaded checkpoint does if that is asked for."""
-        self._tell_problems()
         left = None if wishes.steps is None else wishes.steps - self.worker.snapshot().step
         wanted = wishes.load is None or wishes.steps is not None or wishes.seconds is not None
         if wanted and (left is None or left > 0):

@@ -8,11 +8,6 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-# Before any GL context: torch.optim loads torch._dynamo, and with it triton, on first use. Triton's exported LLVM
-# symbols clash with those of Mesa's drivers, and the process would die in the middle of training.
-import torch
-import torch._dynamo  # noqa: F401
-
 from nerf_core.common.errors import UserError
 
 if TYPE_CHECKING:
@@ -35,6 +30,7 @@ class Window(Protocol):
     context: moderngl.Context
     framebuffer: moderngl.Framebuffer  # its viewport always covers size()
     has_display: bool
+    keeps: bool  # what was drawn is still in the framebuffer after `swap`
 
     def size(self) -> tuple[int, int]:
         """Return the framebuffer's width and height; (0, 0) while minimised."""

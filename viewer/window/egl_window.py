@@ -13,6 +13,7 @@ import numpy as np
 from nerf_core.common.errors import UserError
 
 from . import DEBIAN_PACKAGES
+from .triton_first import bind_triton
 
 EGL_LIBRARY = "libEGL.so.1"  # the one that moderngl has loaded
 
@@ -21,8 +22,10 @@ class EglWindow:
     """A `viewer.window.Window` offscreen. Raises UserError if EGL or OpenGL 3.3 is missing."""
 
     has_display = False
+    keeps = True
 
     def __init__(self, size: tuple[int, int], scale: float = 1.0) -> None:
+        bind_triton()
         try:
             settings: Any = {"backend": "egl"}  # moderngl's annotation of these is wrong
             self.context = moderngl.create_standalone_context(require=330, **settings)

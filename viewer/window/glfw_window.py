@@ -17,6 +17,7 @@ from nerf_core.common.errors import UserError
 
 from . import DEBIAN_PACKAGES, DisplayError
 from .glfw_keys import CURSORS, KEYS, MODIFIERS
+from .triton_first import bind_triton
 from .x11_connection import when_connection_is_lost
 
 ICON_PIXELS = 64  # the size in title bars and task lists
@@ -45,12 +46,14 @@ class GlfwWindow:
     """A `viewer.window.Window` on a screen. Raises DisplayError without a screen, UserError without OpenGL 3.3."""
 
     def __init__(self, title: str, size: tuple[int, int], visible: bool = True) -> None:
+        bind_triton()
         glfw.ERROR_REPORTING = "ignore"  # errors are read with get_error; a missing cursor shape does not matter
         if not glfw.init():
             raise DisplayError(f"cannot open a window: {_glfw_error()}: set DISPLAY or use --headless")
         self.has_display = visible
         self._handle = self._create(title, size, visible)
         self._cursors: dict[int, Any] = {}
+        self._cursor = -1  # the shape that is shown
         self._came = False
         self._closed = False
         try:
@@ -67,10 +70,26 @@ class GlfwWindow:
         except Exception as error:  # moderngl raises plain Exception and ValueError for what the driver lacks
             raise UserError(f"cannot draw: no OpenGL 3.3 ({error}): install {DEBIAN_PACKAGES}") from error
         self.framebuffer = self.context.detect_framebuffer(0)
+        self.keeps = self._keeps()
         self._connect()
         if self.has_display:
             self._set_icon()
         self._resized()
+
+    def _keeps(self) -> bool:
+        """Find out by trial whether the framebuffer keeps what was drawn when it is shown.
+
+        OpenGL leaves that open. Mesa's software renderers copy it to an X11 window, so it stays. A graphics card mostly
+        exchanges two or three buffers, when it likes, and does not need to save pixels.
+        """
+        if glfw.get_platform() != glfw.PLATFORM_X11 or "pipe" not in self.context.info["GL_RENDERER"]:
+            return False
+        for shade in range(1, 4):  # nearly black: nobody sees it
+            self.framebuffer.clear(shade / 255, shade / 255, shade / 255, 1.0)
+            self.swap()
+            if self.framebuffer.read(viewport=(0, 0, 1, 1), components=3) != bytes([shade] * 3):
+                return False
+        return True
 
     @staticmethod
     def _create(title: str, size: tuple[int, int], visible: bool) -> Any:
@@ -121,6 +140,10 @@ class GlfwWindow:
         return imgui.get_io()
 
     def _resized(self) -> None:
+        # Asked only now: GLFW asks the X server, and lets the worker's Python run meanwhile. In the middle of a frame,
+        # that costs milliseconds.
+        self._size = glfw.get_framebuffer_size(self._handle)
+        self._scale = max(glfw.get_window_content_scale(self._handle))
         self._came = True
         self.framebuffer.viewport = (0, 0, *self.size())
 
@@ -163,15 +186,16 @@ class GlfwWindow:
     # ---- the contract -----------------------------------------------------------------------------------------
 
     def size(self) -> tuple[int, int]:
-        return glfw.get_framebuffer_size(self._handle)
+        return self._size
 
     def scale(self) -> float:
-        return max(glfw.get_window_content_scale(self._handle))
+        return self._scale
 
     def resize(self, width: int, height: int) -> None:
         window, pixels = glfw.get_window_size(self._handle), self.size()
         ratio = window[0] / pixels[0] if pixels[0] else 1.0
         glfw.set_window_size(self._handle, round(width * ratio), round(height * ratio))
+        self._resized()
 
     def poll(self, timeout: float) -> bool:
         self._came = False
@@ -200,6 +224,9 @@ class GlfwWindow:
 
     def set_cursor(self, cursor: int) -> None:
         shape = CURSORS.get(cursor, CURSORS[imgui.MouseCursor_.arrow])
+        if shape == self._cursor:
+            return
+        self._cursor = shape
         if shape not in self._cursors:
             self._cursors[shape] = glfw.create_standard_cursor(shape)  # None if the system does not have this shape
         glfw.set_cursor(self._handle, self._cursors[shape])

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
-import torch
-from torch import Tensor
+from typing import TYPE_CHECKING, ClassVar
 
 from nerf_core.common.colormaps import Name
 from nerf_core.common.errors import UserError
-from nerf_core.geometry.rays import Rays, Samples, Trace
 from nerf_core.methods import METHODS, Method, Radiant, lacking
 from nerf_core.rendering.modes import MODES
-from nerf_core.rendering.view_dependence import view_dependence
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from nerf_core.geometry.rays import Rays, Samples, Trace
 
 NOTHING = 0.05  # under this opacity a ray has hit nothing visible, and the pixel has no number
 
@@ -36,6 +36,10 @@ class ViewDependence:
 
         Raises UserError if the method has no radiance at a point.
         """
+        import torch
+
+        from nerf_core.rendering.view_dependence import view_dependence
+
         if not isinstance(method, Radiant):
             raise UserError(f"{lacking(METHODS.name_of(type(method)), 'radiance')}: choose another picture")
         t = depths(trace.passes[-1]).cpu()
@@ -54,6 +58,8 @@ def depths(samples: Samples) -> Tensor:
 
     samples: those of R rays.
     """
+    import torch
+
     weights = samples.weights.double()
     median = (weights.cumsum(-1) < 0.5).sum(-1)
     strongest = weights.argmax(-1)

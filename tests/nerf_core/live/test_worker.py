@@ -311,3 +311,15 @@ def test_the_time_left_is_not_longer_than_what_was_asked_for(open_desk: OpenDesk
     left = desk.until(lambda s: s.seconds_left is not None).seconds_left
     assert left is not None
     assert 0 < left <= 200
+
+
+def test_an_installation_that_cannot_train_is_told_of(tiny: RunSettings, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(_worker: Worker, _number: int) -> None:
+        raise ImportError("no torch here")
+
+    monkeypatch.setattr(Worker, "_new_run", broken)
+    desk = Desk(tiny, None)
+    notice = desk.until_told("the worker failed: ImportError: no torch here")
+    assert (notice.level, notice.kind) == ("error", "failed")
+    assert desk.worker.snapshot().status == "failed"
+    assert desk.worker.stop()

@@ -107,6 +107,7 @@ def test_a_moving_camera_waits_while_the_budget_says_so_and_a_resting_one_never(
 
 def test_the_windows_frames_do_not_count_as_training(tiny: RunSettings) -> None:
     worker = Worker(tiny, share=0.6)
+    assert worker._prepare()
     worker.painted(0.25)
     worker._accounted = time.perf_counter() - 1.0
     worker._account_for_training(worker._runs[1], 100)

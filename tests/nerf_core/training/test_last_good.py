@@ -38,3 +38,15 @@ def test_broken_weights_are_not_remembered(make_trainer: MakeTrainer) -> None:
     good.restore(trainer)
     assert trainer.step_count == 0
     assert all(bool(v.isfinite().all()) for v in trainer.state().values())
+
+
+def test_the_next_copy_takes_the_memory_of_the_one_before(make_trainer: MakeTrainer) -> None:
+    trainer = make_trainer()
+    good = LastGood(trainer)
+    before = good.state
+    trainer.step()
+    good.remember(trainer)
+    assert sum(good.state[name] is value for name, value in before.items()) >= len(before) - 2  # the history has grown
+    ours = trainer.state()
+    assert [name for name, value in good.state.items() if not torch.equal(value, ours[name])] == []
+    assert {v.data_ptr() for v in good.state.values() if v.numel()} & {v.data_ptr() for v in ours.values()} == set()

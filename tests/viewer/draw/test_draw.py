@@ -159,7 +159,7 @@ def on_screen(canvas: tuple[Window, ImguiRenderer], picture: ViewportPicture, ca
 
     def draw(lists: imgui.ImDrawList) -> None:
         far = ImVec2(camera.width, camera.height)
-        for k, (texture, first, last, alpha) in enumerate(picture.shown):
+        for k, (texture, first, last, alpha, _) in enumerate(picture.shown):
             tint = rgba(255, 255, 255, round(255 * alpha))
             image = canvas[1].add(texture, opaque=k == 0)
             lists.add_image(image, ImVec2(0, 0), far, ImVec2(*first), ImVec2(*last), tint)

@@ -31,8 +31,7 @@ def test_the_window_shows_which_plugins_cannot_be_loaded(
     with Signals() as signals:
         session = Session(offscreen((320, 200)), RunSettings(), signals, print)
         try:
-            signals.received = signal.SIGTERM  # so that the window closes at once
-            session._attend(Wishes())
+            session.app.run(lambda: len(session.app.state.notices) > 1)
             notices = [shown.notice for shown in session.app.state.notices]
         finally:
             session.close()
