@@ -43,7 +43,7 @@ class VoxelConfig:
     keep_square: float = constant(0.99, "Adam's beta2", share="[0, 1)")
     epsilon: float = constant(1e-5, "Adam's epsilon, in units of one ray's gradient", least=1e-12)
     average: float = constant(
-        0.98, "decay of the EMA of rows that pictures show; smaller while a level is young", share="[0, 1)"
+        0.995, "decay of the EMA of rows that pictures show; smaller while a level is young", share="[0, 1)"
     )
     smoothness: float = constant(2.5e-6, "weight of the smoothness of density in the loss")
     distortion: float = constant(
