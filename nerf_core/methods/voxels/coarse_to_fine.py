@@ -161,8 +161,8 @@ def _around(grid: VoxelGrid, of_each: tuple[Tensor, ...], least: int) -> Tensor:
     return found & grid.occupied
 
 
-def finer_grid(old: VoxelGrid, worth: Worth, split: float, most_rows: int) -> VoxelGrid:
-    """Return a grid with cells of half the size where that shows, without values.
+def finer_grid(old: VoxelGrid, worth: Worth, split: float, most_rows: int) -> tuple[VoxelGrid, bool]:
+    """Return a grid with cells of half the size where that shows, without values; and whether it lacks rows for more.
 
     The cells that no pixel needs are dropped. Those that have a weight of at least `split` in some pixel, and their
     neighbours, are divided into eight. The others stay as they are: thin haze gains nothing from smaller cells.
@@ -173,25 +173,20 @@ def finer_grid(old: VoxelGrid, worth: Worth, split: float, most_rows: int) -> Vo
         split: the weight; it becomes larger if the grid has too many rows.
         most_rows: the most rows that the grid may have.
     """
-    aligned = 1 << (len(old.tables) - 1)
+    aligned = BRICK << (len(old.tables) - 1)  # bricks begin where they did, so that there are no more of them
     found = worth.needed.nonzero()
-    low, high = (found.amin(0) // aligned * aligned).tolist(), (-(-(found.amax(0) + 1) // aligned) * aligned).tolist()
-    box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+    low, high = found.amin(0) // aligned * aligned, -(-(found.amax(0) + 1) // aligned) * aligned
+    box = tuple(slice(a, b) for a, b in zip(low.tolist(), high.tolist(), strict=True))
     kept = (old.kinds * worth.needed)[box]
-    least = class_of(split)
-    while True:
-        larger = (
-            kept + (kept > 0)
-            if least > 1 + HALVINGS
-            else kept + ((kept > 0) & ~_around(old, worth.of_each, least)[box])
-        )
-        kinds = spread(larger, 1)
-        if ROWS * sum(int(bricks_of(cells).sum()) for cells in cells_of_each_size(kinds)) <= most_rows:
-            break
-        if least > 1 + HALVINGS:
-            break
+    least, count = class_of(split) - 1, most_rows + 1
+    kinds = kept
+    while count > most_rows and least <= class_of(1.0):  # nothing is worth more than that: no cell is divided
         least += 1
-    return VoxelGrid.of_kinds(old.origin + np.array(low) * old.voxel, old.voxel / 2, kinds, old.contracted)
+        whole = (kept > 0) & ~_around(old, worth.of_each, least)[box]
+        kinds = spread(kept + whole, 1)
+        count = ROWS * sum(int(bricks_of(cells).sum()) for cells in cells_of_each_size(kinds))
+    grid = VoxelGrid.of_kinds(old.origin + low.numpy() * old.voxel, old.voxel / 2, kinds, old.contracted)
+    return grid, least > class_of(split)
 
 
 def resample(

@@ -64,16 +64,23 @@ class VoxelModel(Defaults):
         self.ema_rows = self.grid.rows.clone()
         self.updates = 0  # Adam's updates
         self.mean_error = 1.0  # mean squared error of the last some 20 steps
+        self.full = False  # whether the grid lacks rows for all the cells that are worth dividing
+
+    @property
+    def stage(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]  only read
+        if not self.full:
+            return ""
+        return f"grid full: only its most seen parts are fine (--set most_rows above {self.config.most_rows:,})"
 
     # ---- training ---------------------------------------------------------------------------------------------------
 
     def undo(self, step: int) -> Callable[[], None]:
         """Return a function that drops gradients, and restores the coarser grid if the step began a new level."""
-        before = self.grid, self.moments, self.ema_rows, self.level
+        before = self.grid, self.moments, self.ema_rows, self.level, self.full
 
         def back() -> None:
             self.kernels.forget()
-            self.grid, self.moments, self.ema_rows, self.level = before
+            self.grid, self.moments, self.ema_rows, self.level, self.full = before
 
         return back
 
@@ -176,7 +183,7 @@ class VoxelModel(Defaults):
         worth = self.worth(yield_callback)
         if not worth.needed.any():  # nothing has been learnt yet: keep all cells
             worth = replace(worth, needed=self.grid.occupied)
-        grid = finer_grid(self.grid, worth, self.config.split, self.config.most_rows)
+        grid, self.full = finer_grid(self.grid, worth, self.config.split, self.config.most_rows)
         resample(self.kernels, self.ema_grid, grid, self.config.bias, yield_callback)
         self.moments = resampled_moments(self.kernels, replace(self.grid, rows=self.moments), grid)
         self.level += 1
@@ -247,7 +254,7 @@ class VoxelModel(Defaults):
         return {f"grid.{k}": v for k, v in self.grid.state().items()}
 
     def state(self) -> dict[str, Tensor]:
-        numbers = {"level": self.level, "updates": self.updates, "error": self.mean_error}
+        numbers = {"level": self.level, "updates": self.updates, "error": self.mean_error, "full": self.full}
         return (
             self.grid_state()
             | {k: torch.tensor(v, dtype=torch.float64 if k == "error" else None) for k, v in numbers.items()}
@@ -285,4 +292,5 @@ class VoxelModel(Defaults):
             )
         self.grid, self.moments, self.ema_rows = grid, *(torch.empty_like(v).copy_(v) for v in (moments, average))
         self.level, self.updates, self.mean_error = level, int(state["updates"]), error
+        self.full = bool(state.get("full", False))
         self.generator.set_state(state["generator"])

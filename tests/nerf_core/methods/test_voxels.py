@@ -190,7 +190,8 @@ def test_cells_that_are_not_divided_keep_the_picture_exactly(kernels: VoxelKerne
     worth = Worth(
         old.occupied, tuple(torch.zeros_like(one, dtype=torch.uint8) for one in cells_of_each_size(old.kinds))
     )
-    new = finer_grid(old, worth, 1.0, 10**9)
+    new, full = finer_grid(old, worth, 1.0, 10**9)
+    assert not full
     assert int(new.kinds.max()) == int(old.kinds.max()) + 1
     resample(kernels, old, new, 0.0, nothing)
     directions = torch.nn.functional.normalize(torch.randn(500, 3, generator=g), dim=-1)
@@ -209,10 +210,13 @@ def test_cells_with_thin_haze_stay_large_and_the_limit_of_rows_divides_fewer(sce
     assert len(method.grid.tables) > 1
     assert (method.grid.kinds > 1).any()
     method = voxels_of(run(scene, 6))
-    all_rows = len(finer_grid(method.grid, method.worth(), 0.05, 10**9).rows)
-    fewer = finer_grid(method.grid, method.worth(), 0.05, all_rows - ROWS)
-    assert len(fewer.rows) < all_rows
-    assert (fewer.kinds > 0).sum() == (finer_grid(method.grid, method.worth(), 0.05, 10**9).kinds > 0).sum()
+    assert method.stage == ""
+    whole, full = finer_grid(method.grid, method.worth(), 0.05, 10**9)
+    assert not full
+    fewer, full = finer_grid(method.grid, method.worth(), 0.05, len(whole.rows) - ROWS)
+    assert full
+    assert len(fewer.rows) < len(whole.rows)
+    assert (fewer.kinds > 0).sum() == (whole.kinds > 0).sum()
 
 
 def test_dropping_cells_costs_no_pixel_a_level_and_held_out_photos_a_tenth_of_a_decibel(scene: Scene) -> None:
@@ -368,6 +372,7 @@ def test_rows_never_pass_their_limit(scene: Scene) -> None:
     assert isinstance(method, Voxels)
     assert method.level == len(method.schedule.levels) - 1
     assert len(method.grid.rows) <= 4096
+    assert "--set most_rows above 4,096" in method.stage
 
 
 @pytest.mark.parametrize(

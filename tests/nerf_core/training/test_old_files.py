@@ -40,6 +40,7 @@ def test_an_old_run_continues(method: str, demo: Scene, tmp_path: Path, monkeypa
         elif name.endswith("seen"):
             error = name.replace("seen", "error")
             stored[error] = torch.zeros_like(state[error])
+            stored[name.replace("seen", "full")] = torch.tensor(False)
             del stored[name]
     assert set(state) == set(stored)
     assert all(torch.equal(value.cpu(), stored[name]) for name, value in state.items())
