@@ -69,6 +69,7 @@ class App:
         self.theme = DarkTheme()
         self.theme.load_fonts()
         self._scale = 0.0
+        self._size = window.size()  # asked once for each frame: that can take milliseconds
         self._renderer = ImguiRenderer(window.context)
         self._textures = TextureCache(self._renderer)
         self._viewport = ViewportPanel(window.context, self._renderer)
@@ -106,7 +107,10 @@ class App:
         moved = self.state.camera.update(now)
         self._pacer.note(now, user=moved or force)
         drew = False
-        if (force or self._pacer.due(now)) and min(self.window.size()) > 0:
+        due = force or self._pacer.due(now)
+        if due:
+            self._size = self.window.size()
+        if due and min(self._size) > 0:
             begin = clock.perf_counter()
             self._draw(now)
             self._show()
@@ -116,7 +120,7 @@ class App:
             drew = True
             moved = self.state.camera.update(now)  # by the user's input in this frame
             self._pacer.note(now, user=moved, fading=self._viewport.fading)
-        if min(self.window.size()) > 0:
+        if min(self._size) > 0:
             self._views.update(self.state, now)
         return drew
 
@@ -173,9 +177,9 @@ class App:
         if self.window.scale() != self._scale:
             self._scale = self.window.scale()
             self.theme.apply(self._scale)
-            self._layout.fit(self.theme.em, self.window.size())
+            self._layout.fit(self.theme.em, self._size)
         io = imgui.get_io()
-        io.display_size = ImVec2(*self.window.size())
+        io.display_size = ImVec2(*self._size)
         io.delta_time = max(now - self._drawn_at, SHORTEST)
         self._drawn_at = now
         self._count_frame(now)

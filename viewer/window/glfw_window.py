@@ -140,9 +140,7 @@ class GlfwWindow:
         return imgui.get_io()
 
     def _resized(self) -> None:
-        # Asked only now: GLFW asks the X server, and lets the worker's Python run meanwhile. In the middle of a frame,
-        # that costs milliseconds.
-        self._size = glfw.get_framebuffer_size(self._handle)
+        # Asked only now: each call of GLFW lets the worker's Python run, which costs milliseconds within a frame.
         self._scale = max(glfw.get_window_content_scale(self._handle))
         self._came = True
         self.framebuffer.viewport = (0, 0, *self.size())
@@ -186,7 +184,9 @@ class GlfwWindow:
     # ---- the contract -----------------------------------------------------------------------------------------
 
     def size(self) -> tuple[int, int]:
-        return self._size
+        # This asks the X server. If that hangs, the window's thread waits here, where it does not hold Python's lock:
+        # inside OpenGL it would, and nobody could save what was trained (`viewer.session.rescue`).
+        return glfw.get_framebuffer_size(self._handle)
 
     def scale(self) -> float:
         return self._scale

@@ -97,6 +97,7 @@ def test_a_window_shows_and_opens_it(session: Session, capture: Path, tmp_path: 
     app, state = session.app, session.app.state
     script = Script(app, session.worker, Wishes(), lambda: False, say)  # raises the error of any panel
     script.open(capture, session.settings)
+    script.prepare()  # draws until the panels are docked, however few frames the loading took
     app.perform(GoToView(1))
     script._click("0.5", "0.5")
     script._train(2, None)
