@@ -37,7 +37,7 @@ class VoxelConfig:
     step: float = constant(0.7, "length of a sample in cells", least=0.05, most=16)
     bias: float = constant(-3.0, "raw density of a new grid", least=-LARGEST)
     rate_color: float = constant(0.2, "Adam's learning rate for colour, falling as 1 / (1 + step / slowdown)")
-    rate_density: float = constant(0.3, "Adam's learning rate for density, falling alike")
+    rate_density: float = constant(0.45, "Adam's learning rate for density, falling alike")
     slowdown: float = constant(500.0, "steps after which the learning rates have halved", least=1)
     keep: float = constant(0.9, "Adam's beta1", share="[0, 1)")
     keep_square: float = constant(0.99, "Adam's beta2", share="[0, 1)")
@@ -83,7 +83,9 @@ class VoxelConfig:
         if (
             not scene.synthetic
         ):  # a place fills space that is empty around an object, so that each part of it is seen by fewer rays
-            config = replace(config, smoothness=3e-5, distortion=0.01, spare_error=0.5, beside=1e-7, step=1.0)
+            config = replace(
+                config, rate_density=0.3, smoothness=3e-5, distortion=0.01, spare_error=0.5, beside=1e-7, step=1.0
+            )
         return changed(config, changes, "voxels")
 
     @staticmethod
