@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,9 +28,13 @@ from nerf_core.geometry.cameras import camera_rays
 from nerf_core.geometry.scene import Scene
 from nerf_core.kernels.voxel_kernels import Adam
 from nerf_core.methods.voxels.method import Voxels
+from nerf_core.rendering.images import render_camera
+from nerf_core.training.metrics import psnr
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
 from nerf_core.volume.voxel_grid import VoxelGrid
+
+DIPS = {"lego": 8, "fox": 8, "fern": 8, "can": 8}  # scenes, and by how much their photos are downscaled
 
 
 def rates(scene: Scene, rounds: int) -> dict[str, Any]:
@@ -50,6 +55,45 @@ def rates(scene: Scene, rounds: int) -> dict[str, Any]:
         assert trainer.step_count == before + 40
         plain.append(256 / seconds(lambda: peer.train(rays, truth)))
     return {"ours": ours, "plain": plain, "ratio": [a / b for a, b in zip(ours, plain, strict=True)]}
+
+
+def dips(folder: Path, steps: int = 2000) -> dict[str, list[float]]:
+    """Measure how far held-out PSNR falls below its best so far, in dB, in the first steps of the voxel method.
+
+    Looks at every step after a level begins or cells are dropped, 12 of them, and at every 50th, at up to 6 photos of
+    each scene that is there. Returns the deepest fall, the step at which it was, the best PSNR and the last.
+    """
+    found = {}
+    for name, downscale in DIPS.items():
+        if not (folder / name).exists():
+            continue
+        trainer = Trainer(load_scene(folder / name, LoadOptions(downscale=downscale)), RunSettings(method="voxels"))
+        views = trainer.scene.held_out()[1]
+        views = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, 6).round().astype(int))]
+        assert isinstance(trainer.method, Voxels)
+        schedule, since = trainer.method.schedule, 0
+        deepest, at, best, last = 0.0, 0, 0.0, 0.0
+        while trainer.step_count < steps:
+            step, level = trainer.step_count, trainer.method.level
+            trainer.step()
+            since = 0 if trainer.method.level != level or schedule.drops(step) else since + 1
+            if since >= 12 and trainer.step_count % 50:
+                continue
+            last = held_out_psnr(trainer, views)
+            best = max(best, last)
+            if best - last > deepest:
+                deepest, at = best - last, trainer.step_count
+        found[name] = [deepest, float(at), best, last]
+    return found
+
+
+def held_out_psnr(trainer: Trainer, views: Sequence[int] = ()) -> float:
+    """The mean PSNR of the held-out photos, or of some `views`."""
+    scene = trainer.scene
+    return statistics.mean(
+        psnr(render_camera(trainer.method, scene.views[i].camera, scene)[0], scene.images[i].astype(np.float32) / 65535)
+        for i in views or scene.held_out()[1]
+    )
 
 
 def preview(scene: Scene, rounds: int) -> list[float]:

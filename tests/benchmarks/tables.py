@@ -31,15 +31,25 @@ import nerf_core  # noqa: F401  before torch: it sets how OpenMP's threads wait
 import numpy as np
 import torch
 from machine import processor
-from measures import compile_seconds, determinism, frame, growth, official, peak_gib, preview, rates, thousand
+from measures import (
+    compile_seconds,
+    determinism,
+    dips,
+    frame,
+    growth,
+    held_out_psnr,
+    official,
+    peak_gib,
+    preview,
+    rates,
+    thousand,
+)  # fmt: skip
 from published import METRICS, learn_and_evaluate
 
 from nerf_core.common.device import describe, pick_device, usable_cores
 from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods.guided.method import GuidedNerf
-from nerf_core.rendering.images import render_camera
-from nerf_core.training.metrics import psnr
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
 
@@ -80,17 +90,9 @@ SCRIPTS = {  # what they print becomes a row unchanged
     "window": ("window.py",),
     "window-nerf": ("window.py", "--method", "nerf"),
 }
-CPU_MEASURES = ("compile", "rates", "preview", "growth", "determinism", "thousand")
+CPU_MEASURES = ("compile", "dips", "rates", "preview", "growth", "determinism", "thousand")
 CUDA_MEASURES = ("frame", "official")
 UNITS = {"official": "rays/s"}
-
-
-def held_out_psnr(trainer: Trainer) -> float:
-    scene = trainer.scene
-    return statistics.mean(
-        psnr(render_camera(trainer.method, scene.views[i].camera, scene)[0], scene.images[i].astype(np.float32) / 65535)
-        for i in scene.held_out()[1]
-    )
 
 
 def learn(scene: Scene, row: Row, seed: int) -> dict[str, Any]:
@@ -125,6 +127,8 @@ def one(args: argparse.Namespace) -> dict[str, Any]:
     """Measure what this child process was started for."""
     if args.child == "compile":
         return compile_seconds()
+    if args.child == "dips":
+        return {"value": dips(args.scenes)}
     if args.child == "thousand":
         return {"value": thousand(args.repeat)}
     if args.child in rows_here():
@@ -264,7 +268,12 @@ def main() -> None:
             print(f"{name}:", *results[name], sep="\n  ", flush=True)
         else:
             results[name] = child(args, name)
+            (args.out / "tables.json").write_text(json.dumps(results, indent=1))
             figures = results[name].get("value", results[name])
+            if name == "dips":
+                for scene, (deepest, at, best, last) in figures.items():
+                    print(f"dips: {scene}: {deepest:.2f} dB at step {at:.0f}; best {best:.2f}, last {last:.2f} dB")
+                continue
             lists = figures if isinstance(figures, dict) else {UNITS.get(name, "ms"): figures}
             text = {k: spread(v) if isinstance(v, list) else f"{v:.1f}" for k, v in lists.items()}
             print(f"{name}: " + "; ".join(f"{k} {v}" for k, v in text.items()), flush=True)
