@@ -13,7 +13,6 @@ import numpy as np
 from imgui_bundle import imgui
 
 VERTEX = np.dtype([("place", "<f4", 2), ("uv", "<f4", 2), ("color", "<u4")])
-INDEX = np.dtype(f"<u{imgui.INDEX_SIZE}")
 assert VERTEX.itemsize == imgui.VERTEX_SIZE
 
 
@@ -80,16 +79,14 @@ class Drawn(NamedTuple):
 
     def covered(self) -> Box:
         """Return a rectangle outside of which nothing is drawn; an empty one if nothing is drawn at all."""
+        if not self.parts:
+            return EMPTY
         places = np.frombuffer(self.vertices, VERTEX)["place"] - np.array(self.origin, np.float32)
-        indices = np.frombuffer(self.indices, INDEX)
-        found = EMPTY
-        for part in self.parts:
-            used = places[indices[part.first : part.first + part.length]]
-            (left, top), (right, bottom) = np.floor(used.min(0)), np.ceil(used.max(0))
-            box = part.box.common(Box(int(left), int(top), int(right), int(bottom)))
-            if box:
-                found = found.around(box) if found else box
-        return found
+        (left, top), (right, bottom) = np.floor(places.min(0)), np.ceil(places.max(0))
+        clipped = self.parts[0].box
+        for part in self.parts[1:]:
+            clipped = clipped.around(part.box)
+        return clipped.common(Box(int(left), int(top), int(right), int(bottom)))
 
 
 NOTHING = Drawn(b"", b"", ())
