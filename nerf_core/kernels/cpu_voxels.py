@@ -208,7 +208,7 @@ def _compile() -> None:
     kernels.mark(grid, rays, march, 0.5)
     kernels.resample(grid, grid, 0, grid.bricks)
     spare = torch.zeros_like(grid.rows), torch.zeros_like(grid.rows)
-    kernels.update(grid, *spare, Adam(0.1, 0.1, 0.9, 0.9, 1.0, 1.0, 1e-4, 1.0))
+    kernels.update(grid, *spare, Adam(0.1, 0.1, 0.1, 0.9, 0.9, 1.0, 1.0, 1e-4, 1.0))
     index, pair = torch.zeros(1, dtype=torch.long), torch.ones(1, 2, dtype=torch.float64)
     lens, c2w = torch.zeros(1, 5, dtype=torch.float64), torch.eye(4, dtype=torch.float64)[None, :3]
     fast_rays(index, pair, pair, pair, lens, c2w, 1.0, 2.0)

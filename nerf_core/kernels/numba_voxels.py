@@ -384,8 +384,8 @@ def _lookup(grid: Any, used: Any, d: Any, x: Any, y: Any, z: Any, corners: Any, 
 @jit
 def adam(
     first: Any, last: Any, rows: Any, moments: Any, ema: Any, gradient: Any, touched: Any,
-    rate_color: Any, rate_density: Any, beta1: Any, beta2: Any, correction1: Any, correction2: Any, epsilon: Any,
-    ema_rate: Any,
+    rate_color: Any, rate_view: Any, rate_density: Any, beta1: Any, beta2: Any, correction1: Any, correction2: Any,
+    epsilon: Any, ema_rate: Any,
 ) -> None:  # fmt: skip
     """One step of Adam on the touched rows of bricks first ≤ b < last, and of the rows' EMA.
 
@@ -416,11 +416,12 @@ def adam(
             v_color = beta2 * m[14] + (F(1) - beta2) * square * F(1 / 12)
             v_density = beta2 * m[15] + (F(1) - beta2) * g[12] * g[12]
             by_color = rate_color * correction1 / (math.sqrt(v_color * correction2) + epsilon)
+            by_view = rate_view * correction1 / (math.sqrt(v_color * correction2) + epsilon)
             by_density = rate_density * correction1 / (math.sqrt(v_density * correction2) + epsilon)
             for c in range(13):
                 m[c] = beta1 * m[c] + (F(1) - beta1) * g[c]
             for c in range(12):
-                p[c] -= by_color * m[c]
+                p[c] -= (by_view if c & 3 else by_color) * m[c]  # the first of four is of degree 0
             p[12] -= by_density * m[12]
             m[14], m[15] = v_color, v_density
             a = ema[at : at + 16]

@@ -209,7 +209,7 @@ class TorchVoxels:
         new[:, 14] = adam.beta2 * m[:, 14] + (1 - adam.beta2) * g[:, :12].square().mean(-1)
         new[:, 15] = adam.beta2 * m[:, 15] + (1 - adam.beta2) * g[:, 12].square()
         rates = torch.zeros(len(i), WIDTH, device=p.device)
-        rates[:, :12], rates[:, DENSITY] = adam.rate_color, adam.rate_density
+        rates[:, :DENSITY], rates[:, :DENSITY:4], rates[:, DENSITY] = adam.rate_view, adam.rate_color, adam.rate_density
         square = torch.where(torch.arange(WIDTH, device=p.device) < DENSITY, new[:, 14:15], new[:, 15:16])
         grid.rows[i] = p - rates * adam.correction1 * new / ((square * adam.correction2).sqrt() + adam.epsilon)
         moments[i] = new

@@ -39,12 +39,14 @@ class March:
 class Adam(NamedTuple):
     """The numbers of one step of Adam.
 
-    rate_color, rate_density: learning rates. beta1, beta2: decay of the moments.
+    rate_color, rate_view, rate_density: learning rates of the coefficients of degree 0 and 1, and of density.
+    beta1, beta2: decay of the moments.
     correction1, correction2: bias corrections 1/(1 − β₁ᵗ) and 1/(1 − β₂ᵗ). epsilon: in units of a ray's gradient.
     ema_rate: the EMA of the rows becomes ema + ema_rate · (row − ema).
     """
 
     rate_color: float
+    rate_view: float
     rate_density: float
     beta1: float
     beta2: float

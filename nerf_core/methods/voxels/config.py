@@ -37,6 +37,7 @@ class VoxelConfig:
     step: float = constant(0.7, "length of a sample in cells", least=0.05, most=16)
     bias: float = constant(-3.0, "raw density of a new grid", least=-LARGEST)
     rate_color: float = constant(0.2, "Adam's learning rate for colour, falling as 1 / (1 + step / slowdown)")
+    rate_view: float = constant(0.2, "the same for the part of colour that changes with the view")
     rate_density: float = constant(0.45, "Adam's learning rate for density, falling alike")
     slowdown: float = constant(500.0, "steps after which the learning rates have halved", least=1)
     keep: float = constant(0.9, "Adam's beta1", share="[0, 1)")
@@ -84,8 +85,9 @@ class VoxelConfig:
             not scene.synthetic
         ):  # a place fills space that is empty around an object, so that each part of it is seen by fewer rays
             config = replace(
-                config, rate_density=0.3, smoothness=3e-5, distortion=0.01, spare_error=0.5, beside=1e-7, step=1.0
-            )
+                config, rate_view=0.06, rate_density=0.3, smoothness=3e-5, distortion=0.01, spare_error=0.5,
+                beside=1e-7, step=1.0,
+            )  # fmt: skip
         return changed(config, changes, "voxels")
 
     @staticmethod
@@ -101,4 +103,5 @@ def _of_today(config: Mapping[str, Any]) -> Mapping[str, Any]:
     if "prune" not in config:
         return config
     known = {name: value for name, value in config.items() if name not in ("prune", "growth")}
-    return {"spare": 0.0035, "spare_error": 1.0, "beside": 0.05, "split": 0.2, "distortion": 0.0, **known}
+    new = {"spare": 0.0035, "spare_error": 1.0, "beside": 0.05, "split": 0.2, "distortion": 0.0}
+    return {**new, "rate_view": known.get("rate_color"), **known}

@@ -116,7 +116,7 @@ class VoxelModel(Defaults):
         self.kernels.update(
             self.grid, self.moments, self.ema_rows,
             Adam(
-                c.rate_color * slower, c.rate_density * slower, c.keep, c.keep_square,
+                c.rate_color * slower, c.rate_view * slower, c.rate_density * slower, c.keep, c.keep_square,
                 correction1, correction2, c.epsilon, ema_rate,
             ),
         )  # fmt: skip

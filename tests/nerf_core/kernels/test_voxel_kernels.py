@@ -270,7 +270,7 @@ def test_nothing_is_ever_nan(contracted: bool, make: Make) -> None:
 @each_fast
 def test_adam_agrees_with_the_reference(make: Make) -> None:
     truth, rays = torch.rand(200, 3, generator=torch.Generator().manual_seed(2)), some_rays()
-    settings = Adam(0.2, 0.3, 0.9, 0.99, 10.0, 100.0, 1e-4, 0.3)
+    settings = Adam(0.2, 0.1, 0.3, 0.9, 0.99, 10.0, 100.0, 1e-4, 0.3)
     results: list[tuple[Tensor, ...]] = []
     for kernels in (make(), TorchVoxels()):
         grid = some_grid(False)
@@ -305,7 +305,7 @@ def test_forgotten_gradients_leave_no_trace(make: Make) -> None:
     kernels.accumulate(grid, rays, torch.zeros(200, 3), how(200))
     kernels.forget()
     before, moments, ema_rows = grid.rows.clone(), torch.zeros_like(grid.rows), torch.zeros_like(grid.rows)
-    kernels.update(grid, moments, ema_rows, Adam(0.2, 0.3, 0.9, 0.99, 10.0, 100.0, 1e-4, 1.0))
+    kernels.update(grid, moments, ema_rows, Adam(0.2, 0.1, 0.3, 0.9, 0.99, 10.0, 100.0, 1e-4, 1.0))
     assert torch.equal(grid.rows, before)
     assert not moments.any()
     assert not ema_rows.any()

@@ -143,7 +143,7 @@ def voxels_of(trainer: Trainer) -> Voxels:
 
 @pytest.mark.parametrize("place", [forward, lambda scene: scene], ids=["ndc", "world"])
 def test_a_refinement_changes_no_picture_and_training_goes_on(scene: Scene, place: Callable[[Scene], Scene]) -> None:
-    """42 dB between the pictures before and after, sampled alike; larger cells keep their rows, bit for bit.
+    """39 dB between the pictures before and after, sampled alike; larger cells keep their rows, bit for bit.
 
     Less than rounding would leave: σ = softplus(s + bias) of halved densities is interpolated a little differently.
     """
@@ -158,7 +158,7 @@ def test_a_refinement_changes_no_picture_and_training_goes_on(scene: Scene, plac
     assert np.array_equal(new.voxel, old.voxel / 2)
     method.config = replace(method.config, step=2 * method.config.step)  # the same places along the rays
     after = torch.cat([method.render(r).color for r in rays])
-    assert float((after - before).square().mean()) < 10**-4.2
+    assert float((after - before).square().mean()) < 10**-3.9
     assert method.updates == updates
     assert torch.equal(method.ema_rows, new.rows)
     places, d = new.vertices(), new.places()[:, :1].expand(-1, ROWS).flatten()
