@@ -537,7 +537,7 @@ def test_under_ndc_a_ray_is_recomputed_from_its_exported_arrays(scene: Scene, me
         rgb = trainer.method.radiance(points, torch.from_numpy(direction)[None])[:, 0].cpu().numpy()
         np.testing.assert_allclose(weights @ rgb + background, told["color"], atol=1e-5)
         if not weights.sum():  # the ray meets nothing: it has no depth
-            assert told["depth"] is None
+            assert told["depth_expected"] is None
             continue
         # t′ / (1 − t′) of the distance t, with the near plane at told["ndc"]["near"]
         near = told["ndc"]["near"]
