@@ -24,6 +24,7 @@ BRICK = 4  # vertices a side
 ROWS = BRICK**3
 WIDTH = 16  # floats of a row
 MOST_SIZES = 10  # sizes of cells in a grid
+MOST_CELLS = 1 << 12  # finest cells along a side: the march stores a cell's size above 12 bits of its place
 DENSITY = 12  # where a row's raw density lies
 # 1/√4π and √(3/4π), as in `encodings.spherical_harmonics`, but rounded: as a float32, SH0 differs from the exact value
 # by one unit in the last place, and another value would change the weights that a seed gives.
@@ -210,7 +211,7 @@ class VoxelGrid(Cells):
             and (old or names == [f"bricks.{d}" for d in range(len(names))]) and 1 <= len(names) <= MOST_SIZES
             and all(v.dtype == torch.bool and v.ndim == 3 for v in bricks)
             and rows.dtype == torch.float32 and origin.shape == voxel.shape == (3,)
-            and bool(kinds.any()) and np.isfinite(origin).all() and (voxel > 0).all()
+            and max(kinds.shape) <= MOST_CELLS and bool(kinds.any()) and np.isfinite(origin).all() and (voxel > 0).all()
         )  # fmt: skip
         if not sound or int(kinds.max()) > len(names) or any(n % (1 << (len(names) - 1)) for n in kinds.shape):
             raise ValueError("the voxel grid is not of the kind that is written")

@@ -390,6 +390,7 @@ def test_rows_never_pass_their_limit(scene: Scene) -> None:
         ("average", torch.zeros(64, 16), "average do not fit"),
         ("error", torch.tensor(torch.nan, dtype=torch.float64), "an error of nan"),
         ("grid.kinds", torch.full((4, 4, 4), 9, dtype=torch.uint8), "not of the kind"),
+        ("grid.kinds", torch.ones(5000, 1, 1, dtype=torch.uint8), "not of the kind"),
         ("level", torch.tensor(99), "level 99"),
     ],
 )
