@@ -309,3 +309,27 @@ def test_forgotten_gradients_leave_no_trace(make: Make) -> None:
     assert torch.equal(grid.rows, before)
     assert not moments.any()
     assert not ema_rows.any()
+
+
+@each
+def test_other_rows_of_the_same_grid_begin_without_gradients_and_marks(make: Make) -> None:
+    grid, rays, kernels, fresh = some_grid(False), some_rays(), make(), make()
+    other, truth = replace(grid, rows=grid.rows.clone()), torch.zeros(200, 3)
+    kernels.accumulate(grid, rays, truth, how(200))
+    kernels.mark(grid, rays, how(200), 0.01)
+    assert not kernels.marked(other).any()
+    assert not kernels.gradient(other).any()
+    for one in (kernels, fresh):
+        one.accumulate(other, rays, truth, how(200))
+    assert torch.equal(kernels.gradient(other), fresh.gradient(other))
+
+
+def test_buffers_stay_where_they_are_while_the_grid_has_the_same_size() -> None:
+    """A second pair of them beside the first would be the most memory that training takes."""
+    grid, rays, kernels = some_grid(False), some_rays(), CpuVoxels(2)
+    kernels.accumulate(grid, rays, torch.zeros(200, 3), how(200))
+    before = kernels._gradient.ctypes.data
+    average = replace(grid, rows=grid.rows.clone())
+    kernels.mark(average, rays, how(200), 0.01)
+    kernels.accumulate(grid, rays, torch.zeros(200, 3), how(200))
+    assert kernels._gradient.ctypes.data == before
