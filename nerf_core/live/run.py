@@ -159,7 +159,7 @@ class Run:
             except UserError as error:
                 raise error if file is None else UserError(f"{error}; then load {file}") from None
             trainer = self._made(scene, settings) if stored is None else self._resumed(scene, settings, stored)
-            good = LastGood(trainer)
+            good = LastGood(trainer, rounded=True)
             self._say_loading(True)  # the last moment at which it can be cancelled
         self.artist = Artist()
         self._commit(scene, settings, trainer, good)
@@ -178,7 +178,7 @@ class Run:
         settings = replace(settings, method=name, preset="auto", changes={})
         with self._busy(""):
             trainer = self._made(scene, settings)
-            good = LastGood(trainer)
+            good = LastGood(trainer, rounded=True)
             self._say_loading(True)
         fresh = self.scene is None
         self._commit(scene, settings, trainer, good)
@@ -191,7 +191,7 @@ class Run:
 
     def _adopt(self, trainer: Trainer) -> None:
         """Take another model of the open scene, paused. Raises Diverged for broken weights; the old one then stays."""
-        self._commit(self.need_scene(), self.settings, trainer, LastGood(trainer))
+        self._commit(self.need_scene(), self.settings, trainer, LastGood(trainer, rounded=True))
 
     def _commit(self, scene: Scene, settings: RunSettings, trainer: Trainer, good: LastGood) -> None:
         """End a transaction. Only opening pinned rays can fail here; a ray that fails is told of and unpinned."""
