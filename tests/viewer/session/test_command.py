@@ -442,10 +442,15 @@ def test_a_window_without_a_display_works_offscreen(tmp_path: Path, monkeypatch:
 
 
 def test_gl_and_training_live_in_one_process() -> None:
-    """A CUDA build of torch brings triton, which would crash the process if it were loaded after Mesa's LLVM."""
+    """A CUDA build of torch brings triton, which would crash the process if it were bound to Mesa's LLVM.
+
+    Its library takes 65 MB of memory, so it is loaded only where triton is imported.
+    """
     pytest.importorskip("triton", reason="only Linux on x86-64 has triton")
     code = (
-        "from viewer.window.egl_window import EglWindow; w = EglWindow((64, 64)); import triton, torch;"
+        "from viewer.window.egl_window import EglWindow; w = EglWindow((64, 64));"
+        "assert 'libtriton' not in open('/proc/self/maps').read(); import triton, torch;"
+        "assert 'libtriton' in open('/proc/self/maps').read();"
         "p = torch.nn.Parameter(torch.ones(3)); o = torch.optim.Adam([p]); p.sum().backward(); o.step();"
         "w.framebuffer.clear(1.0, 0.0, 0.0); print(w.read_pixels()[0, 0].tolist())"
     )
