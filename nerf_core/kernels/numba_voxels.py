@@ -34,12 +34,11 @@ F = np.float32
 # The values of `nerf_core.volume`, written out: compiled loops are cached, and the cache's key contains only files with
 # loops, so that a change elsewhere would not be compiled.
 STOP = F(1e-3)  # that of `compositing`
-HALVINGS = 24  # that of `voxel_kernels`
 SH0, SH1 = F(0.28209479), F(0.48860251)  # those of `voxel_grid`
 
 
 @jit
-def _corners(i: Any, j: Any, k: Any, ny: Any, nz: Any, table: Any, begin: Any, corners: Any, at: Any) -> None:
+def find_corners(i: Any, j: Any, k: Any, ny: Any, nz: Any, table: Any, begin: Any, corners: Any, at: Any) -> None:
     """The offsets in `rows` of the 8 vertices of cell (i, j, k), z fastest.
 
     begin: where the table of the cell's size begins in `table`. ny, nz: its bricks along y and z.
@@ -64,7 +63,7 @@ def _corners(i: Any, j: Any, k: Any, ny: Any, nz: Any, table: Any, begin: Any, c
 
 
 @jit
-def _weigh(fx: Any, fy: Any, fz: Any, weights: Any, at: Any) -> None:
+def weigh(fx: Any, fy: Any, fz: Any, weights: Any, at: Any) -> None:
     """Trilinear weights of the 8 corners, z fastest, of a point at (fx, fy, fz) in its cell."""
     hx, hy, hz = F(1) - fx, F(1) - fy, F(1) - fz
     weights[at] = hx * hy * hz
@@ -78,7 +77,7 @@ def _weigh(fx: Any, fy: Any, fz: Any, weights: Any, at: Any) -> None:
 
 
 @jit
-def _place(grid: Any, n: Any, rows: Any, corners: Any, weights: Any, notes: Any) -> None:
+def place_samples(grid: Any, n: Any, rows: Any, corners: Any, weights: Any, notes: Any) -> None:
     """Compute the corners and weights of n samples, and prefetch their rows."""
     bricks_y, bricks_z = grid.sides[0, 0], grid.sides[0, 1]
     for s in range(n):
@@ -86,16 +85,16 @@ def _place(grid: Any, n: Any, rows: Any, corners: Any, weights: Any, notes: Any)
         i, j, k = int(notes[at + CELL_X]), int(notes[at + CELL_Y]), int(notes[at + CELL_Z])
         d = i >> 12
         if d == 0:
-            _corners(i, j, k, bricks_y, bricks_z, grid.table, np.int64(0), corners, at)
+            find_corners(i, j, k, bricks_y, bricks_z, grid.table, np.int64(0), corners, at)
         else:
             i -= d << 12
-            _corners(i, j, k, grid.sides[d, 0], grid.sides[d, 1], grid.table, grid.begins[d], corners, at)
+            find_corners(i, j, k, grid.sides[d, 0], grid.sides[d, 1], grid.table, grid.begins[d], corners, at)
         prefetch(rows, corners, at)
-        _weigh(notes[at + X], notes[at + Y], notes[at + Z], weights, at)
+        weigh(notes[at + X], notes[at + Y], notes[at + Z], weights, at)
 
 
 @jit
-def _composite(
+def composite(
     n: Any, basis: Any, step: Any, bias: Any, rows: Any, corners: Any, weights: Any, values: Any, notes: Any,
     gradient: Any, train: Any, pixel: Any, r: Any, background: Any,
 ) -> Any:  # fmt: skip
@@ -143,7 +142,7 @@ def _composite(
 
 
 @jit
-def _basis(views: Any, r: Any, basis: Any) -> None:
+def set_basis(views: Any, r: Any, basis: Any) -> None:
     basis[0] = SH0
     basis[1] = SH1 * views[r, 1]
     basis[2] = SH1 * views[r, 2]
@@ -159,9 +158,9 @@ def render(
     basis = scratch.values[48:52]
     for r in range(first, last):
         n = march(grid, rays, r, step, scratch.notes)
-        _place(grid, n, rows, scratch.corners, scratch.weights, scratch.notes)
-        _basis(rays.views, r, basis)
-        _composite(
+        place_samples(grid, n, rows, scratch.corners, scratch.weights, scratch.notes)
+        set_basis(rays.views, r, basis)
+        composite(
             n, basis, step, bias, rows, scratch.corners, scratch.weights, scratch.values, scratch.notes, rows, False,
             pixel, r, background,
         )  # fmt: skip
@@ -177,9 +176,9 @@ def trace(
     total = 0
     for r in range(first, last):
         n = march(grid, rays, r, step, scratch.notes)
-        _place(grid, n, rows, scratch.corners, scratch.weights, scratch.notes)
-        _basis(rays.views, r, basis)
-        n = _composite(
+        place_samples(grid, n, rows, scratch.corners, scratch.weights, scratch.notes)
+        set_basis(rays.views, r, basis)
+        n = composite(
             n, basis, step, bias, rows, scratch.corners, scratch.weights, scratch.values, scratch.notes, rows, False,
             pixel, r, background,
         )  # fmt: skip
@@ -221,11 +220,9 @@ def gradients(
     samples = 0
     for r in range(first, last):
         n = march(grid, rays, r, step, notes)
-        _place(grid, n, rows, corners, weights, notes)
-        _basis(rays.views, r, basis)
-        n = _composite(
-            n, basis, step, bias, rows, corners, weights, values, notes, gradient, True, pixel, r, background
-        )
+        place_samples(grid, n, rows, corners, weights, notes)
+        set_basis(rays.views, r, basis)
+        n = composite(n, basis, step, bias, rows, corners, weights, values, notes, gradient, True, pixel, r, background)
         samples += n
         er, eg, eb = pixel[r, 0] - truth[r, 0], pixel[r, 1] - truth[r, 1], pixel[r, 2] - truth[r, 2]
         error += er * er + eg * eg + eb * eb
@@ -270,115 +267,6 @@ def gradients(
                 row = np.uint64(corners[at + c] >> 4)
                 touched[row >> np.uint64(6)] |= np.uint64(1) << (row & np.uint64(63))
     return error, samples
-
-
-@jit
-def mark(
-    grid: Any, rays: Any, first: Any, last: Any, step: Any, bias: Any, rows: Any, background: Any, scratch: Any,
-    pixel: Any, marks: Any, spare: Any,
-) -> None:  # fmt: skip
-    """Mark the cells that the pixels of rays first ≤ r < last need; see `VoxelKernels.mark`."""
-    basis, sums = scratch.values[48:52], np.zeros(HALVINGS + 1, np.float32)
-    corners, notes = scratch.corners, scratch.notes
-    for r in range(first, last):
-        n = march(grid, rays, r, step, notes)
-        _place(grid, n, rows, corners, scratch.weights, notes)
-        _basis(rays.views, r, basis)
-        n = _composite(
-            n, basis, step, bias, rows, corners, scratch.weights, scratch.values, notes, rows, False, pixel, r,
-            background,
-        )  # fmt: skip
-        sums[:] = 0
-        through = F(1) - pixel[r, 3]
-        for q in range(n):
-            at = q * NOTES
-            transmittance, alpha = notes[at + TRANSMITTANCE], notes[at + ALPHA]
-            off = max(
-                abs(notes[at + RED] - background[0]), abs(notes[at + GREEN] - background[1]),
-                abs(notes[at + BLUE] - background[2]),
-            )  # fmt: skip
-            plain = min(through / max(transmittance * (F(1) - alpha), F(1e-12)), F(1))
-            w = transmittance * alpha * (F(1) - plain + plain * off)
-            h = _halvings(w)
-            notes[at + RAW] = h
-            sums[h] += w
-        least, total = HALVINGS, sums[HALVINGS]  # the groups from `least` on are not needed
-        while least > 0 and total + sums[least - 1] <= spare:
-            least -= 1
-            total += sums[least]
-        for q in range(n):
-            at = q * NOTES
-            if notes[at + RAW] < least:  # marked at the cell's lowest vertex
-                row = np.uint64(corners[at] >> 4)
-                marks[row] = max(marks[row], np.uint8(1 + HALVINGS - np.int64(notes[at + RAW])))
-
-
-@jit
-def _halvings(w: Any) -> Any:
-    """The h with 2⁻ʰ ≥ w > 2⁻ʰ⁻¹ (w ≤ 1), at most HALVINGS."""
-    h, power = 0, F(0.5)
-    while w <= power and h < HALVINGS:
-        power *= F(0.5)
-        h += 1
-    return h
-
-
-@jit
-def resample(
-    grid: Any, rows: Any, used: Any, begin: Any, step: Any, places: Any, first: Any, last: Any, scratch: Any, out: Any,
-    found: Any,
-) -> None:  # fmt: skip
-    """Interpolate rows for the vertices of bricks first ≤ b < last, which lie at `places` in their tables.
-
-    Finest vertex v lies at begin + v · step, in finest cells of `grid`. found: the doublings of the cells that were
-    interpolated; see `VoxelKernels.resample`.
-    """
-    corners, weights, values = scratch.corners, scratch.weights, scratch.values
-    for b in range(first, last):
-        for q in range(64):
-            x = _snapped(begin[0] + step[0] * (((places[b, 1] << 2) + (q >> 4)) << places[b, 0]))
-            y = _snapped(begin[1] + step[1] * (((places[b, 2] << 2) + ((q >> 2) & 3)) << places[b, 0]))
-            z = _snapped(begin[2] + step[2] * (((places[b, 3] << 2) + (q & 3)) << places[b, 0]))
-            most, best = -1.0, 0
-            for k in range(-2, len(grid.begins)):
-                d = places[b, 0] + k + 1 if k < 0 else k
-                if d < 0 or d >= len(grid.begins):
-                    continue
-                held = _lookup(grid, used, d, x, y, z, corners, weights)
-                if held > most + 1e-6:
-                    most, best = held, d
-            _lookup(grid, used, best, x, y, z, corners, weights)
-            gather(values, 0, rows, corners, weights, 0)
-            found[b * 64 + q] = best
-            at = (b * 64 + q) * 16
-            for c in range(16):
-                out[at + c] = values[c]
-
-
-@jit
-def _snapped(x: Any) -> Any:
-    """x, or the nearest multiple of 2⁻¹⁰ if rounding may have moved it away from there."""
-    nearest = math.floor(x * 1024 + 0.5) / 1024
-    return nearest if abs(x - nearest) < 1e-6 else x
-
-
-@jit
-def _lookup(grid: Any, used: Any, d: Any, x: Any, y: Any, z: Any, corners: Any, weights: Any) -> Any:
-    """The corners and weights at a point among cells of d doublings; returns the weight of corners in use."""
-    share = 1.0 / (1 << d)
-    x, y, z = x * share, y * share, z * share
-    i = min(max(math.floor(x), 0), ((grid.size[0] + (1 << d) - 1) >> d) - 1)
-    j = min(max(math.floor(y), 0), ((grid.size[1] + (1 << d) - 1) >> d) - 1)
-    k = min(max(math.floor(z), 0), ((grid.size[2] + (1 << d) - 1) >> d) - 1)
-    _corners(i, j, k, grid.sides[d, 0], grid.sides[d, 1], grid.table, grid.begins[d], corners, 0)
-    fx, fy, fz = F(min(max(x - i, 0.0), 1.0)), F(min(max(y - j, 0.0), 1.0)), F(min(max(z - k, 0.0), 1.0))
-    _weigh(fx, fy, fz, weights, 0)
-    held = 0.0
-    for c in range(8):
-        if corners[c] < 0 or not used[np.uint64(corners[c] >> 4)]:  # no brick for it, or no cell of this size
-            corners[c], weights[c] = 0, F(0)
-        held += weights[c]
-    return held
 
 
 @jit
