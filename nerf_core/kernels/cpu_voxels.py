@@ -189,7 +189,7 @@ class CpuVoxels:
 def _scratch(samples: int) -> _Scratch:
     """Buffers for so many samples. They are made by torch, whose tensors begin at a cache line, as vectors must."""
     return _Scratch(
-        torch.empty(8 * samples, dtype=torch.int64).numpy(), torch.empty(8 * samples).numpy(), torch.zeros(64).numpy(),
+        torch.empty(8 * samples, dtype=torch.int64).numpy(), torch.empty(8 * samples).numpy(), torch.zeros(256).numpy(),
         torch.empty(note.NOTES * samples).numpy(),
     )  # fmt: skip
 

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from nerf_core.common.jit.vectors import gather, jit
-from nerf_core.kernels.numba_march import ALPHA, BLUE, GREEN, NOTES, RAW, RED, TRANSMITTANCE, march
-from nerf_core.kernels.numba_voxels import composite, find_corners, place_samples, set_basis, weigh
+from nerf_core.common.jit.vectors import gather, jit, place
+from nerf_core.kernels.numba_march import ALPHA, BLUE, GREEN, NOTES, RAW, RED, TRANSMITTANCE
+from nerf_core.kernels.numba_voxels import sample
 
 F = np.float32
 HALVINGS = 24  # that of `voxel_kernels`, written out for the reason that `numba_voxels` gives
@@ -24,16 +24,10 @@ def mark(
     pixel: Any, marks: Any, spare: Any,
 ) -> None:  # fmt: skip
     """Mark the cells that the pixels of rays first ≤ r < last need; see `VoxelKernels.mark`."""
-    basis, sums = scratch.values[48:52], np.zeros(HALVINGS + 1, np.float32)
+    sums = np.zeros(HALVINGS + 1, np.float32)
     corners, notes = scratch.corners, scratch.notes
     for r in range(first, last):
-        n = march(grid, rays, r, step, notes)
-        place_samples(grid, n, rows, corners, scratch.weights, notes)
-        set_basis(rays.views, r, basis)
-        n = composite(
-            n, basis, step, bias, rows, corners, scratch.weights, scratch.values, notes, rows, False, pixel, r,
-            background,
-        )  # fmt: skip
+        n = sample(grid, rays, r, step, bias, rows, background, scratch, rows, False, pixel)
         sums[:] = 0
         through = F(1) - pixel[r, 3]
         for q in range(n):
@@ -116,9 +110,8 @@ def _lookup(grid: Any, used: Any, d: Any, x: Any, y: Any, z: Any, corners: Any, 
     i = min(max(math.floor(x), 0), ((grid.size[0] + (1 << d) - 1) >> d) - 1)
     j = min(max(math.floor(y), 0), ((grid.size[1] + (1 << d) - 1) >> d) - 1)
     k = min(max(math.floor(z), 0), ((grid.size[2] + (1 << d) - 1) >> d) - 1)
-    find_corners(i, j, k, grid.sides[d, 0], grid.sides[d, 1], grid.table, grid.begins[d], corners, 0)
     fx, fy, fz = F(min(max(x - i, 0.0), 1.0)), F(min(max(y - j, 0.0), 1.0)), F(min(max(z - k, 0.0), 1.0))
-    weigh(fx, fy, fz, weights, 0)
+    place(corners, weights, 0, grid.table, grid.begins[d], grid.sides[d, 0], grid.sides[d, 1], i, j, k, fx, fy, fz)
     held = 0.0
     for c in range(8):
         if corners[c] < 0 or not used[np.uint64(corners[c] >> 4)]:  # no brick for it, or no cell of this size

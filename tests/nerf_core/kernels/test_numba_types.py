@@ -20,9 +20,15 @@ def test_a_march_computes_in_single_precision() -> None:
     one = torch.ones(1, 3)
     rays = ray_arrays(BoxRays(one, one, one, one[:, 0], one[:, 0]), one[:, 0])
     compiler: Any = njit  # it returns a dispatcher, although its stubs say otherwise
-    march = compiler(numba_march.march.py_func)  # compiled here, as a cached function has no types
-    march(cells.cell_arrays(), rays, 0, np.float32(1), np.zeros(80, np.float32))
-    (compiled,) = march.overloads.values()
-    for name in ("t", "last", "dt", "px", "ux", "gap", "norm"):
-        typed = compiled.type_annotation.typemap.items()
-        assert {str(kind) for key, kind in typed if key.split(".")[0] == name} == {"float32"}, name
+    # compiled here, as a cached function has no types
+    enter, advance = compiler(numba_march.enter.py_func), compiler(numba_march.advance.py_func)
+    arrays, step = cells.cell_arrays(), np.float32(1)
+    way, t = enter(arrays, rays, 0, step)
+    way = numba_march.Way(*(np.float32(v) for v in way))  # returned to Python, they are Python's floats
+    advance(arrays, way, step, np.float32(t), np.zeros(80, np.float32), 0, 10)
+    singles = {enter: ("t", "last", "length", "straight"), advance: ("t", "last", "dt", "px", "ux", "gap", "norm")}
+    for function, names in singles.items():
+        (compiled,) = function.overloads.values()
+        for name in names:
+            typed = compiled.type_annotation.typemap.items()
+            assert {str(kind) for key, kind in typed if key.split(".")[0] == name} == {"float32"}, name
