@@ -149,7 +149,9 @@ def place(
         def shared(value: int) -> Any:
             return ir.Constant(ints, [value] * 8)
 
-        brick, local, weight = eight(ir.Constant(_I32, 0)), None, None
+        brick = eight(ir.Constant(_I32, 0))
+        local: Any = None
+        weight: Any = None
         sides = ([0, 0, 0, 0, 1, 1, 1, 1], [0, 0, 1, 1, 0, 0, 1, 1], [0, 1, 0, 1, 0, 1, 0, 1])
         for axis, side in enumerate(sides):
             vertex = builder.add(eight(args[7 + axis]), ir.Constant(ints, side))

@@ -1,4 +1,4 @@
-"""The types that numba infers in the compiled loops."""
+"""The types that numba infers in the compiled loops, and their logarithm."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from numba import njit
 
+from nerf_core.common.jit.vectors import log
 from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels import numba_march
 from nerf_core.kernels.cpu_rays import ray_arrays
@@ -32,3 +33,10 @@ def test_a_march_computes_in_single_precision() -> None:
         for name in names:
             typed = compiled.type_annotation.typemap.items()
             assert {str(kind) for key, kind in typed if key.split(".")[0] == name} == {"float32"}, name
+
+
+def test_the_logarithm_is_that_of_the_library() -> None:
+    x = np.exp(np.linspace(-80, 88, 20001)).astype(np.float32)
+    x[:3] = 1, np.nextafter(np.float32(1), np.float32(2)), np.sqrt(np.float32(2))
+    found, expected = np.array([log(v) for v in x]), np.log(x.astype(np.float64))
+    assert float((np.abs(found - expected) / (1 + np.abs(expected))).max()) < 2e-7
