@@ -16,6 +16,7 @@ from torch import Tensor
 from nerf_core.common.jit.shards import each_shard, shards_of, split
 from nerf_core.geometry.fast_rays import fast_rays, photo_colors
 from nerf_core.geometry.spaces import BoxRays
+from nerf_core.kernels import numba_cells as cells
 from nerf_core.kernels import numba_march as note
 from nerf_core.kernels import numba_voxels as loops
 from nerf_core.kernels.cpu_rays import ray_arrays
@@ -104,7 +105,7 @@ class CpuVoxels:
 
         def work(s: int) -> None:
             part = split(len(places), self.shards, s)
-            loops.resample(arrays, rows, used, begin, step, places, *part, _scratch(1), out, found.numpy())
+            cells.resample(arrays, rows, used, begin, step, places, *part, _scratch(1), out, found.numpy())
 
         each_shard(self.shards, work)
         return found
@@ -145,7 +146,7 @@ class CpuVoxels:
         )
 
         def work(s: int) -> None:
-            loops.mark(
+            cells.mark(
                 arrays, given, *split(len(rays), self.shards, s), np.float32(how.step), np.float32(how.bias), rows,
                 background, scratch[s], pixel, self._marks[s], np.float32(spare),
             )  # fmt: skip
@@ -196,7 +197,7 @@ class CpuVoxels:
 def _scratch(samples: int) -> _Scratch:
     """Buffers for so many samples. They are made by torch, whose tensors begin at a cache line, as vectors must."""
     return _Scratch(
-        torch.empty(8 * samples, dtype=torch.int64).numpy(), torch.empty(8 * samples).numpy(), torch.zeros(64).numpy(),
+        torch.empty(8 * samples, dtype=torch.int64).numpy(), torch.empty(8 * samples).numpy(), torch.zeros(256).numpy(),
         torch.empty(note.NOTES * samples).numpy(),
     )  # fmt: skip
 

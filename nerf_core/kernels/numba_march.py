@@ -7,11 +7,11 @@ All arithmetic is float32. An integer among the operands would silently make it 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from nerf_core.common.jit.vectors import jit
+from nerf_core.common.jit.vectors import inlined, jit
 
 F = np.float32
 NEVER = F(1e30)
@@ -25,13 +25,13 @@ ALPHA, TRANSMITTANCE, RED, GREEN, BLUE, RAW, DISTANCE, WIDTH, NOTES = 0, 1, 2, 3
 CELL_X, CELL_Y, CELL_Z, X, Y, Z = ALPHA, TRANSMITTANCE, RAW, RED, GREEN, BLUE
 
 
-@jit
+@inlined
 def _gap(x: Any, v: Any, low: Any, high: Any) -> Any:
     """The t until a point at x with velocity v leaves [low, high]; NEVER for v = 0."""
     return NEVER if v == 0 else max((low - x) / v, (high - x) / v)
 
 
-@jit
+@inlined
 def _clipped(x: Any, v: Any, side: Any, first: Any, last: Any) -> Any:
     """The part of [first, last] in which x + t v lies in [0, side]; empty if there is none."""
     if v == 0:
@@ -40,7 +40,7 @@ def _clipped(x: Any, v: Any, side: Any, first: Any, last: Any) -> Any:
     return max(first, min(a, b)), min(last, max(a, b))
 
 
-@jit
+@inlined
 def _bent(wx: Any, wy: Any, wz: Any, dx: Any, dy: Any, dz: Any) -> Any:
     """f, f′ and ‖x‖∞ of a contracted point x → f x, f = (2 − s) s, s = 1/‖x‖∞. Its velocity is f d + f′ x."""
     ax, ay, az = abs(wx), abs(wy), abs(wz)
@@ -57,36 +57,71 @@ def _bent(wx: Any, wy: Any, wz: Any, dx: Any, dy: Any, dz: Any) -> Any:
     return (F(2) - s) * s, (F(2) * s - F(2)) * s * s * slope, norm
 
 
-@jit
-def march(cells: Any, rays: Any, r: Any, step: Any, notes: Any) -> Any:  # noqa: PLR0912, PLR0915  one loop, with all that it needs in registers
-    """Find the samples of ray r in occupied cells, front to back.
+class Way(NamedTuple):
+    """What a march needs to know about a ray. Position g + t v and velocity v are in cells, as without contraction."""
 
-    Writes each one's cell, position in it, t and Δt to `notes`. Returns how many there are. A cell whose sides were
-    doubled d times is counted in cells of its size, with d << 12 added along x. cells[4] is `occupied` or `kinds`.
+    gx: Any
+    gy: Any
+    gz: Any
+    vx: Any
+    vy: Any
+    vz: Any
+    ox: Any
+    oy: Any
+    oz: Any
+    dx: Any
+    dy: Any
+    dz: Any
+    last: Any
+    straight: Any  # Δt of a step without contraction
+    length: Any  # of a unit of t, in box coordinates like the norm
+
+
+@inlined
+def enter(cells: Any, rays: Any, r: Any, step: Any) -> Any:
+    """Return the way of ray r, and the t where its march begins."""
+    nx, ny, nz = cells.size[0], cells.size[1], cells.size[2]
+    sx, sy, sz = cells.scale[0], cells.scale[1], cells.scale[2]
+    ox, oy, oz = rays.origins[r, 0], rays.origins[r, 1], rays.origins[r, 2]
+    dx, dy, dz = rays.directions[r, 0], rays.directions[r, 1], rays.directions[r, 2]
+    gx, gy, gz = (ox - cells.origin[0]) * sx, (oy - cells.origin[1]) * sy, (oz - cells.origin[2]) * sz
+    vx, vy, vz = dx * sx, dy * sy, dz * sz
+    t, last = rays.near[r], rays.far[r]
+    if not cells.contracted:
+        t, last = _clipped(gx, vx, F(nx), t, last)
+        t, last = _clipped(gy, vy, F(ny), t, last)
+        t, last = _clipped(gz, vz, F(nz), t, last)
+    length = F(math.sqrt(dx * dx + dy * dy + dz * dz))
+    straight = step / F(math.sqrt(vx * vx + vy * vy + vz * vz))
+    t += rays.offsets[r] * straight
+    if not (straight > 0 and F(0) * (ox + oy + oz) == 0):  # NaN or infinity in the ray: it has no samples
+        last = F(-1)
+        t = F(0)
+    return Way(gx, gy, gz, vx, vy, vz, ox, oy, oz, dx, dy, dz, last, straight, length), t
+
+
+@jit
+def march(cells: Any, rays: Any, r: Any, step: Any, notes: Any) -> Any:
+    """Find the samples of ray r in occupied cells, front to back; see `advance`. Returns how many there are."""
+    way, t = enter(cells, rays, r, step)
+    return advance(cells, way, step, t, notes, 0, notes.shape[0] // NOTES)[0]
+
+
+@inlined
+def advance(cells: Any, way: Any, step: Any, t: Any, notes: Any, n: Any, most: Any) -> Any:  # noqa: PLR0915  one loop, with all that it needs in registers
+    """Find the samples of a ray from t on, until it has `most`.
+
+    Writes each one's cell, position in it, t and Δt to `notes`, from the n-th on. Returns how many there are now, and
+    the t where to go on. A cell whose sides were doubled d times is counted in cells of its size, with d << 12 added
+    along x. cells[4] is `occupied` or `kinds`.
     """
     nx, ny, nz = cells.size[0], cells.size[1], cells.size[2]
     blocks_y, blocks_z = (ny + 3) >> 2, (nz + 3) >> 2
     sx, sy, sz = cells.scale[0], cells.scale[1], cells.scale[2]
     bx, by, bz = cells.origin[0], cells.origin[1], cells.origin[2]
-    ox, oy, oz = rays.origins[r, 0], rays.origins[r, 1], rays.origins[r, 2]
-    dx, dy, dz = rays.directions[r, 0], rays.directions[r, 1], rays.directions[r, 2]
-    # position and velocity in cells, as they are without contraction
-    gx, gy, gz = (ox - bx) * sx, (oy - by) * sy, (oz - bz) * sz
-    vx, vy, vz = dx * sx, dy * sy, dz * sz
-    ux, uy, uz = vx, vy, vz
-    t, last, norm = rays.near[r], rays.far[r], F(0)
-    if not cells.contracted:
-        t, last = _clipped(gx, vx, F(nx), t, last)
-        t, last = _clipped(gy, vy, F(ny), t, last)
-        t, last = _clipped(gz, vz, F(nz), t, last)
-    length = math.sqrt(dx * dx + dy * dy + dz * dz)  # of a unit of t, in box coordinates like the norm
-    straight = step / math.sqrt(vx * vx + vy * vy + vz * vz)
-    if not (straight > 0 and F(0) * (ox + oy + oz) == 0):  # NaN or infinity in the ray: it has no samples
-        return 0
-    t += rays.offsets[r] * straight
-    capacity = notes.shape[0] // NOTES
-    n = 0
-    while t < last and n < capacity:
+    gx, gy, gz, vx, vy, vz, ox, oy, oz, dx, dy, dz, last, straight, length = way
+    ux, uy, uz, norm = vx, vy, vz, F(0)
+    while t < last and n < most:
         px, py, pz = gx + t * vx, gy + t * vy, gz + t * vz
         dt, bent_inwards = straight, False
         if cells.contracted:
@@ -137,4 +172,4 @@ def march(cells: Any, rays: Any, r: Any, step: Any, notes: Any) -> Any:  # noqa:
             notes[at + WIDTH] = dt
             n += 1
             t += dt
-    return n
+    return n, t

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from nerf_core.common.jit.vectors import exp, gather, jit, prefetch, scatter, scatter_smooth
+from nerf_core.common.jit.vectors import exp, gather_dots, inlined, jit, log, place, prefetch, scatter, scatter_smooth
 from nerf_core.kernels.numba_march import (
     ALPHA,
     BLUE,
@@ -27,127 +27,115 @@ from nerf_core.kernels.numba_march import (
     X,
     Y,
     Z,
-    march,
+    advance,
+    enter,
 )  # fmt: skip
 
 F = np.float32
 # The values of `nerf_core.volume`, written out: compiled loops are cached, and the cache's key contains only files with
 # loops, so that a change elsewhere would not be compiled.
 STOP = F(1e-3)  # that of `compositing`
-HALVINGS = 24  # that of `voxel_kernels`
 SH0, SH1 = F(0.28209479), F(0.48860251)  # those of `voxel_grid`
+CHUNK = 16  # samples that are found and evaluated together
+# Where `values` holds what; the first 48 are those of `gradients`.
+BASIS, FACTORS, RAWS, LEFTS, DOTS = 48, 64, 96, 128, 160
 
 
-@jit
-def _corners(i: Any, j: Any, k: Any, ny: Any, nz: Any, table: Any, begin: Any, corners: Any, at: Any) -> None:
-    """The offsets in `rows` of the 8 vertices of cell (i, j, k), z fastest.
-
-    begin: where the table of the cell's size begins in `table`. ny, nz: its bricks along y and z.
-    """
-    li, lj, lk = i & 3, j & 3, k & 3
-    if li < 3 and lj < 3 and lk < 3:  # all in one brick
-        base = np.int64(table[np.uint64(begin + ((i >> 2) * ny + (j >> 2)) * nz + (k >> 2))])
-        row = (base * 64 + (li << 4) + (lj << 2) + lk) << 4
-        corners[at] = row
-        corners[at + 1] = row + 16
-        corners[at + 2] = row + 64
-        corners[at + 3] = row + 80
-        corners[at + 4] = row + 256
-        corners[at + 5] = row + 272
-        corners[at + 6] = row + 320
-        corners[at + 7] = row + 336
-        return
-    for c in range(8):
-        a, b, d = i + (c >> 2), j + ((c >> 1) & 1), k + (c & 1)
-        base = np.int64(table[np.uint64(begin + ((a >> 2) * ny + (b >> 2)) * nz + (d >> 2))])
-        corners[at + c] = (base * 64 + ((a & 3) << 4) + ((b & 3) << 2) + (d & 3)) << 4
-
-
-@jit
-def _weigh(fx: Any, fy: Any, fz: Any, weights: Any, at: Any) -> None:
-    """Trilinear weights of the 8 corners, z fastest, of a point at (fx, fy, fz) in its cell."""
-    hx, hy, hz = F(1) - fx, F(1) - fy, F(1) - fz
-    weights[at] = hx * hy * hz
-    weights[at + 1] = hx * hy * fz
-    weights[at + 2] = hx * fy * hz
-    weights[at + 3] = hx * fy * fz
-    weights[at + 4] = fx * hy * hz
-    weights[at + 5] = fx * hy * fz
-    weights[at + 6] = fx * fy * hz
-    weights[at + 7] = fx * fy * fz
-
-
-@jit
-def _place(grid: Any, n: Any, rows: Any, corners: Any, weights: Any, notes: Any) -> None:
-    """Compute the corners and weights of n samples, and prefetch their rows."""
-    bricks_y, bricks_z = grid.sides[0, 0], grid.sides[0, 1]
-    for s in range(n):
+@inlined
+def _place(grid: Any, first: Any, last: Any, rows: Any, corners: Any, weights: Any, notes: Any) -> None:
+    """Compute the corners and weights of samples first ≤ s < last, and prefetch their rows."""
+    for s in range(first, last):
         at = s * NOTES
         i, j, k = int(notes[at + CELL_X]), int(notes[at + CELL_Y]), int(notes[at + CELL_Z])
         d = i >> 12
-        if d == 0:
-            _corners(i, j, k, bricks_y, bricks_z, grid.table, np.int64(0), corners, at)
-        else:
-            i -= d << 12
-            _corners(i, j, k, grid.sides[d, 0], grid.sides[d, 1], grid.table, grid.begins[d], corners, at)
+        begin, ny, nz = grid.begins[np.uint64(d)], grid.sides[np.uint64(d), 0], grid.sides[np.uint64(d), 1]
+        place(
+            corners, weights, at, grid.table, begin, ny, nz, i & 4095, j, k, notes[at + X], notes[at + Y], notes[at + Z]
+        )
         prefetch(rows, corners, at)
-        _weigh(notes[at + X], notes[at + Y], notes[at + Z], weights, at)
 
 
-@jit
-def _composite(
-    n: Any, basis: Any, step: Any, bias: Any, rows: Any, corners: Any, weights: Any, values: Any, notes: Any,
-    gradient: Any, train: Any, pixel: Any, r: Any, background: Any,
-) -> Any:  # fmt: skip
-    """Composite up to n samples, until the transmittance is below STOP.
+@inlined
+def _evaluate(first: Any, last: Any, step: Any, rows: Any, corners: Any, weights: Any, values: Any) -> None:
+    """Compute colours and 1 − α of samples first ≤ s < last, at most CHUNK, as vectors.
 
-    Writes colour, opacity and Σ w t of pixel r. Returns how many samples it used.
+    Writes to `values`, 4 a sample from DOTS on: red, green, blue, and softplus' of the raw density, all four sigmoids.
+    From RAWS on, raw densities; from LEFTS on, 1 − α.
     """
+    for s in range(last - first):
+        gather_dots(values, DOTS + 4 * s, rows, corners, weights, (first + s) * 8, values, FACTORS)
+    for s in range(CHUNK):
+        raw = -values[DOTS + 4 * s + 3]
+        values[RAWS + s] = raw
+        values[LEFTS + s] = exp(-step * log(F(1) + exp(raw)))
+    for q in range(4 * CHUNK):
+        values[DOTS + q] = F(1) / (F(1) + exp(values[DOTS + q]))
+
+
+@inlined
+def sample(
+    grid: Any, rays: Any, r: Any, step: Any, bias: Any, rows: Any, background: Any, scratch: Any, gradient: Any,
+    train: Any, pixel: Any,
+) -> Any:  # fmt: skip
+    """Find and composite the samples of ray r, until the transmittance is below STOP.
+
+    Writes the samples' notes, and colour, opacity and Σ w t of pixel r. Returns how many samples it used. They are
+    found chunk by chunk, because those behind a surface are not needed.
+    """
+    corners, weights, values, notes = scratch.corners, scratch.weights, scratch.values, scratch.notes
+    _set_basis(rays.views, r, bias, values)
     transmittance = F(1)
     red, green, blue, far = F(0), F(0), F(0), F(0)
-    y0, y1, y2, y3 = basis[0], basis[1], basis[2], basis[3]
-    used = n
-    for s in range(n):
-        at = s * 8
-        gather(values, 0, rows, corners, weights, at)
-        raw = values[12] + bias
-        sigma = raw if raw > F(15) else F(math.log(F(1) + exp(raw)))
-        left = exp(-sigma * step)
-        r0 = y0 * values[0] + y1 * values[1] + y2 * values[2] + y3 * values[3]
-        g0 = y0 * values[4] + y1 * values[5] + y2 * values[6] + y3 * values[7]
-        b0 = y0 * values[8] + y1 * values[9] + y2 * values[10] + y3 * values[11]
-        r1, g1, b1 = F(1) / (F(1) + exp(-r0)), F(1) / (F(1) + exp(-g0)), F(1) / (F(1) + exp(-b0))
-        w = transmittance * (F(1) - left)
-        red += w * r1
-        green += w * g1
-        blue += w * b1
-        far += w * notes[at + DISTANCE]
-        notes[at + ALPHA] = F(1) - left
-        notes[at + TRANSMITTANCE] = transmittance
-        notes[at + RED] = r1
-        notes[at + GREEN] = g1
-        notes[at + BLUE] = b1
-        notes[at + RAW] = raw
-        if train:
-            prefetch(gradient, corners, at)
-        transmittance *= left
-        if transmittance < STOP:
-            used = s + 1
+    way, t = enter(grid, rays, r, step)
+    capacity = notes.shape[0] // NOTES
+    n = 0
+    while n < capacity and transmittance >= STOP:
+        begin = n
+        end, t = advance(grid, way, step, t, notes, begin, min(begin + CHUNK, capacity))
+        _place(grid, begin, end, rows, corners, weights, notes)
+        _evaluate(begin, end, step, rows, corners, weights, values)
+        for s in range(end - begin):
+            at = n * NOTES
+            r1, g1, b1 = values[DOTS + 4 * s], values[DOTS + 4 * s + 1], values[DOTS + 4 * s + 2]
+            left = values[LEFTS + s]
+            w = transmittance * (F(1) - left)
+            red += w * r1
+            green += w * g1
+            blue += w * b1
+            far += w * notes[at + DISTANCE]
+            notes[at + ALPHA] = F(1) - left
+            notes[at + TRANSMITTANCE] = transmittance
+            notes[at + RED] = r1
+            notes[at + GREEN] = g1
+            notes[at + BLUE] = b1
+            notes[at + RAW] = values[RAWS + s]
+            if train:
+                prefetch(gradient, corners, at)
+            transmittance *= left
+            n += 1
+            if transmittance < STOP:
+                break
+        if end < begin + CHUNK:
             break
     pixel[r, 0] = red + transmittance * background[0]
     pixel[r, 1] = green + transmittance * background[1]
     pixel[r, 2] = blue + transmittance * background[2]
     pixel[r, 3] = F(1) - transmittance
     pixel[r, 4] = far
-    return used
+    return n
 
 
-@jit
-def _basis(views: Any, r: Any, basis: Any) -> None:
-    basis[0] = SH0
-    basis[1] = SH1 * views[r, 1]
-    basis[2] = SH1 * views[r, 2]
-    basis[3] = SH1 * views[r, 0]
+@inlined
+def _set_basis(views: Any, r: Any, bias: Any, values: Any) -> None:
+    """Write the basis of ray r's direction, and the factors for `gather_dots`, whose dots are the sigmoids' negated."""
+    values[BASIS] = SH0
+    values[BASIS + 1] = SH1 * views[r, 1]
+    values[BASIS + 2] = SH1 * views[r, 2]
+    values[BASIS + 3] = SH1 * views[r, 0]
+    for c in range(12):
+        values[FACTORS + c] = -values[BASIS + (c & 3)]
+    values[FACTORS + 12] = F(-1)
+    values[FACTORS + 19] = -bias
 
 
 @jit
@@ -156,15 +144,8 @@ def render(
     pixel: Any,
 ) -> None:  # fmt: skip
     """Write pixel[r] = (colour, opacity, Σ w t) for first ≤ r < last."""
-    basis = scratch.values[48:52]
     for r in range(first, last):
-        n = march(grid, rays, r, step, scratch.notes)
-        _place(grid, n, rows, scratch.corners, scratch.weights, scratch.notes)
-        _basis(rays.views, r, basis)
-        _composite(
-            n, basis, step, bias, rows, scratch.corners, scratch.weights, scratch.values, scratch.notes, rows, False,
-            pixel, r, background,
-        )  # fmt: skip
+        sample(grid, rays, r, step, bias, rows, background, scratch, rows, False, pixel)
 
 
 @jit
@@ -173,16 +154,9 @@ def trace(
     pixel: Any, kept: Any, counts: Any,
 ) -> Any:  # fmt: skip
     """Render, and copy the notes of the samples to `kept` up to its capacity; returns how many samples there are."""
-    basis = scratch.values[48:52]
     total = 0
     for r in range(first, last):
-        n = march(grid, rays, r, step, scratch.notes)
-        _place(grid, n, rows, scratch.corners, scratch.weights, scratch.notes)
-        _basis(rays.views, r, basis)
-        n = _composite(
-            n, basis, step, bias, rows, scratch.corners, scratch.weights, scratch.values, scratch.notes, rows, False,
-            pixel, r, background,
-        )  # fmt: skip
+        n = sample(grid, rays, r, step, bias, rows, background, scratch, rows, False, pixel)
         counts[r] = n
         for s in range(min(n, kept.shape[0] - total)):
             for q in range(NOTES):
@@ -213,19 +187,14 @@ def gradients(
     a_i = λ (2 (s_i (W⁻ − W⁺) − (S⁻ − S⁺)) + ⅔ w_i Δs_i), W = Σ w, S = Σ w s.
     With S_i = Σ_{j>i} w_j c_j + T_end · background, ∂C/∂σ_i = δ_i (T_{i+1} c_i − S_i): NeRF Eq. 3, differentiated.
     """
-    basis = scratch.values[48:52]
+    basis = scratch.values[BASIS : BASIS + 4]
     corners, weights, values, notes = scratch.corners, scratch.weights, scratch.values, scratch.notes
     for q in range(16):
         values[32 + q] = smoothness if q == 12 else F(0)
     error = 0.0
     samples = 0
     for r in range(first, last):
-        n = march(grid, rays, r, step, notes)
-        _place(grid, n, rows, corners, weights, notes)
-        _basis(rays.views, r, basis)
-        n = _composite(
-            n, basis, step, bias, rows, corners, weights, values, notes, gradient, True, pixel, r, background
-        )
+        n = sample(grid, rays, r, step, bias, rows, background, scratch, gradient, True, pixel)
         samples += n
         er, eg, eb = pixel[r, 0] - truth[r, 0], pixel[r, 1] - truth[r, 1], pixel[r, 2] - truth[r, 2]
         error += er * er + eg * eg + eb * eb
@@ -270,115 +239,6 @@ def gradients(
                 row = np.uint64(corners[at + c] >> 4)
                 touched[row >> np.uint64(6)] |= np.uint64(1) << (row & np.uint64(63))
     return error, samples
-
-
-@jit
-def mark(
-    grid: Any, rays: Any, first: Any, last: Any, step: Any, bias: Any, rows: Any, background: Any, scratch: Any,
-    pixel: Any, marks: Any, spare: Any,
-) -> None:  # fmt: skip
-    """Mark the cells that the pixels of rays first ≤ r < last need; see `VoxelKernels.mark`."""
-    basis, sums = scratch.values[48:52], np.zeros(HALVINGS + 1, np.float32)
-    corners, notes = scratch.corners, scratch.notes
-    for r in range(first, last):
-        n = march(grid, rays, r, step, notes)
-        _place(grid, n, rows, corners, scratch.weights, notes)
-        _basis(rays.views, r, basis)
-        n = _composite(
-            n, basis, step, bias, rows, corners, scratch.weights, scratch.values, notes, rows, False, pixel, r,
-            background,
-        )  # fmt: skip
-        sums[:] = 0
-        through = F(1) - pixel[r, 3]
-        for q in range(n):
-            at = q * NOTES
-            transmittance, alpha = notes[at + TRANSMITTANCE], notes[at + ALPHA]
-            off = max(
-                abs(notes[at + RED] - background[0]), abs(notes[at + GREEN] - background[1]),
-                abs(notes[at + BLUE] - background[2]),
-            )  # fmt: skip
-            plain = min(through / max(transmittance * (F(1) - alpha), F(1e-12)), F(1))
-            w = transmittance * alpha * (F(1) - plain + plain * off)
-            h = _halvings(w)
-            notes[at + RAW] = h
-            sums[h] += w
-        least, total = HALVINGS, sums[HALVINGS]  # the groups from `least` on are not needed
-        while least > 0 and total + sums[least - 1] <= spare:
-            least -= 1
-            total += sums[least]
-        for q in range(n):
-            at = q * NOTES
-            if notes[at + RAW] < least:  # marked at the cell's lowest vertex
-                row = np.uint64(corners[at] >> 4)
-                marks[row] = max(marks[row], np.uint8(1 + HALVINGS - np.int64(notes[at + RAW])))
-
-
-@jit
-def _halvings(w: Any) -> Any:
-    """The h with 2⁻ʰ ≥ w > 2⁻ʰ⁻¹ (w ≤ 1), at most HALVINGS."""
-    h, power = 0, F(0.5)
-    while w <= power and h < HALVINGS:
-        power *= F(0.5)
-        h += 1
-    return h
-
-
-@jit
-def resample(
-    grid: Any, rows: Any, used: Any, begin: Any, step: Any, places: Any, first: Any, last: Any, scratch: Any, out: Any,
-    found: Any,
-) -> None:  # fmt: skip
-    """Interpolate rows for the vertices of bricks first ≤ b < last, which lie at `places` in their tables.
-
-    Finest vertex v lies at begin + v · step, in finest cells of `grid`. found: the doublings of the cells that were
-    interpolated; see `VoxelKernels.resample`.
-    """
-    corners, weights, values = scratch.corners, scratch.weights, scratch.values
-    for b in range(first, last):
-        for q in range(64):
-            x = _snapped(begin[0] + step[0] * (((places[b, 1] << 2) + (q >> 4)) << places[b, 0]))
-            y = _snapped(begin[1] + step[1] * (((places[b, 2] << 2) + ((q >> 2) & 3)) << places[b, 0]))
-            z = _snapped(begin[2] + step[2] * (((places[b, 3] << 2) + (q & 3)) << places[b, 0]))
-            most, best = -1.0, 0
-            for k in range(-2, len(grid.begins)):
-                d = places[b, 0] + k + 1 if k < 0 else k
-                if d < 0 or d >= len(grid.begins):
-                    continue
-                held = _lookup(grid, used, d, x, y, z, corners, weights)
-                if held > most + 1e-6:
-                    most, best = held, d
-            _lookup(grid, used, best, x, y, z, corners, weights)
-            gather(values, 0, rows, corners, weights, 0)
-            found[b * 64 + q] = best
-            at = (b * 64 + q) * 16
-            for c in range(16):
-                out[at + c] = values[c]
-
-
-@jit
-def _snapped(x: Any) -> Any:
-    """x, or the nearest multiple of 2⁻¹⁰ if rounding may have moved it away from there."""
-    nearest = math.floor(x * 1024 + 0.5) / 1024
-    return nearest if abs(x - nearest) < 1e-6 else x
-
-
-@jit
-def _lookup(grid: Any, used: Any, d: Any, x: Any, y: Any, z: Any, corners: Any, weights: Any) -> Any:
-    """The corners and weights at a point among cells of d doublings; returns the weight of corners in use."""
-    share = 1.0 / (1 << d)
-    x, y, z = x * share, y * share, z * share
-    i = min(max(math.floor(x), 0), ((grid.size[0] + (1 << d) - 1) >> d) - 1)
-    j = min(max(math.floor(y), 0), ((grid.size[1] + (1 << d) - 1) >> d) - 1)
-    k = min(max(math.floor(z), 0), ((grid.size[2] + (1 << d) - 1) >> d) - 1)
-    _corners(i, j, k, grid.sides[d, 0], grid.sides[d, 1], grid.table, grid.begins[d], corners, 0)
-    fx, fy, fz = F(min(max(x - i, 0.0), 1.0)), F(min(max(y - j, 0.0), 1.0)), F(min(max(z - k, 0.0), 1.0))
-    _weigh(fx, fy, fz, weights, 0)
-    held = 0.0
-    for c in range(8):
-        if corners[c] < 0 or not used[np.uint64(corners[c] >> 4)]:  # no brick for it, or no cell of this size
-            corners[c], weights[c] = 0, F(0)
-        held += weights[c]
-    return held
 
 
 @jit

@@ -31,6 +31,11 @@ def jit(function: Any) -> Any:
     return njit(nogil=True, cache=True, fastmath=NEARLY_EXACT, error_model="numpy")(function)
 
 
+def inlined(function: Any) -> Any:
+    """Compile a function like `jit`, into its callers: a call with many arrays takes as long as a sample."""
+    return njit(nogil=True, cache=True, fastmath=NEARLY_EXACT, error_model="numpy", forceinline=True)(function)
+
+
 def intrinsic(function: Any) -> Any:
     """Define a function of LLVM instructions. Callers leave out its first argument, which is numba's typing context."""
     return _intrinsic(function)
@@ -59,6 +64,18 @@ def _item(builder: Any, pointer: Any, k: int) -> Any:
     return builder.load(builder.gep(pointer, [ir.Constant(_I64, k)]))
 
 
+def _gathered(context: Any, builder: Any, kinds: Any, args: Any) -> Any:
+    source = _pointer(context, builder, kinds[0], args[0])
+    offsets = _pointer(context, builder, kinds[1], args[1], args[3])
+    factors = _pointer(context, builder, kinds[2], args[2], args[3])
+    total = None
+    for k in range(8):
+        row = _load(builder, builder.gep(source, [_item(builder, offsets, k)]))
+        part = builder.fmul(_splat(builder, _item(builder, factors, k)), row, flags=FAST)
+        total = part if total is None else builder.fadd(total, part, flags=FAST)
+    return total
+
+
 @intrinsic
 def gather(typing: Any, out: Any, at: Any, rows: Any, corners: Any, weights: Any, first: Any) -> Any:
     """out[at : at + 16] = Σ_k weights[first + k] · rows[corners[first + k] : + 16], k < 8."""
@@ -66,15 +83,102 @@ def gather(typing: Any, out: Any, at: Any, rows: Any, corners: Any, weights: Any
 
     def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         kinds = signature.args
-        source = _pointer(context, builder, kinds[2], args[2])
-        offsets = _pointer(context, builder, kinds[3], args[3], args[5])
-        factors = _pointer(context, builder, kinds[4], args[4], args[5])
-        total = None
-        for k in range(8):
-            row = _load(builder, builder.gep(source, [_item(builder, offsets, k)]))
-            part = builder.fmul(_splat(builder, _item(builder, factors, k)), row, flags=FAST)
-            total = part if total is None else builder.fadd(total, part, flags=FAST)
+        total = _gathered(context, builder, kinds[2:6], args[2:6])
         _store(builder, total, _pointer(context, builder, kinds[0], args[0], args[1]))
+        return context.get_dummy_value()
+
+    return signature, emit
+
+
+@intrinsic
+def gather_dots(
+    typing: Any, out: Any, at: Any, rows: Any, corners: Any, weights: Any, first: Any, factors: Any, begin: Any
+) -> Any:
+    """out[at + i] = f[begin + 16 + i] + Σ_c f[begin + c] · row[c], 4 i ≤ c < 4 i + 4; row of `gather`, f = factors."""
+    signature = types.void(out, types.int64, rows, corners, weights, types.int64, factors, types.int64)
+
+    def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        kinds = signature.args
+        total = _gathered(context, builder, kinds[2:6], args[2:6])
+        by = _pointer(context, builder, kinds[6], args[6], args[7])
+        total = builder.fmul(total, _load(builder, by), flags=FAST)
+        for _ in range(2):  # sums of pairs, twice
+            half = total.type.count // 2
+            kind = ir.VectorType(_I32, half)
+            even, odd = (
+                builder.shuffle_vector(total, total, ir.Constant(kind, [2 * c + k for c in range(half)]))
+                for k in (0, 1)
+            )
+            total = builder.fadd(even, odd, flags=FAST)
+        four = total.type.as_pointer()
+        more = builder.load(builder.bitcast(builder.gep(by, [ir.Constant(_I64, 16)]), four), align=64)
+        place = builder.bitcast(_pointer(context, builder, kinds[0], args[0], args[1]), four)
+        builder.store(builder.fadd(total, more, flags=FAST), place, align=16)
+        return context.get_dummy_value()
+
+    return signature, emit
+
+
+@intrinsic
+def place(
+    typing: Any, corners: Any, weights: Any, at: Any, table: Any, begin: Any, ny: Any, nz: Any, i: Any, j: Any, k: Any,
+    fx: Any, fy: Any, fz: Any,
+) -> Any:  # fmt: skip
+    """Write the offsets in `rows` of the 8 vertices of cell (i, j, k), z fastest, and the trilinear weights of a point.
+
+    table: the places of bricks of 4³ vertices, int32; those of the cell's size begin at `begin`, with ny and nz bricks
+    along y and z. fx, fy, fz: where the point lies in its cell. Without branches: whether all vertices lie in one brick
+    cannot be predicted.
+    """
+    integer, real = types.int64, types.float32
+    signature = types.void(
+        corners, weights, integer, table, integer, integer, integer, integer, integer, integer, real, real, real
+    )
+    ints = ir.VectorType(_I32, 8)
+
+    def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        kinds = signature.args
+
+        def eight(value: Any) -> Any:
+            if value.type == _I64:
+                value = builder.trunc(value, _I32)
+            empty = ir.Constant(ir.VectorType(value.type, 8), ir.Undefined)
+            one = builder.insert_element(empty, value, ir.Constant(_I32, 0))
+            return builder.shuffle_vector(one, empty, ir.Constant(ints, [0] * 8))
+
+        def shared(value: int) -> Any:
+            return ir.Constant(ints, [value] * 8)
+
+        brick = eight(ir.Constant(_I32, 0))
+        local: Any = None
+        weight: Any = None
+        sides = ([0, 0, 0, 0, 1, 1, 1, 1], [0, 0, 1, 1, 0, 0, 1, 1], [0, 1, 0, 1, 0, 1, 0, 1])
+        for axis, side in enumerate(sides):
+            vertex = builder.add(eight(args[7 + axis]), ir.Constant(ints, side))
+            if axis:
+                brick = builder.mul(brick, eight(args[4 + axis]))
+            brick = builder.add(brick, builder.ashr(vertex, shared(2)))
+            part = builder.shl(builder.and_(vertex, shared(3)), shared(4 - 2 * axis))
+            local = part if local is None else builder.or_(local, part)
+            near = builder.fsub(ir.Constant(_FLOAT, 1.0), args[10 + axis])
+            pair = builder.insert_element(
+                ir.Constant(ir.VectorType(_FLOAT, 2), ir.Undefined), near, ir.Constant(_I32, 0)
+            )
+            pair = builder.insert_element(pair, args[10 + axis], ir.Constant(_I32, 1))
+            share = builder.shuffle_vector(pair, pair, ir.Constant(ints, side))
+            weight = share if weight is None else builder.fmul(weight, share)
+        source = _pointer(context, builder, kinds[3], args[3], args[4])
+        base = ir.Constant(ints, ir.Undefined)
+        for c in range(8):
+            lane = ir.Constant(_I32, c)
+            entry = builder.gep(source, [builder.sext(builder.extract_element(brick, lane), _I64)])
+            base = builder.insert_element(base, builder.load(entry), lane)
+        row = builder.or_(builder.shl(base, shared(6)), local)
+        longs = ir.VectorType(_I64, 8)
+        offset = builder.shl(builder.sext(row, longs), ir.Constant(longs, [4] * 8))
+        for kind, array, value in ((kinds[0], args[0], offset), (kinds[1], args[1], weight)):
+            target = builder.bitcast(_pointer(context, builder, kind, array, args[2]), value.type.as_pointer())
+            builder.store(value, target, align=32)
         return context.get_dummy_value()
 
     return signature, emit
@@ -167,7 +271,15 @@ def _as_float(typing: Any, bits: Any) -> Any:
     return types.float32(types.int32), emit
 
 
-@jit
+@intrinsic
+def _as_int(typing: Any, x: Any) -> Any:
+    def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.bitcast(args[0], _I32)
+
+    return types.int32(types.float32), emit
+
+
+@inlined
 def exp(x: Any) -> Any:
     """eˣ in float32 with a relative error under 2e-7. x is clamped to ±87, beyond which float32 has infinity and zero.
 
@@ -184,3 +296,26 @@ def exp(x: Any) -> Any:
     p = p * r + np.float32(1.66666655e-1)
     p = p * r + np.float32(5.00000012e-1)
     return (p * r * r + r + np.float32(1)) * _as_float(np.int32((np.int32(n) + np.int32(127)) << np.int32(23)))
+
+
+@inlined
+def log(x: Any) -> Any:
+    """ln x in float32 for normal x > 0, with an error under 2e-7 of 1 + |ln x|. It can be part of a vector, like `exp`.
+
+    x = 2ⁿ m with √½ ≤ m < √2: n comes from the bits, and ln m is the polynomial of Cephes in m − 1.
+    """
+    bits = _as_int(x)
+    n = np.int32((bits - np.int32(0x3F3504F3)) >> np.int32(23))  # the bits of √½
+    f = _as_float(np.int32(bits - (n << np.int32(23)))) - np.float32(1)
+    e = np.float32(n)
+    p = np.float32(7.0376836292e-2)
+    p = p * f - np.float32(1.1514610310e-1)
+    p = p * f + np.float32(1.1676998740e-1)
+    p = p * f - np.float32(1.2420140846e-1)
+    p = p * f + np.float32(1.4249322787e-1)
+    p = p * f - np.float32(1.6668057665e-1)
+    p = p * f + np.float32(2.0000714765e-1)
+    p = p * f - np.float32(2.4999993993e-1)
+    p = p * f + np.float32(3.3333331174e-1)
+    z = f * f
+    return (f + (p * f * z - e * np.float32(2.12194440e-4) - np.float32(0.5) * z)) + e * np.float32(0.693359375)
