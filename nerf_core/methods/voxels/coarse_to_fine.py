@@ -128,20 +128,25 @@ class Worth:
     """What a grid's cells are worth; see `VoxelKernels.marked`.
 
     needed: (x, y, z) bool like `occupied`, the cells that some pixel needs, and their neighbours.
-    of_each: for each number of doublings, what each cell of that size is worth.
+    of_each: for each number of doublings, what each cell of that size is worth to the photo that needs it second most.
+        Only two photos tell where a surface is: what one sees alone may be haze before its camera.
     """
 
     needed: Tensor
     of_each: tuple[Tensor, ...]
 
     @staticmethod
-    def of(grid: VoxelGrid, marked: Tensor, beside: float) -> Worth:
-        """beside: cells beside one with at least this weight in some pixel are needed too."""
-        of_each = grid.cells_with(marked)
+    def of(grid: VoxelGrid, best: Tensor, second: Tensor, beside: float) -> Worth:
+        """Spread over the cells what their rows are worth, (M,) uint8.
+
+        best, second: to the photo that needs the cell most, and second most.
+        beside: cells beside one with at least this weight in some pixel are needed too.
+        """
+        of_each = grid.cells_with(best)
         needed = _around(grid, of_each, class_of(beside))
         for d, worth in enumerate(of_each):
             needed |= spread(worth > 0, d)[tuple(slice(n) for n in grid.size)]
-        return Worth(needed & grid.occupied, of_each)
+        return Worth(needed & grid.occupied, grid.cells_with(second))
 
 
 def class_of(weight: float) -> int:
@@ -164,8 +169,8 @@ def _around(grid: VoxelGrid, of_each: tuple[Tensor, ...], least: int) -> Tensor:
 def finer_grid(old: VoxelGrid, worth: Worth, split: float, most_rows: int) -> tuple[VoxelGrid, bool]:
     """Return a grid with cells of half the size where that shows, without values; and whether it lacks rows for more.
 
-    The cells that no pixel needs are dropped. Those that have a weight of at least `split` in some pixel, and their
-    neighbours, are divided into eight. The others stay as they are: thin haze gains nothing from smaller cells.
+    The cells that no pixel needs are dropped. Those that have a weight of at least `split` in pixels of two photos, and
+    their neighbours, are divided into eight. The others stay as they are: thin haze gains nothing from smaller cells.
 
     Args:
         old: the grid of the level before.

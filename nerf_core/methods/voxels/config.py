@@ -50,6 +50,9 @@ class VoxelConfig:
     distortion: float = constant(
         5e-3, "weight of distortion in the loss: it draws the weights along a ray together, out of haze"
     )
+    distortion_before: float = constant(
+        1.0, "the same in each level before the last, as a share of that of the level after it", most=1
+    )
     spare: float = constant(
         0.0035, "most that a training pixel may lose with dropped cells: under one of 255 levels", most=1
     )
@@ -64,7 +67,10 @@ class VoxelConfig:
         most=1,
     )
     split: float = constant(
-        0.2, "weight that a cell must have in some training pixel to be divided at the next level", least=1e-6, most=1
+        0.2,
+        "weight that a cell must have in pixels of two training photos to be divided at the next level",
+        least=1e-6,
+        most=1,
     )
     prune_every: int = constant(
         400, "steps of the last level until cells are first dropped; each time twice as many as before", least=1,
@@ -85,8 +91,8 @@ class VoxelConfig:
             not scene.synthetic
         ):  # a place fills space that is empty around an object, so that each part of it is seen by fewer rays
             config = replace(
-                config, rate_view=0.06, rate_density=0.3, smoothness=3e-5, distortion=0.01, spare_error=0.5,
-                beside=1e-7, step=1.0,
+                config, rate_view=0.06, rate_density=0.22, keep_square=0.999, smoothness=3e-5, distortion=0.01,
+                distortion_before=0.3, spare_error=0.5, beside=1e-7, step=1.0,
             )  # fmt: skip
         return changed(config, changes, "voxels")
 
@@ -100,6 +106,7 @@ class VoxelConfig:
 
 def _of_today(config: Mapping[str, Any]) -> Mapping[str, Any]:
     """A configuration that an earlier version may have written, without what there was and with what there was not."""
+    config = {"distortion_before": 1.0, **config}
     if "prune" not in config:
         return config
     known = {name: value for name, value in config.items() if name not in ("prune", "growth")}

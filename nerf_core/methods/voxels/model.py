@@ -137,7 +137,8 @@ class VoxelModel(Defaults):
         c, kind = self.config, self.space.kind
         unit = 1.0 if kind == "ndc" else self.space.extent
         return replace(
-            self._march(offsets), smoothness=c.smoothness, distortion=c.distortion, unit=unit,
+            self._march(offsets), smoothness=c.smoothness,
+            distortion=c.distortion * c.distortion_before ** (len(self.schedule.levels) - 1 - self.level), unit=unit,
             folded=kind == "contracted",
         )  # fmt: skip
 
@@ -149,15 +150,20 @@ class VoxelModel(Defaults):
         Without the cells that are not needed, no pixel changes by more than about `spare`, or `spare_error` of the
         photos' RMS error. See `VoxelKernels.mark`.
         """
-        self.kernels.unmark()
-        spare = max(self.config.spare, self.config.spare_error * self.mean_error**0.5)
+        best = second = torch.zeros(len(self.grid.rows), dtype=torch.uint8, device=self.device)
+        photos, spare = 0, max(self.config.spare, self.config.spare_error * self.mean_error**0.5)
         for rays in self._training_pixels():
+            self.kernels.unmark()
             for start in range(0, len(rays), PIECE):
                 part = self.space.rays(rays[start : start + PIECE])
                 middle = torch.full((len(part),), 0.5)
                 self.kernels.mark(self.ema_grid, part, self._march(middle), spare)
                 yield_callback()
-        return Worth.of(self.grid, self.kernels.marked(self.ema_grid), self.config.beside)
+            marked = self.kernels.marked(self.ema_grid)
+            second = torch.maximum(second, torch.minimum(best, marked))
+            best = torch.maximum(best, marked)
+            photos += 1
+        return Worth.of(self.grid, best, second if photos > 1 else best, self.config.beside)
 
     def _training_pixels(self) -> Iterator[Rays]:
         """The rays of the training photos' pixels at this level, photo after photo.

@@ -143,7 +143,7 @@ def voxels_of(trainer: Trainer) -> Voxels:
 
 @pytest.mark.parametrize("place", [forward, lambda scene: scene], ids=["ndc", "world"])
 def test_a_refinement_changes_no_picture_and_training_goes_on(scene: Scene, place: Callable[[Scene], Scene]) -> None:
-    """39 dB between the pictures before and after, sampled alike; larger cells keep their rows, bit for bit.
+    """41 dB between the pictures before and after, sampled finely; larger cells keep their rows, bit for bit.
 
     Less than rounding would leave: σ = softplus(s + bias) of halved densities is interpolated a little differently.
     """
@@ -151,14 +151,17 @@ def test_a_refinement_changes_no_picture_and_training_goes_on(scene: Scene, plac
     trainer = run(scene, 40, spare_error=0, start=14, pixels=0.4, level_steps=40)
     method = voxels_of(trainer)
     rays = [camera_rays(view.camera, scene.near, scene.far) for view in scene.views]
+    trained, drawn = method.config, replace(method.config, step=0.05)  # it does not matter where such samples lie
+    method.config = drawn
     before, old, updates = torch.cat([method.render(r).color for r in rays]), method.ema_grid, method.updates
+    method.config = trained
     moments = method.moments.clone()
     method._refine(nothing)
     new = method.grid
     assert np.array_equal(new.voxel, old.voxel / 2)
-    method.config = replace(method.config, step=2 * method.config.step)  # the same places along the rays
+    method.config = drawn
     after = torch.cat([method.render(r).color for r in rays])
-    assert float((after - before).square().mean()) < 10**-3.9
+    assert float((after - before).square().mean()) < 10**-4.1
     assert method.updates == updates
     assert torch.equal(method.ema_rows, new.rows)
     places, d = new.vertices(), new.places()[:, :1].expand(-1, ROWS).flatten()
