@@ -175,7 +175,8 @@ def _place_in_ray(t: Any, unit: Any, folded: Any) -> Any:
 @jit
 def gradients(
     grid: Any, rays: Any, truth: Any, first: Any, last: Any, step: Any, bias: Any, rows: Any, background: Any,
-    scratch: Any, pixel: Any, gradient: Any, touched: Any, smoothness: Any, distortion: Any, unit: Any, folded: Any,
+    scratch: Any, pixel: Any, gradient: Any, touched: Any, smoothness: Any, smoothness_color: Any,
+    distortion: Any, unit: Any, folded: Any,
 ) -> Any:  # fmt: skip
     """Add ∂(½ Σ squared error + smoothness + distortion)/∂rows of rays first ≤ r < last to `gradient`; see `March`.
 
@@ -190,7 +191,7 @@ def gradients(
     basis = scratch.values[BASIS : BASIS + 4]
     corners, weights, values, notes = scratch.corners, scratch.weights, scratch.values, scratch.notes
     for q in range(16):
-        values[32 + q] = smoothness if q == 12 else F(0)
+        values[32 + q] = smoothness_color if q < 12 else smoothness if q == 12 else F(0)
     error = 0.0
     samples = 0
     for r in range(first, last):
@@ -231,7 +232,7 @@ def gradients(
                 values[20 + c] = gg * basis[c]
                 values[24 + c] = gb * basis[c]
             values[28] = by_sigma / (F(1) + exp(-notes[at + RAW]))  # softplus' is the sigmoid
-            if smoothness > 0:
+            if smoothness > 0 or smoothness_color > 0:
                 scatter_smooth(gradient, corners, weights, at, values, 16, rows, 32)
             else:
                 scatter(gradient, corners, weights, at, values, 16)

@@ -158,9 +158,9 @@ class TorchVoxels:
         samples, done = self._composited(rows, grid, rays, how)
         squared = (done.pixel[:, :3] - truth).square().sum()
         corner = samples.rows[done.used]
-        raw = rows[corner, DENSITY]
-        rough = (raw - raw.mean(1, keepdim=True)).square().sum()
-        loss = squared / 2 + how.smoothness * rough / 2
+        values = rows[corner]
+        rough = (values - values.mean(1, keepdim=True)).square().sum((0, 1))
+        loss = (squared + how.smoothness * rough[DENSITY] + how.smoothness_color * rough[:DENSITY].sum()) / 2
         if how.distortion > 0:
             loss = loss + how.distortion * _distortion(samples, done, how, len(rays))
         (gradient,) = torch.autograd.grad(loss, rows)

@@ -21,7 +21,8 @@ class March:
     step: length of a sample, in cells. Density is per cell, so that α = 1 − exp(−σ · step).
     bias: added to the raw density before softplus. background: (3,).
     offsets: (R,), where each ray's first sample lies in its step, 0 … 1.
-    smoothness: weight of ½ Σ (σ_k − mean)² over the raw densities at the 8 corners of every sample's cell.
+    smoothness: weight of ½ Σ (s_k − mean)² over the raw densities s at the 8 corners of every sample's cell.
+    smoothness_color: the same for each coefficient of colour.
     distortion: weight λ of λ (Σ_ij w_i w_j |s_i − s_j| + ⅓ Σ_i w_i² Δs_i) for each ray, which draws its weights
         together (mip-NeRF 360, Eq. 15, arXiv:2111.12077). s = t / unit, or s/(1 + s) of it if `folded`.
     """
@@ -31,6 +32,7 @@ class March:
     background: Tensor
     offsets: Tensor
     smoothness: float = 0.0
+    smoothness_color: float = 0.0
     distortion: float = 0.0
     unit: float = 1.0
     folded: bool = False

@@ -47,6 +47,7 @@ class VoxelConfig:
         0.995, "decay of the EMA of rows that pictures show; smaller while a level is young", share="[0, 1)"
     )
     smoothness: float = constant(2.5e-6, "weight of the smoothness of density in the loss")
+    smoothness_color: float = constant(1e-6, "the same of colour")
     distortion: float = constant(
         5e-3, "weight of distortion in the loss: it draws the weights along a ray together, out of haze"
     )
@@ -91,8 +92,8 @@ class VoxelConfig:
             not scene.synthetic
         ):  # a place fills space that is empty around an object, so that each part of it is seen by fewer rays
             config = replace(
-                config, rate_view=0.06, rate_density=0.22, keep_square=0.999, smoothness=3e-5, distortion=0.01,
-                distortion_before=0.3, spare_error=0.5, beside=1e-7, step=1.0,
+                config, rate_view=0.06, rate_density=0.2, keep_square=0.999, smoothness=3e-5, distortion=0.01,
+                smoothness_color=0, distortion_before=0.3, spare_error=0.5, beside=1e-7, step=1.0,
             )  # fmt: skip
         return changed(config, changes, "voxels")
 
@@ -106,7 +107,7 @@ class VoxelConfig:
 
 def _of_today(config: Mapping[str, Any]) -> Mapping[str, Any]:
     """A configuration that an earlier version may have written, without what there was and with what there was not."""
-    config = {"distortion_before": 1.0, **config}
+    config = {"distortion_before": 1.0, "smoothness_color": 0.0, **config}
     if "prune" not in config:
         return config
     known = {name: value for name, value in config.items() if name not in ("prune", "growth")}

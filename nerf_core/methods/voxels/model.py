@@ -137,7 +137,7 @@ class VoxelModel(Defaults):
         c, kind = self.config, self.space.kind
         unit = 1.0 if kind == "ndc" else self.space.extent
         return replace(
-            self._march(offsets), smoothness=c.smoothness,
+            self._march(offsets), smoothness=c.smoothness, smoothness_color=c.smoothness_color,
             distortion=c.distortion * c.distortion_before ** (len(self.schedule.levels) - 1 - self.level), unit=unit,
             folded=kind == "contracted",
         )  # fmt: skip
