@@ -175,16 +175,17 @@ class CpuVoxels:
         """Have empty buffers of the grid's size, if they do not hold what was summed over this very grid."""
         if self._grid is not None and self._grid.rows is grid.rows:
             return
-        self._grid = grid
-        if self._touched.shape[1] == grid.bricks:  # other rows of the same grid, such as its EMA
+        if self._grid is not None and self._touched.shape[1] == grid.bricks:  # other rows of one grid, as its EMA
             self._marks[:] = 0
             if self._touched.any():
                 self.forget()
-            return
-        self._gradient = np.zeros((self.shards, 0), np.float32)  # frees the memory first
-        self._gradient = torch.zeros(self.shards, grid.bricks * ROWS * WIDTH).numpy()
-        self._touched = np.zeros((self.shards, grid.bricks), np.uint64)
-        self._marks = np.zeros((self.shards, grid.bricks * ROWS), np.uint8)
+        else:
+            self._grid = None  # if memory runs out below, nothing may be taken for buffers of this or the old grid
+            self._gradient = np.zeros((self.shards, 0), np.float32)  # frees the memory first
+            self._gradient = torch.zeros(self.shards, grid.bricks * ROWS * WIDTH).numpy()
+            self._touched = np.zeros((self.shards, grid.bricks), np.uint64)
+            self._marks = np.zeros((self.shards, grid.bricks * ROWS), np.uint8)
+        self._grid = grid
 
     def _buffers(self, grid: VoxelGrid, how: March) -> list[_Scratch]:
         # A straight ray crosses at most as many cells as the box has along its three sides together. A ray that is

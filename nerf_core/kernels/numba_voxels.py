@@ -67,7 +67,7 @@ def _evaluate(first: Any, last: Any, step: Any, rows: Any, corners: Any, weights
     for s in range(CHUNK):
         raw = -values[DOTS + 4 * s + 3]
         values[RAWS + s] = raw
-        values[LEFTS + s] = exp(-step * log(F(1) + exp(raw)))
+        values[LEFTS + s] = exp(-step * (max(raw, F(0)) + log(F(1) + exp(-abs(raw)))))
     for q in range(4 * CHUNK):
         values[DOTS + q] = F(1) / (F(1) + exp(values[DOTS + q]))
 
@@ -213,17 +213,17 @@ def gradients(
             transmittance, alpha = notes[at + TRANSMITTANCE], notes[at + ALPHA]
             w, along = transmittance * alpha, r1 * er + g1 * eg + b1 * eb
             if distortion > 0:
-                place = _place_in_ray(notes[at + DISTANCE], unit, folded)
+                along_ray = _place_in_ray(notes[at + DISTANCE], unit, folded)
                 width = notes[at + WIDTH] / unit
                 if folded:
-                    width *= (F(1) - place) * (F(1) - place)
+                    width *= (F(1) - along_ray) * (F(1) - along_ray)
                 w_front -= w
-                s_front -= w * place
+                s_front -= w * along_ray
                 along += distortion * (
-                    F(2) * (place * (w_front - w_behind) - (s_front - s_behind)) + F(2 / 3) * w * width
+                    F(2) * (along_ray * (w_front - w_behind) - (s_front - s_behind)) + F(2 / 3) * w * width
                 )
                 w_behind += w
-                s_behind += w * place
+                s_behind += w * along_ray
             by_sigma = step * (transmittance * (F(1) - alpha) * along - behind)
             behind += w * along
             gr, gg, gb = w * er * r1 * (F(1) - r1), w * eg * g1 * (F(1) - g1), w * eb * b1 * (F(1) - b1)

@@ -97,7 +97,7 @@ class VoxelKernels(Protocol):
         ...
 
     def accumulate(self, grid: VoxelGrid, rays: BoxRays, truth: Tensor, how: March) -> tuple[float, int]:
-        """Add the gradient of ½ Σ squared error, and of smoothness.
+        """Add the gradient of ½ Σ squared error, and of smoothness and distortion.
 
         truth: the colours of the photos (R, 3). Returns the sum of squared errors, and the number of samples.
         """
@@ -123,7 +123,8 @@ class VoxelKernels(Protocol):
     def marked(self, grid: VoxelGrid) -> Tensor:
         """What the cells are worth, (M,) uint8.
 
-        0 if no pixel needs the cell, else 1 + HALVINGS − h for its greatest weight, 2⁻ʰ ≥ w > 2⁻ʰ⁻¹.
+        0 if no pixel needs the cell, else 1 + HALVINGS − h for its greatest weight, 2⁻ʰ ≥ w > 2⁻ʰ⁻¹. Where the pixel
+        also shows the background, what the cell has of the background's colour does not count as weight.
         A cell is marked at the row of its lowest vertex.
         """
         ...

@@ -89,12 +89,13 @@ def leaps(occupied: Tensor) -> Tensor:
 
 
 def grow(cells: Tensor) -> Tensor:
-    """Add the 26 neighbours of each cell that is set: (x, y, z) bool → (x, y, z) bool."""
+    """The greatest of each cell and its 26 neighbours, (x, y, z); of bool: whether any of them is set."""
     for axis in range(3):
         grown = cells.clone()
         n = cells.shape[axis]
-        grown.narrow(axis, 1, n - 1).logical_or_(cells.narrow(axis, 0, n - 1))
-        grown.narrow(axis, 0, n - 1).logical_or_(cells.narrow(axis, 1, n - 1))
+        for ours, theirs in ((1, 0), (0, 1)):
+            part = grown.narrow(axis, ours, n - 1)
+            torch.maximum(part, cells.narrow(axis, theirs, n - 1), out=part)
         cells = grown
     return cells
 

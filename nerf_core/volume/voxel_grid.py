@@ -242,6 +242,7 @@ def _assembled(
     own = torch.zeros(count * ROWS, WIDTH, device=kinds.device)
     if rows is not None:
         own.copy_(rows)  # a copy: kernels change it in place, and need its alignment
+        own[:, DENSITY + 1 :] = 0  # padding, which the loops multiply by zero
     x, y, z = kinds.shape
     occupied = kinds > 0
     return VoxelGrid((x, y, z), origin, voxel, contracted, occupied, leaps(occupied), kinds, tuple(tables), own)
@@ -263,10 +264,10 @@ def spread(cells: Tensor, doublings: int) -> Tensor:
 
 
 def pooled(cells: Tensor, doublings: int) -> Tensor:
-    """Whether any of 2ᵈ × 2ᵈ × 2ᵈ cells is set; the sides are multiples of 2ᵈ: the reverse of `spread`."""
+    """The greatest of 2ᵈ × 2ᵈ × 2ᵈ cells; the sides are multiples of 2ᵈ: the reverse of `spread`."""
     side = 1 << doublings
     x, y, z = (n // side for n in cells.shape)
-    return cells.view(x, side, y, side, z, side).any(5).any(3).any(1)
+    return cells.view(x, side, y, side, z, side).amax(5).amax(3).amax(1)
 
 
 def vertices_of(cells: Tensor) -> Tensor:

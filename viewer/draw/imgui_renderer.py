@@ -91,6 +91,7 @@ class ImguiRenderer:
 
     def remove(self, texture: moderngl.Texture) -> None:
         self._textures.pop(texture.glo, None)
+        self._contents.pop(texture.glo, None)
         self._opaque.discard(texture.glo)
 
     def render(

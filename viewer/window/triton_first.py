@@ -6,6 +6,7 @@ import ctypes
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib.abc import MetaPathFinder
 from importlib.machinery import PathFinder
 from pathlib import Path
@@ -22,7 +23,8 @@ class _Binder(MetaPathFinder):
         spec = PathFinder.find_spec("triton")
         for folder in (spec.submodule_search_locations or []) if spec is not None else []:
             for library in sorted(Path(folder, "_C").glob("libtriton*.so")):
-                ctypes.CDLL(str(library), mode=os.RTLD_LOCAL | os.RTLD_DEEPBIND)
+                with suppress(OSError):  # triton itself says what is wrong with it
+                    ctypes.CDLL(str(library), mode=os.RTLD_LOCAL | os.RTLD_DEEPBIND)
 
 
 def bind_triton() -> None:

@@ -28,8 +28,12 @@ from nerf_core.volume.voxel_grid import (
     spread,
 )
 
-BRICKS = 2048  # bricks of a new grid between two calls of the yield callback: about 10 ms on two cores
+BRICKS = 1024  # bricks of a new grid between two calls of the yield callback: about 10 ms on two cores
 LARGER = 1.05  # cells of a first grid with too many rows become larger by at least this factor at a time
+
+
+def nothing() -> None:
+    """The default yield callback."""
 
 
 class Level(NamedTuple):
@@ -136,37 +140,43 @@ class Worth:
     of_each: tuple[Tensor, ...]
 
     @staticmethod
-    def of(grid: VoxelGrid, best: Tensor, second: Tensor, beside: float) -> Worth:
+    def of(
+        grid: VoxelGrid, best: Tensor, second: Tensor, beside: float, yield_callback: Callable[[], None] = nothing
+    ) -> Worth:
         """Spread over the cells what their rows are worth, (M,) uint8.
 
         best, second: to the photo that needs the cell most, and second most.
         beside: cells beside one with at least this weight in some pixel are needed too.
         """
         of_each = grid.cells_with(best)
-        needed = _around(grid, of_each, class_of(beside))
+        needed = _around(grid, of_each, yield_callback) >= class_of(beside)
         for d, worth in enumerate(of_each):
+            yield_callback()
             needed |= spread(worth > 0, d)[tuple(slice(n) for n in grid.size)]
         return Worth(needed & grid.occupied, grid.cells_with(second))
 
 
 def class_of(weight: float) -> int:
-    """The least that a cell is worth which has this weight in some pixel."""
-    return max(1, 1 + HALVINGS - math.ceil(-math.log2(weight)))
+    """What a cell is worth that has this weight in some pixel: 1 + HALVINGS − h, 2⁻ʰ ≥ weight > 2⁻ʰ⁻¹."""
+    return max(1, 1 + HALVINGS - math.floor(-math.log2(weight)))
 
 
-def _around(grid: VoxelGrid, of_each: tuple[Tensor, ...], least: int) -> Tensor:
-    """The cells that are worth `least` or more, and their neighbours: (x, y, z) bool like `occupied`."""
-    found = torch.zeros_like(grid.occupied)
+def _around(grid: VoxelGrid, of_each: tuple[Tensor, ...], yield_callback: Callable[[], None]) -> Tensor:
+    """The greatest worth among each cell and its neighbours: (x, y, z) uint8, 0 where no cell is."""
+    found = torch.zeros_like(grid.kinds)
     for d, worth in enumerate(of_each):
-        found |= spread(grow(worth >= least), d)[tuple(slice(n) for n in grid.size)]
-    if len(of_each) > 1:
-        for d in range(len(of_each)):  # a larger cell is taken whole
-            part = found & (grid.kinds == d + 1)
-            found |= spread(pooled(part, d), d) & (grid.kinds == d + 1)
-    return found & grid.occupied
+        yield_callback()
+        found = torch.maximum(found, spread(grow(worth), d)[tuple(slice(n) for n in grid.size)])
+    for d in range(1, len(of_each)):  # a larger cell is taken whole
+        yield_callback()
+        own = grid.kinds == d + 1
+        found = torch.where(own, spread(pooled(found * own, d), d), found)
+    return found * grid.occupied
 
 
-def finer_grid(old: VoxelGrid, worth: Worth, split: float, most_rows: int) -> tuple[VoxelGrid, bool]:
+def finer_grid(
+    old: VoxelGrid, worth: Worth, split: float, most_rows: int, yield_callback: Callable[[], None] = nothing
+) -> tuple[VoxelGrid, bool]:
     """Return a grid with cells of half the size where that shows, without values; and whether it lacks rows for more.
 
     The cells that no pixel needs are dropped. Those that have a weight of at least `split` in pixels of two photos, and
@@ -182,13 +192,13 @@ def finer_grid(old: VoxelGrid, worth: Worth, split: float, most_rows: int) -> tu
     found = worth.needed.nonzero()
     low, high = found.amin(0) // aligned * aligned, -(-(found.amax(0) + 1) // aligned) * aligned
     box = tuple(slice(a, b) for a, b in zip(low.tolist(), high.tolist(), strict=True))
-    kept = (old.kinds * worth.needed)[box]
+    kept, around = (old.kinds * worth.needed)[box], _around(old, worth.of_each, yield_callback)[box]
     least, count = class_of(split) - 1, most_rows + 1
     kinds = kept
     while count > most_rows and least <= class_of(1.0):  # nothing is worth more than that: no cell is divided
         least += 1
-        whole = (kept > 0) & ~_around(old, worth.of_each, least)[box]
-        kinds = spread(kept + whole, 1)
+        yield_callback()
+        kinds = spread(kept + ((kept > 0) & (around < least)), 1)
         count = ROWS * sum(int(bricks_of(cells).sum()) for cells in cells_of_each_size(kinds))
     grid = VoxelGrid.of_kinds(old.origin + low.numpy() * old.voxel, old.voxel / 2, kinds, old.contracted)
     return grid, least > class_of(split)
@@ -213,7 +223,9 @@ def resample(
         raw.copy_(torch.where(ratio == 1, raw, sigma + torch.log(-torch.expm1(-sigma)) - bias))  # softplus' inverse
 
 
-def resampled_moments(kernels: VoxelKernels, old: VoxelGrid, new: VoxelGrid) -> Tensor:
+def resampled_moments(
+    kernels: VoxelKernels, old: VoxelGrid, new: VoxelGrid, yield_callback: Callable[[], None] = nothing
+) -> Tensor:
     """Return Adam's moments for a finer grid, (M, 16), so that training goes on as if nothing had happened.
 
     old: the coarser grid, with its moments as `rows`.
@@ -221,6 +233,7 @@ def resampled_moments(kernels: VoxelKernels, old: VoxelGrid, new: VoxelGrid) -> 
     """
     found, places = replace(new, rows=torch.zeros_like(new.rows)), new.places()
     for first in range(0, new.bricks, BRICKS):
+        yield_callback()
         last = min(first + BRICKS, new.bricks)
         doublings = kernels.resample(old, found, first, last)
         divided = places[first:last, :1].expand(-1, ROWS).flatten() == doublings.long()

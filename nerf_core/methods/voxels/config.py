@@ -44,7 +44,7 @@ class VoxelConfig:
     keep_square: float = constant(0.99, "Adam's beta2", share="[0, 1)")
     epsilon: float = constant(1e-5, "Adam's epsilon, in units of one ray's gradient", least=1e-12)
     average: float = constant(
-        0.995, "decay of the EMA of rows that pictures show; smaller while a level is young", share="[0, 1)"
+        0.995, "decay of the EMA of rows that pictures show; smaller early in training", share="[0, 1)"
     )
     smoothness: float = constant(2.5e-6, "weight of the smoothness of density in the loss")
     smoothness_color: float = constant(1e-6, "the same of colour")
@@ -62,14 +62,14 @@ class VoxelConfig:
         most=100,
     )  # fmt: skip
     beside: float = constant(
-        0.05,
-        "weight that a cell must have in some training pixel for its neighbours to be kept too",
+        0.03,
+        "weight, to a power of two, that a cell must have in some training pixel for its neighbours to be kept too",
         least=1e-7,
         most=1,
     )
     split: float = constant(
-        0.2,
-        "weight that a cell must have in pixels of two training photos to be divided at the next level",
+        0.1,
+        "weight, to a power of two, that a cell must have in two training photos to be divided at the next level",
         least=1e-6,
         most=1,
     )
@@ -111,5 +111,5 @@ def _of_today(config: Mapping[str, Any]) -> Mapping[str, Any]:
     if "prune" not in config:
         return config
     known = {name: value for name, value in config.items() if name not in ("prune", "growth")}
-    new = {"spare": 0.0035, "spare_error": 1.0, "beside": 0.05, "split": 0.2, "distortion": 0.0}
+    new = {"spare": 0.0035, "spare_error": 1.0, "beside": 0.03, "split": 0.1, "distortion": 0.0}
     return {**new, "rate_view": known.get("rate_color"), **known}

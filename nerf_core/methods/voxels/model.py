@@ -10,7 +10,7 @@ and Juditsky 1992).
 
 Training begins with a coarse grid and shrunken photos. At the end of a level, cells that no training pixel needs are
 dropped. Those that carry much of a pixel are divided for the next level, and thin haze stays in larger cells. So time
-is spent where surfaces are, and the picture is the same before and after.
+is spent where surfaces are, and the picture is as good as before.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from nerf_core.methods import Defaults, Draw
 from nerf_core.methods.voxels.coarse_to_fine import Schedule, Worth, finer_grid, first_grid, resample, resampled_moments
 from nerf_core.methods.voxels.config import VoxelConfig
 from nerf_core.volume.packed import to_trace
-from nerf_core.volume.voxel_grid import DENSITY, VoxelGrid, view_basis
+from nerf_core.volume.voxel_grid import DENSITY, MOST_CELLS, MOST_SIZES, VoxelGrid, view_basis
 
 PIECE = 4096  # rays between two calls of the yield callback: about 5 ms on two cores
 TILE = 8192
@@ -163,12 +163,12 @@ class VoxelModel(Defaults):
             second = torch.maximum(second, torch.minimum(best, marked))
             best = torch.maximum(best, marked)
             photos += 1
-        return Worth.of(self.grid, best, second if photos > 1 else best, self.config.beside)
+        return Worth.of(self.grid, best, second if photos > 1 else best, self.config.beside, yield_callback)
 
     def _training_pixels(self) -> Iterator[Rays]:
         """The rays of the training photos' pixels at this level, photo after photo.
 
-        One for each cell's width, and at most ENOUGH: what is missed between them is seen in other photos.
+        One for each cell's width, and at most ENOUGH: what lies between them is mostly seen in other photos.
         """
         scale, _, shrink = self.schedule.levels[self.level]
         cameras = [self.scene.views[i].camera.shrunk(shrink) for i in self.scene.trained(self.config.train_images)]
@@ -189,9 +189,9 @@ class VoxelModel(Defaults):
         worth = self.worth(yield_callback)
         if not worth.needed.any():  # nothing has been learnt yet: keep all cells
             worth = replace(worth, needed=self.grid.occupied)
-        grid, self.full = finer_grid(self.grid, worth, self.config.split, self.config.most_rows)
+        grid, self.full = finer_grid(self.grid, worth, self.config.split, self.config.most_rows, yield_callback)
         resample(self.kernels, self.ema_grid, grid, self.config.bias, yield_callback)
-        self.moments = resampled_moments(self.kernels, replace(self.grid, rows=self.moments), grid)
+        self.moments = resampled_moments(self.kernels, replace(self.grid, rows=self.moments), grid, yield_callback)
         self.level += 1
         self.grid, self.ema_rows = grid, grid.rows.clone()
 
@@ -296,6 +296,10 @@ class VoxelModel(Defaults):
             raise ValueError(
                 f"level {level} of {len(self.schedule.levels)}, {int(state['updates'])} updates, an error of {error}"
             )
+        further = len(self.schedule.levels) - 1 - level
+        if max(grid.size) << further > MOST_CELLS or len(grid.tables) + further > MOST_SIZES:
+            raise ValueError(f"the voxel grid has more cells than level {level} can have")
+        average[:, DENSITY + 1 :] = 0  # padding, which the loops multiply by zero
         self.grid, self.moments, self.ema_rows = grid, *(torch.empty_like(v).copy_(v) for v in (moments, average))
         self.level, self.updates, self.mean_error = level, int(state["updates"]), error
         self.full = bool(state.get("full", False))

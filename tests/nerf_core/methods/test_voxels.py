@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -18,8 +19,8 @@ from nerf_core.kernels import choice
 from nerf_core.kernels.cpu_voxels import CpuVoxels
 from nerf_core.kernels.implementations import on_numba
 from nerf_core.kernels.torch_voxels import TorchVoxels
-from nerf_core.kernels.voxel_kernels import March, VoxelKernels
-from nerf_core.methods.voxels.coarse_to_fine import Worth, finer_grid, resample
+from nerf_core.kernels.voxel_kernels import HALVINGS, March, VoxelKernels
+from nerf_core.methods.voxels.coarse_to_fine import Worth, class_of, finer_grid, resample
 from nerf_core.methods.voxels.config import VoxelConfig
 from nerf_core.methods.voxels.method import Voxels
 from nerf_core.probe import open_ray
@@ -27,7 +28,7 @@ from nerf_core.rendering.images import render_camera
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer, nothing
 from nerf_core.volume.cells import grow, leaps
-from nerf_core.volume.voxel_grid import DENSITY, ROWS, VoxelGrid, bricks_of, cells_of_each_size, spread
+from nerf_core.volume.voxel_grid import DENSITY, MOST_CELLS, ROWS, VoxelGrid, bricks_of, cells_of_each_size, spread
 
 CPU = torch.device("cpu")
 SMALL = VoxelConfig(rays=512, first_rays=256, start=8, pixels=0.5, level_steps=6)
@@ -220,6 +221,64 @@ def test_cells_with_thin_haze_stay_large_and_the_limit_of_rows_divides_fewer(sce
     assert full
     assert len(fewer.rows) < len(whole.rows)
     assert (fewer.kinds > 0).sum() == (whole.kinds > 0).sum()
+
+
+def test_a_cell_is_worth_the_class_of_its_weight() -> None:
+    """A slab of one cell, seen by a ray with weight α: its mark is `class_of` of that weight."""
+    grid = VoxelGrid.over(np.zeros(3), np.ones(3), torch.ones(1, 1, 1, dtype=torch.bool), contracted=False)
+    rays = BoxRays(
+        torch.tensor([[0.5, 0.5, -1.0]]), *2 * [torch.tensor([[0.0, 0.0, 1.0]])], torch.zeros(1), torch.ones(1) * 9
+    )
+    march = March(1.0, 0.0, torch.zeros(3), torch.full((1,), 0.5))
+    for kernels in (CpuVoxels(1), TorchVoxels()):
+        for alpha in (0.9, 0.51, 0.5, 0.49, 0.3, 0.25, 0.2, 0.1, 0.06, 0.03, 1e-3):
+            grid.rows[:, DENSITY] = float(np.log(np.expm1(-np.log1p(-alpha))))
+            weight = float(kernels.trace(grid, rays, march).alpha[0]) / 2  # half of its grey is the background's black
+            kernels.unmark()
+            kernels.mark(grid, rays, march, 0.0)
+            assert int(kernels.marked(grid).max()) == class_of(weight)
+    assert class_of(1.0) == 1 + HALVINGS
+
+
+def test_only_what_two_photos_see_is_divided(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    method = voxels_of(run(scene, 6))
+    one, two = (camera_rays(scene.views[i].camera, scene.near, scene.far) for i in scene.split("train")[:2])
+    away = replace(one, directions=-one.directions)
+    worth = {}
+    for name, photos in {"alone": (one, away), "both": (one, two), "same": (one, one)}.items():
+        monkeypatch.setattr(method, "_training_pixels", lambda photos=photos: iter(photos))
+        worth[name] = method.worth()
+    greatest = {name: max(int(cells.max()) for cells in found.of_each) for name, found in worth.items()}
+    assert greatest["alone"] == 0
+    assert 0 < greatest["both"] <= greatest["same"]
+    assert worth["alone"].needed.any()
+    grid, _ = finer_grid(method.grid, worth["alone"], 0.1, 10**9)
+    assert int(grid.kinds.max()) == 2
+    assert not (grid.kinds == 1).any()
+
+
+def test_distortion_grows_from_level_to_level(scene: Scene) -> None:
+    method = voxels_of(run(scene, 1, start=4, distortion=0.08, distortion_before=0.5))
+    weights = []
+    for level in range(len(method.schedule.levels)):
+        method.level = level
+        weights.append(method._training_march(torch.zeros(1)).distortion)
+    assert len(weights) > 1
+    assert weights[-1] == 0.08
+    assert all(a == b / 2 for a, b in pairwise(weights))
+
+
+def test_a_stored_grid_that_further_levels_would_make_too_large_is_refused(scene: Scene) -> None:
+    method = voxels_of(run(scene, 1, start=4))
+    assert len(method.schedule.levels) > 1
+    box = method.space.high - method.space.low
+    kinds = torch.ones(MOST_CELLS, 4, 4, dtype=torch.uint8)
+    grid = VoxelGrid.of_kinds(method.space.low, box / np.array(kinds.shape), kinds, contracted=False)
+    state = {name: value for name, value in method.state().items() if not name.startswith("grid.")}
+    state |= {f"grid.{name}": value for name, value in grid.state().items()}
+    state |= {name: torch.zeros_like(grid.rows) for name in ("moments", "average")}
+    with pytest.raises(ValueError, match="more cells than level 0"):
+        method.load_state(state)
 
 
 def test_dropping_cells_costs_no_pixel_a_level_and_held_out_photos_a_tenth_of_a_decibel(scene: Scene) -> None:
