@@ -226,9 +226,8 @@ def test_cells_with_thin_haze_stay_large_and_the_limit_of_rows_divides_fewer(sce
 def test_a_cell_is_worth_the_class_of_its_weight() -> None:
     """A slab of one cell, seen by a ray with weight α: its mark is `class_of` of that weight."""
     grid = VoxelGrid.over(np.zeros(3), np.ones(3), torch.ones(1, 1, 1, dtype=torch.bool), contracted=False)
-    rays = BoxRays(
-        torch.tensor([[0.5, 0.5, -1.0]]), *2 * [torch.tensor([[0.0, 0.0, 1.0]])], torch.zeros(1), torch.ones(1) * 9
-    )
+    along = torch.tensor([[0.0, 0.0, 1.0]])
+    rays = BoxRays(torch.tensor([[0.5, 0.5, -1.0]]), along, along, torch.zeros(1), torch.full((1,), 9.0))
     march = March(1.0, 0.0, torch.zeros(3), torch.full((1,), 0.5))
     for kernels in (CpuVoxels(1), TorchVoxels()):
         for alpha in (0.9, 0.51, 0.5, 0.49, 0.3, 0.25, 0.2, 0.1, 0.06, 0.03, 1e-3):
