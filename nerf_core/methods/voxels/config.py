@@ -63,13 +63,13 @@ class VoxelConfig:
     )  # fmt: skip
     beside: float = constant(
         0.03,
-        "weight, to a power of two, that a cell must have in some training pixel for its neighbours to be kept too",
+        "weight (by powers of two) that a cell must have in some training pixel for its neighbours to be kept too",
         least=1e-7,
         most=1,
     )
     split: float = constant(
         0.1,
-        "weight, to a power of two, that a cell must have in two training photos to be divided at the next level",
+        "weight (by powers of two) that a cell must have in two training photos to be divided at the next level",
         least=1e-6,
         most=1,
     )
