@@ -280,6 +280,17 @@ def test_a_stored_grid_that_further_levels_would_make_too_large_is_refused(scene
         method.load_state(state)
 
 
+def test_padding_of_a_stored_grid_is_cleared(scene: Scene) -> None:
+    """The loops multiply it by zero, so that infinity there would become NaN."""
+    method = voxels_of(run(scene, 2))
+    state = {name: value.clone() for name, value in method.state().items()}
+    for name in ("grid.rows", "average"):
+        state[name][:, DENSITY + 1 :] = torch.inf
+    method.load_state(state)
+    assert not method.grid.rows[:, DENSITY + 1 :].any()
+    assert not method.ema_rows[:, DENSITY + 1 :].any()
+
+
 def test_dropping_cells_costs_no_pixel_a_level_and_held_out_photos_a_tenth_of_a_decibel(scene: Scene) -> None:
     trainer = run(scene, 60, spare_error=0, split=1e-6)  # cells of one size, whose samples stay where they are
     method = voxels_of(trainer)
