@@ -32,7 +32,15 @@ from nerf_core.geometry.spaces import Space
 from nerf_core.kernels.choice import voxel_kernels
 from nerf_core.kernels.voxel_kernels import Adam, March, Traced
 from nerf_core.methods import Defaults, Draw
-from nerf_core.methods.voxels.coarse_to_fine import Schedule, Worth, finer_grid, first_grid, resample, resampled_moments
+from nerf_core.methods.voxels.coarse_to_fine import (
+    Schedule,
+    Worth,
+    finer_grid,
+    first_grid,
+    nothing,
+    resample,
+    resampled_moments,
+)
 from nerf_core.methods.voxels.config import VoxelConfig
 from nerf_core.volume.packed import to_trace
 from nerf_core.volume.voxel_grid import DENSITY, MOST_CELLS, MOST_SIZES, VoxelGrid, view_basis
@@ -144,7 +152,7 @@ class VoxelModel(Defaults):
 
     # ---- coarse to fine ---------------------------------------------------------------------------------------------
 
-    def worth(self, yield_callback: Callable[[], None] = lambda: None) -> Worth:
+    def worth(self, yield_callback: Callable[[], None] = nothing) -> Worth:
         """Return what the cells are worth to the training photos.
 
         Without the cells that are not needed, no pixel changes by more than about `spare`, or `spare_error` of the
