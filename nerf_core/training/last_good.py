@@ -28,8 +28,8 @@ class LastGood:
         """Copy the state as it is now. Raises Diverged if it is not finite.
 
         rounded: keep large tensors of float32 as bfloat16. A fine voxel grid then takes 120 MB less. The values are
-            within 2⁻⁸ of what they were. A picture changes by less than one of 255 levels (85 dB on the demo scene), but
-            further training is not the same bit for bit.
+            within 2⁻⁸ of what they were. A picture changes by less than one of 255 levels (85 dB on the demo scene),
+            but further training is not the same bit for bit.
         """
         self._rounded, self._narrow = rounded, frozenset[str]()
         self.state = {}
