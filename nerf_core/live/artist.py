@@ -12,7 +12,7 @@ from nerf_core.live.messages import Inspect, Pin, Preview, ViewRequest
 from nerf_core.live.opened_ray import OpenedRay
 from nerf_core.live.pins import Pins
 from nerf_core.live.refinement import Refinement, first_stride
-from nerf_core.methods import Method, traced
+from nerf_core.methods import Method, aimed, caption, traced
 from nerf_core.rendering.modes import COLOR, shaded
 from nerf_core.training.trainer import Trainer
 
@@ -94,7 +94,7 @@ class Artist:
 
         Raises UserError for a mode that the method cannot draw.
         """
-        picture = self._current(view, trainer.method.born)
+        picture = self._current(view, trainer.method)
         if not training and self._model_step != trainer.step_count and not picture.begins:
             picture.begin_again()  # what is under way shows a model of before the pause
         if not picture.advance(trainer.step_count, training, time.monotonic()):
@@ -109,12 +109,13 @@ class Artist:
         begin = time.perf_counter()
         cells = picture.take(self._model.tile)
         rays = view_rays(trainer.scene, picture.camera, picture.pixels(cells))
+        model = aimed(self._model, picture.camera)
         if picture.mode == COLOR:
-            drawn = self._model.render(rays, picture.quality)
+            drawn = model.render(rays, picture.quality)
             color = drawn.color.cpu().numpy()
         else:
-            trace = traced(self._model, rays)
-            drawn, color = trace.rendering, shaded(self._model, rays, trace, picture.mode)
+            trace = traced(model, rays)
+            drawn, color = trace.rendering, shaded(model, rays, trace, picture.mode)
         # distance along the ray → depth along the optical axis, −z of the camera
         z = drawn.depth.cpu() * (rays.directions @ -torch.from_numpy(picture.camera.c2w[:, 2]).float())
         picture.write(cells, color, z.numpy(), self._model_step)
@@ -155,13 +156,13 @@ class Artist:
             self._copy, self._copy_step = trainer.frozen_method(), trainer.step_count
         return self._copy
 
-    def _current(self, view: ViewRequest, born: int) -> Refinement:
+    def _current(self, view: ViewRequest, method: Method) -> Refinement:
         """Return the picture to work on: that of the newest view.
 
         The first level of a moving camera is finished before: otherwise a camera that never rests would show no new
         pixel. Where another network draws the picture by now, everything begins again.
         """
-        picture = self._picture
+        picture, born = self._picture, method.born
         finish = picture is not None and self._moving and not picture.first_level_done
         if picture is not None and picture.born != born:
             picture = None
@@ -173,7 +174,7 @@ class Artist:
             affordable = self._speed(quality, view.mode) * (MOVING_SECONDS if view.moving else RESTING_SECONDS)
             stride = first_stride(view.camera.width, view.camera.height, affordable)
             picture = self._picture = Refinement(
-                view.camera, view.stamp, stride, quality, view.mode, born, self._number
+                view.camera, view.stamp, stride, quality, view.mode, born, self._number, caption(method, view.camera)
             )
             self._moving = view.moving
         return picture

@@ -314,6 +314,7 @@ class Preview:
     quality: which network drew it, "fine" or "coarse".
     model: a number of the model that drew it; a reset or loaded one has another, and so has a network that takes over.
     born: the training step at which that model began to learn.
+    caption: what the picture shows, in the method's words; empty: nothing worth saying.
     """
 
     stamp: int
@@ -327,6 +328,7 @@ class Preview:
     mode: str = COLOR
     model: int = 0
     born: int = 0
+    caption: str = ""
 
 
 @dataclass(frozen=True)

@@ -56,6 +56,7 @@ class Refinement:
         mode: str = COLOR,
         born: int = 0,
         model: int = 0,
+        caption: str = "",
     ) -> None:
         """Begin with the first level.
 
@@ -67,9 +68,10 @@ class Refinement:
             mode: the render mode. The picture carries it.
             born: the training step at which the weights that draw the picture began to learn.
             model: their number. The picture carries both.
+            caption: what the picture shows, in words. The picture carries it.
         """
         self.camera, self.stamp, self.quality, self.mode = camera, stamp, quality, mode
-        self.born, self.model = born, model
+        self.born, self.model, self.caption = born, model, caption
         self.stride = self._first_stride = stride
         self.fresh = False
         self.first_level_done = self._drawn_again = False
@@ -228,6 +230,7 @@ class Refinement:
             mode=self.mode,
             model=self.model,
             born=self.born,
+            caption=self.caption,
         )
 
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     import torch
     from torch import Tensor
 
+    from nerf_core.geometry.camera import Camera
     from nerf_core.geometry.rays import Rays, Rendering, Trace
 
 
@@ -130,6 +131,28 @@ class Explainable(Protocol):
         ...
 
 
+@runtime_checkable
+class Posed(Protocol):
+    """A model whose picture depends on the whole camera, not on each ray alone; see `aimed`."""
+
+    def facing(self, camera: Camera) -> Self:
+        """Return the model that draws this camera's rays. It shares its tensors with this one."""
+        ...
+
+    def caption(self, camera: Camera) -> str:
+        """Return what the picture of this camera shows, in words for the window; empty: nothing worth saying."""
+        ...
+
+
+@runtime_checkable
+class Visiting(Protocol):
+    """A model without samples that looks at places along a ray. The microscope marks them."""
+
+    def visited(self, rays: Rays) -> Tensor:
+        """Return the places (R, V) that R rays look at, as world distances in the order of the visits."""
+        ...
+
+
 class Trainable(Protocol):
     """A model that learns from photos, one optimiser step at a time."""
 
@@ -202,8 +225,8 @@ class Method(Renderable, Trainable, Protocol):
     constants: the dataclass of its `Config`; its fields are declared with `nerf_core.common.configs.constant`.
     presets: the names of sets of constants besides "auto".
 
-    `Traceable`, `Radiant`, `Dense` and `Explainable` are optional. Panels and probes say what a method lacks; see
-    `lacking`.
+    `Traceable`, `Radiant`, `Dense`, `Explainable`, `Visiting` and `Posed` are optional. Panels and probes say what a
+    method lacks; see `lacking`.
     """
 
     summary: ClassVar[str]
@@ -277,5 +300,15 @@ def lacking(method: str, ability: str) -> str:
 def traced(method: Method, rays: Rays) -> Trace:
     """Call `method.trace(rays)`. Raises UserError if the method keeps no samples."""
     if not isinstance(method, Traceable):
-        raise UserError(f"{lacking(METHODS.name_of(type(method)), 'trace')}: its pixels cannot be opened")
+        raise UserError(f"{lacking(METHODS.name_of(type(method)), 'trace')}: it can draw colours alone")
     return method.trace(rays)
+
+
+def aimed(method: Method, camera: Camera) -> Method:
+    """Return the model that draws the rays of a camera: `facing(camera)` of a `Posed` one, else the method itself."""
+    return method.facing(camera) if isinstance(method, Posed) else method
+
+
+def caption(method: Method, camera: Camera) -> str:
+    """Return what a picture of this camera shows, in words; empty if the method has nothing to say."""
+    return method.caption(camera) if isinstance(method, Posed) else ""

@@ -53,7 +53,20 @@ class Colors(NamedTuple):
     rgb: np.ndarray
 
 
-Chart = Stems | Marks | BarCode | Transfer | Colors
+class Pictures(NamedTuple):
+    """A chart of small pictures, drawn as a stack from front to back.
+
+    names: one for each picture.
+    images: (h, w, 4) uint8 each, sRGB-encoded, with alpha that is not premultiplied.
+    marks: (N, 2) a position (x, y) in pixels of each picture, where the ray meets it; NaN: none.
+    """
+
+    names: tuple[str, ...]
+    images: tuple[np.ndarray, ...]
+    marks: np.ndarray
+
+
+Chart = Stems | Marks | BarCode | Transfer | Colors | Pictures
 
 
 @dataclass(frozen=True)

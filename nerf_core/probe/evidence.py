@@ -20,6 +20,7 @@ from nerf_core.methods import Method, Radiant, traced
 from nerf_core.probe.ray import MOST_RAYS, sample_ends
 from nerf_core.probe.sightings import Sightings
 
+OPAQUE = 1 - 1e-12  # leaves a share of light that no picture shows
 MOST_VIEWS = 256  # photos asked about one point; half of them are those nearest in angle to the ray
 
 
@@ -220,7 +221,7 @@ class OpenedRays:
     trace: the rays' pixels and samples. Only the last pass is used.
     t: (R, S) float64, where a sample's stretch begins, as a world distance.
     until: (R, S) float64, where it ends, as a world distance.
-    tau: (R, S) float64, the stretch's optical depth σδ.
+    tau: (R, S) float64, the stretch's optical depth −ln(1 − α): σδ where density absorbs exponentially.
     """
 
     trace: Trace
@@ -232,7 +233,9 @@ class OpenedRays:
     def of(scene: Scene, rays: Rays, trace: Trace) -> OpenedRays:
         """Prepare R rays and the trace that `method.trace(rays)` returned."""
         last = trace.passes[-1]
-        tau = (last.sigma.double() * last.delta.double()).cpu()
+        # from α and not from σδ, because not every method's α is 1 − exp(−σδ): opacities may add up to 1, say.
+        # OPAQUE keeps τ finite: 0 times infinity is no number.
+        tau = -torch.log1p(-last.alpha.double().cpu().clamp(max=OPAQUE))
         return OpenedRays(trace, last.t.double().cpu(), sample_ends(scene, rays, last), tau)
 
     def _covered(self, end: Tensor) -> Tensor:

@@ -177,7 +177,7 @@ def _draw_last(axes: _Axes, last: PassProbe, one: Opened) -> None:
     under = np.where(_touching(t, until), until[1:], until[:-1])
     axes.strip.bar(t, 1, np.append(under, until[-1:]) - t, align="edge", color=np.clip(last.rgb, 0, 1), lw=0)
     if last.weights.sum() < NOTHING:
-        known = np.isfinite(ray.passes[-1].weights).all()
+        known = np.isfinite(ray.last.weights).all()
         _say(axes.weights, "the ray met nothing" if known else "the ray's weights are not numbers")
 
 

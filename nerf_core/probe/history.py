@@ -93,7 +93,7 @@ def binned(ray: RayProbe, edges: np.ndarray) -> np.ndarray:
     Returns:
         (B,) float32.
     """
-    last = ray.passes[-1]
+    last = ray.last
     if not len(last.t):
         return np.zeros(len(edges) - 1, np.float32)
     t = np.nan_to_num(last.t.astype(np.float64))

@@ -30,7 +30,7 @@ def layers_of(ray: RayProbe, scene: Scene) -> tuple[Layer, ...]:
     Returns:
         The layers from front to back. Empty if no peak weighs LIGHTEST, or if weights are not finite.
     """
-    return pass_layers(ray.passes[-1], ray.far, scene.radius)
+    return pass_layers(ray.last, ray.far, scene.radius)
 
 
 def grain_at(t: float, radius: float) -> float:

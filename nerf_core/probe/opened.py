@@ -11,7 +11,7 @@ import torch
 from nerf_core.common.errors import UserError
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
-from nerf_core.methods import METHODS, Method, Radiant
+from nerf_core.methods import METHODS, Method, Radiant, aimed
 from nerf_core.probe.directions import Around
 from nerf_core.probe.evidence import TrainingViews
 from nerf_core.probe.layers import grain_at, layers_of
@@ -35,8 +35,8 @@ def open_pixel(
     """Open a pixel completely. `open_ray`, `judge`, `open_radiance` and `walk` give the parts one by one.
 
     Args:
-        method: the model. It must keep samples along a ray (`Traceable`). Radiance needs `Radiant`, normals need
-            `Dense`, and the method's own stages need `Explainable`; without them these parts are left out.
+        method: the model. Verdict and evidence need samples along a ray (`Traceable`), radiance needs `Radiant` too,
+            normals need `Dense`, and the method's own stages need `Explainable`; without them these parts are left out.
         scene: the scene; its training photos give the evidence.
         camera: any camera, not only one of the scene's.
         pixel: integer column and row in the camera's picture.
@@ -50,8 +50,7 @@ def open_pixel(
         The opened pixel. `name` and `history` stay empty, because only pins have them.
 
     Raises:
-        UserError: the pixel lies outside the picture, `point_t` is no distance on the ray, or the method keeps no
-            samples.
+        UserError: the pixel lies outside the picture, or `point_t` is no distance on the ray.
     """
     opened = None
     for opened in pieces(method, TrainingViews(scene), camera, pixel, step, point_t, around):  # noqa: B007  the last piece is complete
@@ -78,7 +77,12 @@ def pieces(
     if point_t is not None and not 0 <= point_t < np.inf:
         raise UserError(f"t {point_t}: the point's distance along the ray must be a number of at least 0")
     scene = training_views.scene
+    method = aimed(method, camera)
     opened = Opened(camera, scene, METHODS.name_of(type(method)), open_ray(method, scene, camera, pixel, step))
+    if not opened.ray.passes:  # nothing to judge: no weight says where a surface is
+        yield opened
+        yield replace(opened, walk=walk(method, scene, camera, opened.ray))
+        return
     if point_t is not None:
         if point_t > FARTHEST * opened.ray.far:
             fit = f"give a distance from {opened.ray.near:.4g} to {opened.ray.far:.4g}"

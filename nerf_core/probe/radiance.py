@@ -48,7 +48,7 @@ def open_radiance(
     layers = layers_of(ray, scene)
     t = default_t(ray, layers) if point_t is None else point_t
     origin, along = ray.origin.astype(np.float64), ray.direction.astype(np.float64)
-    point, last, layer = origin + t * along, ray.passes[-1], layer_at(layers, t)
+    point, last, layer = origin + t * along, ray.last, layer_at(layers, t)
     normal = density_normal(method, point, _length_at(last, t, scene), -along)
     axes = _facing(normal if around == "normal" and normal is not None else -along, camera_up)
     pole = scene.up / np.linalg.norm(scene.up)
@@ -85,7 +85,7 @@ def layer_at(layers: Sequence[Layer], t: float) -> Layer | None:
 
 def layer_shares(ray: RayProbe, scene: Scene, layer: Layer) -> np.ndarray:
     """Return w_i / Σ w (S,) for the samples of the last pass. A sample counts by the part that lies in the layer."""
-    weights = weights_in(ray.passes[-1], ray.far, scene.radius, layer)
+    weights = weights_in(ray.last, ray.far, scene.radius, layer)
     return weights / weights.sum()
 
 
@@ -154,7 +154,7 @@ def mixtures(method: Radiant, ray: RayProbe, shares: np.ndarray, looking: Tensor
     Returns:
         (G, K, 3) float32.
     """
-    last = ray.passes[-1]
+    last = ray.last
     anew = np.zeros(len(last.t), bool)
     for one in shares if len(anew) else ():
         order = np.argsort(-one, kind="stable")

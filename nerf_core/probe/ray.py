@@ -11,7 +11,7 @@ from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.rays import Rays, Samples, Trace
 from nerf_core.geometry.scene import Scene
 from nerf_core.geometry.view_rays import beginning
-from nerf_core.methods import Method, traced
+from nerf_core.methods import Method, Traceable, Visiting, aimed
 from nerf_core.probe.records import PassProbe, RayProbe
 from nerf_core.rendering.images import tile_rays
 
@@ -67,11 +67,13 @@ def _matters_until(p: PassProbe) -> float:
 def open_ray(method: Method, scene: Scene, camera: Camera, pixel: tuple[int, int], step: int) -> RayProbe:
     """Open the ray of a pixel: all samples that make it, and its colour and depths.
 
+    A method that keeps no samples gives a ray without passes, with the places that it visited if it tells them.
+
     The pixel is computed by the renderer's own code. If the method rounds differently for other batch sizes (`alone` is
     False), it is computed together with its tile's neighbours. So the composited colour is the rendered one.
 
     Args:
-        method: the model. It must keep samples along a ray (`Traceable`).
+        method: the model.
         scene: its scene.
         camera: any camera.
         pixel: integer column and row in the camera's picture.
@@ -81,7 +83,7 @@ def open_ray(method: Method, scene: Scene, camera: Camera, pixel: tuple[int, int
         The ray with the samples of all its passes.
 
     Raises:
-        UserError: the pixel lies outside the picture, or the method keeps no samples.
+        UserError: the pixel lies outside the picture.
     """
     column, row = pixel
     if not (0 <= column < camera.width and 0 <= row < camera.height):
@@ -90,19 +92,44 @@ def open_ray(method: Method, scene: Scene, camera: Camera, pixel: tuple[int, int
     flat = row * camera.width + column
     count = 1 if method.alone else min(method.tile, MOST_RAYS)
     rays, i = tile_rays(camera, scene, flat - flat % count, count), flat % count
-    trace, rendered = traced(method, rays), method.render(rays)
+    method = aimed(method, camera)
+    rendered = method.render(rays)
+    background = np.array(scene.background, dtype=np.float32)
+    common = {
+        "step": step,
+        "pixel": pixel,
+        "origin": rays.origins[i].numpy(),
+        "direction": rays.directions[i].numpy(),
+        "rendered_color": rendered.color[i].cpu().numpy(),
+        "background": background,
+        "begins": beginning(scene, camera, float(rays.near[i])),
+    }
+    if not isinstance(method, Traceable):
+        depth, places = float(rendered.depth[i]), np.zeros(0, np.float32)
+        if isinstance(method, Visiting):
+            places = method.visited(rays)[i].float().cpu().numpy()
+        met = [*places.tolist(), *([depth] if np.isfinite(depth) else [])]
+        return RayProbe(
+            **common,
+            near=min([float(rays.near[i]), *met]),
+            far=min(max([float(rays.far[i]), *met]), FARTHEST * float(rays.far[i])),
+            passes=(),
+            color=common["rendered_color"],
+            opacity=float(rendered.opacity[i]),
+            depth_expected=depth if np.isfinite(depth) else None,
+            depth_median=None,
+            depth_strongest=None,
+            visited=places,
+        )
+    trace = method.trace(rays)
     passes = passes_of(scene, rays, trace, i)
     last = passes[-1]
     opacity = min(float(last.weights.sum(dtype=np.float64)), 1.0)  # rounding may exceed 1 slightly
-    background = np.array(scene.background, dtype=np.float32)
     color = last.weights.astype(np.float64) @ last.rgb + (1 - opacity) * background
     depth = float(trace.rendering.depth[i])
     half = int(np.searchsorted(np.cumsum(last.weights, dtype=np.float64), 0.5))
     return RayProbe(
-        step=step,
-        pixel=pixel,
-        origin=rays.origins[i].numpy(),
-        direction=rays.directions[i].numpy(),
+        **common,
         # under NDC, samples may lie outside the capture's bounds: they fill near plane to far bound
         near=min([float(rays.near[i]), *(float(p.t[0]) for p in passes if len(p.t))]),
         far=max([float(rays.far[i]), *(min(_matters_until(p), FARTHEST * float(rays.far[i])) for p in passes)]),
@@ -112,7 +139,4 @@ def open_ray(method: Method, scene: Scene, camera: Camera, pixel: tuple[int, int
         depth_expected=depth if np.isfinite(depth) else None,
         depth_median=float(last.t[half]) if half < len(last.t) else None,
         depth_strongest=float(last.t[int(np.argmax(last.weights))]) if opacity > 0 else None,
-        rendered_color=rendered.color[i].cpu().numpy(),
-        background=background,
-        begins=beginning(scene, camera, float(rays.near[i])),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -40,6 +40,9 @@ class PassProbe:
     rgb: np.ndarray
 
 
+NO_SAMPLES = PassProbe("", *(np.zeros(0, np.float32) for _ in range(7)), rgb=np.zeros((0, 3), np.float32))
+
+
 @dataclass(frozen=True)
 class RayProbe:
     """The ray of one pixel with all its samples. Distances are along the ray, in world units.
@@ -50,15 +53,18 @@ class RayProbe:
     direction: (3,) unit, from the camera outwards.
     near, far: the bounds of this ray (`nerf_core.geometry.view_rays`), extended to where passes have weight; far is at
         most FARTHEST times the bound.
-    passes: coarse before fine. The last one makes the pixel.
-    color: (3,) composited from the last pass over the background: Σ w c + (1 − Σ w) background (NeRF Eq. 3).
-    opacity: Σ w of the last pass, at most 1.
-    depth_expected: Σ w t / Σ w; under NDC, the world distance of Σ w t′ / Σ w. None where the ray hits nothing.
+    passes: coarse before fine. The last one makes the pixel. Empty if the method keeps no samples along a ray.
+    color: (3,) composited from the last pass over the background: Σ w c + (1 − Σ w) background (NeRF Eq. 3). Without
+        passes it is `rendered_color`.
+    opacity: Σ w of the last pass, at most 1; without passes, as it was rendered.
+    depth_expected: Σ w t / Σ w; under NDC, the world distance of Σ w t′ / Σ w; without passes, the depth as it was
+        rendered. None where the ray hits nothing.
     depth_median: the first sample at which the accumulated weight reaches 0.5. None if it stays under 0.5.
     depth_strongest: the sample with the largest weight. None if no sample has any.
     rendered_color: (3,) the same pixel as the renderer draws it.
     background: (3,) the scene's background colour.
     begins: why the ray begins at `near`, in words.
+    visited: (V,) the places that a method without samples looked at, as world distances in the order of the visits.
     """
 
     step: int
@@ -76,13 +82,20 @@ class RayProbe:
     rendered_color: np.ndarray
     background: np.ndarray
     begins: str = ""
+    visited: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
+
+    @property
+    def last(self) -> PassProbe:
+        """The pass that makes the pixel; one without samples if the method keeps none."""
+        return self.passes[-1] if self.passes else NO_SAMPLES
 
     def point_t(self) -> float:
         """Return the default distance of the ray's point.
 
-        It is the median depth, else the strongest sample, else the middle between near and far.
+        It is the median depth, else the strongest sample, else the rendered depth if there are no samples, else the
+        middle between near and far.
         """
-        for t in (self.depth_median, self.depth_strongest):
+        for t in (self.depth_median, self.depth_strongest, None if self.passes else self.depth_expected):
             if t is not None:
                 return t
         return (self.near + self.far) / 2

@@ -101,7 +101,14 @@ def _ray_stage(ray: RayProbe) -> Stage:
 
 
 def _pixel_stage(ray: RayProbe) -> Stage:
-    last = ray.passes[-1]
+    if not ray.passes:
+        return Stage(
+            "Pixel",
+            "The method gives the colour as it is: nothing is composited, and no background shines through.",
+            (Colors(("pixel",), ray.color[None]),),
+            (("pixel", triple(ray.color)),),
+        )
+    last = ray.last
     seen = last.weights @ last.rgb if len(last.t) else np.zeros(3)
     return Stage(
         "Pixel",
@@ -126,7 +133,9 @@ def _photo_stages(scene: Scene, camera: Camera, ray: RayProbe) -> tuple[Stage, .
     split = next((name for name, indices in scene.splits.items() if truth.view in indices), "no")
     learnt = "Training has seen it." if split == "train" else "Training never sees it."
     # Of the earlier passes only `coarse` has a loss; the guide is already trained.
-    losses = [(p.name, _composited(ray, p)) for p in ray.passes if p.name == "coarse" or p is ray.passes[-1]]
+    losses = [(p.name, _composited(ray, p)) for p in ray.passes if p.name == "coarse" or p is ray.last]
+    losses = losses or [("pixel", ray.color)]
+    flows = "; its gradient flows back to every sample's density and colour, but not to where the samples lie."
     off = [(name, float(np.square(color - truth.color).mean())) for name, color in losses]
     return (
         Stage(
@@ -138,8 +147,8 @@ def _photo_stages(scene: Scene, camera: Camera, ray: RayProbe) -> tuple[Stage, .
         ),
         Stage(
             "Loss",
-            "The squared difference, averaged over the channels, is this pixel's part of the loss; its gradient flows "
-            "back to every sample's density and colour, but not to where the samples lie."
+            "The squared difference, averaged over the channels, is this pixel's part of the loss"
+            + (flows if ray.passes else ".")
             + (" Both networks are supervised: their losses are added." if len(off) > 1 else ""),
             rows=tuple((name, number(value)) for name, value in off),
         ),

@@ -10,7 +10,7 @@ from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.rays import Rays, Rendering
 from nerf_core.geometry.scene import Scene
 from nerf_core.geometry.view_rays import view_rays
-from nerf_core.methods import Method
+from nerf_core.methods import Method, aimed
 
 
 def tiles(method: Method, camera: Camera, scene: Scene) -> Iterator[Rays]:
@@ -50,6 +50,7 @@ def render_camera(
         (H, W) float32 in world units, NaN where the ray hits nothing.
     """
     total, parts = camera.width * camera.height, []
+    method = aimed(method, camera)
     for rays in tiles(method, camera, scene):
         parts.append(method.render(rays))
         if progress is not None:

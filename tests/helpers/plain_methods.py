@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
+from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.rays import Rays, Rendering, Samples, Trace
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Defaults, Draw
@@ -73,3 +75,25 @@ class Sampled(Plain):
         one = torch.ones(len(rays), 1)
         samples = Samples("plain", 3 * one, one, 50 * one, one, one, one, self.color.expand(len(rays), 1, 3).clone())
         return Trace(self.render(rays), (samples,))
+
+
+class Going(Plain):
+    """The same with three places that it looks at along each ray; the last is the surface."""
+
+    def render(self, rays: Rays, quality: str = "fine") -> Rendering:
+        return Rendering(self.color.expand(len(rays), 3).clone(), torch.ones(len(rays)), torch.full((len(rays),), 2.5))
+
+    def visited(self, rays: Rays) -> Tensor:
+        return torch.tensor([1.0, 30.0, 2.5]).expand(len(rays), 3)
+
+
+class OfCamera(Plain):
+    """A grey that depends on where the camera stands."""
+
+    def facing(self, camera: Camera) -> OfCamera:
+        other = copy(self)
+        other.color = torch.full((3,), abs(camera.c2w[0, 3]) % 1, dtype=torch.float32)
+        return other
+
+    def caption(self, camera: Camera) -> str:
+        return "camera at " + " ".join(f"{v:.2f}" for v in camera.c2w[:, 3])

@@ -13,7 +13,7 @@ import pytest
 import torch
 from desk import PATIENCE, Desk
 from PIL import Image
-from plain_methods import Plain, Sampled
+from plain_methods import Going, OfCamera, Plain, Sampled
 
 from nerf_core.datasets.capture import LoadOptions
 from nerf_core.geometry.camera import Camera
@@ -138,7 +138,7 @@ def open_desk(tiny: RunSettings, capture: Path) -> Iterator[Callable[..., Desk]]
 
 @pytest.fixture
 def plain_methods(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The methods "plain", which only trains and renders, and "sampled", whose pixels can be opened."""
+    """Methods with little: "plain" trains and renders, "sampled" has samples, "visiting" places, "posed" a camera."""
     METHODS.names()  # loads the others
-    monkeypatch.setitem(METHODS._items, "plain", Plain)
-    monkeypatch.setitem(METHODS._items, "sampled", Sampled)
+    for name, kind in (("plain", Plain), ("sampled", Sampled), ("visiting", Going), ("posed", OfCamera)):
+        monkeypatch.setitem(METHODS._items, name, kind)

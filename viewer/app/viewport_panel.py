@@ -186,7 +186,7 @@ def _point_at(ui: PanelUi, state: AppState, overlay: Overlay, ray: RayProbe) -> 
     k = overlay.sample_at(ray, ui.em, mouse.x, mouse.y)
     if k is not None:
         state.pointed_at = SampleRef(len(ray.passes) - 1, k)
-        sample_tooltip(ui, ray.passes[-1], k)
+        sample_tooltip(ui, ray.last, k)
 
 
 def _draw_rays(ui: PanelUi, overlay: Overlay, rays: list[RayProbe], colors: list[ImVec4]) -> None:

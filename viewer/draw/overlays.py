@@ -60,7 +60,7 @@ class Overlay:
             tint = packed(color)
             for place, radius in discs:
                 self._draw.add_circle_filled(place, radius + reach, tint)
-        for fill, (place, radius) in zip(tints(ray.passes[-1].rgb[drawn]), discs, strict=True):
+        for fill, (place, radius) in zip(tints(ray.last.rgb[drawn]), discs, strict=True):
             self._draw.add_circle_filled(place, radius, fill)
 
     def tags(
@@ -112,7 +112,7 @@ class Overlay:
 
     def _discs(self, ray: RayProbe, em: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The visible samples (K,) of the last pass, far to near, their screen positions (K, 2) and radii (K,)."""
-        last = ray.passes[-1]
+        last = ray.last
         drawn = np.flatnonzero(last.weights > FAINT)
         pixels, depth = self._camera.project(ray.origin + last.t[drawn, None] * ray.direction)
         order = np.argsort(-depth)

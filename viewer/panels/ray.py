@@ -127,7 +127,7 @@ class RayPanel:
 
         draw, top = imgui.get_window_draw_list(), at.y + 0.25 * ui.em
         draw.add_rect_filled(ImVec2(at.x, top), ImVec2(at.x + wide, top + high), packed(ui.theme.hairline))
-        last = ray.passes[-1]
+        last = ray.last
         share = np.nan_to_num(last.weights) / max(float(np.nan_to_num(last.weights).max(initial=0.0)), 1e-12)
         for begin, finish, part in zip(x(last.t), x(last.until), share.tolist(), strict=True):
             if part > 0.01:
@@ -168,7 +168,7 @@ class RayPanel:
         if asked is not None and asked.id != state.snapshot.opened_id:
             hint(ui, f"Opening the ray through pixel {asked.pixel[0]:,}, {asked.pixel[1]:,} …")
         _verdict(ui, state)
-        last = ray.passes[-1]
+        last = ray.last
         beyond = float(last.weights[last.t > ray.far].sum())
         if beyond > BEYOND:
             hint(ui, f"{beyond:.0%} of the pixel comes from farther than the plot shows.")

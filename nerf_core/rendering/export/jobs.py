@@ -12,7 +12,7 @@ import numpy as np
 
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
-from nerf_core.methods import Method, traced
+from nerf_core.methods import Method, aimed, traced
 from nerf_core.rendering.export.requests import Export
 from nerf_core.rendering.images import tiles
 from nerf_core.rendering.modes import COLOR, shaded
@@ -79,12 +79,12 @@ class Job(ABC):
 
         Yields None after each tile, and at last the picture, (H, W, 3) float32.
         """
-        parts = []
-        for rays in tiles(self._method, camera, self._scene):
+        parts, method = [], aimed(self._method, camera)
+        for rays in tiles(method, camera, self._scene):
             if mode == COLOR:
-                parts.append(self._method.render(rays).color.clamp(0, 1).cpu().numpy())
+                parts.append(method.render(rays).color.clamp(0, 1).cpu().numpy())
             else:
-                parts.append(shaded(self._method, rays, traced(self._method, rays), mode))
+                parts.append(shaded(method, rays, traced(method, rays), mode))
             yield None
         yield np.concatenate(parts).reshape(camera.height, camera.width, 3)
 
