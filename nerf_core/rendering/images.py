@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 
 import numpy as np
 
+from nerf_core.common.pieces import finished
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.rays import Rays, Rendering
 from nerf_core.geometry.scene import Scene
@@ -49,12 +50,22 @@ def render_camera(
         Colour (H, W, 3) float32 in [0, 1], sRGB-encoded, over the scene's background. Expected distance along the ray
         (H, W) float32 in world units, NaN where the ray hits nothing.
     """
+    total = camera.width * camera.height
+
+    def tell(share: float) -> None:
+        if progress is not None:
+            progress(round(share * total), total)
+
+    return finished(rendering(method, camera, scene), tell)
+
+
+def rendering(method: Method, camera: Camera, scene: Scene) -> Generator[float, None, tuple[np.ndarray, np.ndarray]]:
+    """Do what `render_camera` does a tile at a time. Yields the share of the pixels that are done after each tile."""
     total, parts = camera.width * camera.height, []
     method = aimed(method, camera)
     for rays in tiles(method, camera, scene):
         parts.append(method.render(rays))
-        if progress is not None:
-            progress(min(len(parts) * method.tile, total), total)
+        yield min(len(parts) * method.tile, total) / total
     whole = Rendering.cat(parts)
     color = whole.color.clamp(0, 1).cpu().numpy().reshape(camera.height, camera.width, 3)
     return color, whole.depth.cpu().numpy().reshape(camera.height, camera.width)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.pieces import finished, mapped
 from nerf_core.geometry.scene import SPLITS, Scene
-from nerf_core.rendering.images import render_camera, to_bytes
+from nerf_core.rendering.images import rendering, to_bytes
 from nerf_core.rendering.video import write_png
 from nerf_core.training.metrics import Lpips, psnr, ssim
 from nerf_core.training.trainer import Trainer
@@ -90,25 +91,44 @@ def evaluate(
     Raises:
         UserError: the images are too small for a metric, or the folder cannot be written.
     """
+
+    def keep(name: str, color: np.ndarray, truth: np.ndarray) -> None:
+        if pictures is not None:
+            write_png(picture_path(pictures, name), to_bytes(np.concatenate([color, truth], 1)))
+
+    def tell(piece: tuple[int, float]) -> None:
+        if progress is not None:
+            progress(*piece)
+
+    return finished(evaluating(trainer, selection, lpips, keep), tell)
+
+
+def evaluating(
+    trainer: Trainer,
+    selection: Selection,
+    lpips: Lpips | None,
+    keep: Callable[[str, np.ndarray, np.ndarray], None],
+) -> Generator[tuple[int, float], None, dict[str, Any]]:
+    """Do what `evaluate` does in pieces. Yields after every tile the finished images and the fraction of all work.
+
+    Args:
+        trainer, selection, lpips: see `evaluate`.
+        keep: called with the name of each view, its rendering and its photo, (H, W, 3) float32 in [0, 1] each.
+    """
     images: list[dict[str, Any]] = []
     count = len(selection.views)
-
-    def tile_done(done: int, total: int) -> None:
-        if progress is not None:
-            progress(len(images), (len(images) + done / total) / count)
-
     for index in selection.views:
         view = trainer.scene.views[index]
         truth = trainer.scene.images[index].astype(np.float32) / 65535
-        color, _ = render_camera(trainer.method, view.camera, trainer.scene, tile_done)
+        work, done = rendering(trainer.method, view.camera, trainer.scene), len(images)
+        color, _ = yield from mapped(work, lambda share, done=done: (done, (done + share) / count))
         images.append({
             "name": view.name,
             "psnr": min(psnr(color, truth), PERFECT_PSNR),
             "ssim": ssim(color, truth),
             "lpips": None if lpips is None else lpips(color, truth),
         })  # fmt: skip
-        if pictures is not None:
-            write_png(picture_path(pictures, view.name), to_bytes(np.concatenate([color, truth], 1)))
+        keep(view.name, color, truth)
     result = {
         "mean": {name: _mean([image[name] for image in images]) for name in ("psnr", "ssim", "lpips")},
         "images": images,
