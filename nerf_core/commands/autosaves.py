@@ -19,7 +19,7 @@ from nerf_core.training.autosaves import Autosave, autosaves, clear
 class Autosaves:
     """List the checkpoints that were written where the user named no file, or delete them."""
 
-    order: ClassVar[int] = 6
+    order: ClassVar[int] = 7
 
     clear: bool = False
     """Delete all that are listed. Files that this program did not write stay."""

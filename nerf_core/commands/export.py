@@ -22,7 +22,7 @@ KINDS = ", ".join(f"{EXPORTS.get(name).suffix} ({EXPORTS.get(name).summary})" fo
 class Export:
     """Write the model of a trained run to a file."""
 
-    order: ClassVar[int] = 4
+    order: ClassVar[int] = 5
 
     run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR", help="A run folder.")]
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE", help=f"The file to write: {KINDS}.")]

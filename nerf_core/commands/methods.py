@@ -19,7 +19,7 @@ from nerf_core.methods import METHODS
 class Methods:
     """List the methods, or the presets and constants of one, which --preset and --set choose."""
 
-    order: ClassVar[int] = 5
+    order: ClassVar[int] = 6
 
     name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[NAME]", help="A method; none: list them.")] = ""
 

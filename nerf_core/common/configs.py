@@ -28,7 +28,7 @@ class Constant:
     help: one line for people.
     least, most: the range of a number, both ends included.
     share: an interval between 0 and 1 as a key of SHARES; empty: the range above is all that counts.
-    choices: the allowed words; empty: the field is a number or a truth value.
+    choices: the allowed words; empty: the field is a number, a truth value, or a text that its owner checks.
     """
 
     help: str
@@ -83,6 +83,8 @@ def check_ranges(config: Any) -> None:
         if known.choices:
             if value not in known.choices:
                 raise UserError(f"--set {f.name}={shorten(value)}: choose {' or '.join(known.choices)}")
+            continue
+        if isinstance(value, str):  # a text that its owner checks
             continue
         if not value >= known.least:
             raise UserError(f"--set {f.name}={value}: must be at least {known.least:g}")

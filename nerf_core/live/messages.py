@@ -17,6 +17,7 @@ import numpy as np
 from nerf_core.common.names import printable
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
+from nerf_core.lab.records import StudyState
 from nerf_core.probe import Opened, RadianceProbe, RayHistory, RayProbe, Sightings
 from nerf_core.probe.axis import AxisChoice
 from nerf_core.probe.directions import Around
@@ -257,6 +258,38 @@ class CancelExport(OfRun):
 
 
 @dataclass(frozen=True)
+class StartStudy(OfRun):
+    """Begin a study of the open scene, or of a photo, while everything else goes on. There is one at a time.
+
+    name: one of `nerf_core.lab.study.STUDIES`.
+    options: its constants that differ from the defaults, as text by name.
+    folder: where its files go; a study that was interrupted goes on there.
+    photo: the photo, for a study of one; None: what the program comes with.
+    """
+
+    name: str
+    options: dict[str, str]
+    folder: Path
+    photo: Path | None = None
+
+
+@dataclass(frozen=True)
+class CancelStudy(OfRun):
+    """Stop the study; what is done stays in its folder."""
+
+    quick: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class TurnKnob(OfRun):
+    """Turn a knob of the study that runs."""
+
+    quick: ClassVar[bool] = True
+    knob: str
+    value: float
+
+
+@dataclass(frozen=True)
 class Quit:
     quick: ClassVar[bool] = False
 
@@ -264,14 +297,14 @@ class Quit:
 Command = (
     OpenScene | CancelLoading | OpenRun | CloseRun | Train | Pause | Reset | UseMethod | SetShare | SaveCheckpoint
     | SaveUnsaved | InOrder | LoadCheckpoint | Inspect | StopInspecting | PinRay | EditPin | UnpinRay | ExportRays
-    | StartExport | CancelExport | Quit
+    | StartExport | CancelExport | StartStudy | CancelStudy | TurnKnob | Quit
 )  # fmt: skip
 
 # ---- from the worker -----------------------------------------------------------------------------------------
 
 
 Level = Literal["info", "warning", "error"]
-Kind = Literal["note", "loaded", "saved", "wrote", "exported", "failed"]
+Kind = Literal["note", "loaded", "saved", "wrote", "exported", "studied", "failed"]
 
 
 @dataclass(frozen=True)
@@ -377,6 +410,7 @@ class Snapshot:
     opened_step: the training step of the whole opened ray; −1: some of it is of another step, or not there yet.
     loading: what is being loaded, with a count, while `status` is "loading".
     preview_rays_per_second: at full quality, while drawing; 0: not measured yet.
+    study: the newest study of the worker, whatever run it is about; None: there was none.
     """
 
     run: int = FIRST_RUN
@@ -410,6 +444,7 @@ class Snapshot:
     export: Export | None = None
     loading: str = ""
     preview_rays_per_second: float = 0.0
+    study: StudyState | None = None
 
     @property
     def ray(self) -> RayProbe | None:

@@ -9,10 +9,12 @@ import time
 import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from nerf_core.common.errors import UserError
 from nerf_core.datasets.capture import DATASETS
+from nerf_core.lab.study import STUDIES
 from nerf_core.live import messages
 from nerf_core.live.drawing import Drawing
 from nerf_core.live.mailbox import Mailbox
@@ -24,6 +26,7 @@ from nerf_core.training.settings import RunSettings
 
 if TYPE_CHECKING:
     from nerf_core.live.run import Run
+    from nerf_core.live.studies import Studies
 
 PUBLISH_SECONDS = 1 / 10  # between snapshots nobody waits for: a full picture takes some 5 ms to hand over
 IDLE_SECONDS = 0.25  # how long an idle worker sleeps before it looks again
@@ -58,6 +61,7 @@ class Worker:
         self._published = 0.0
         self._command = 0  # the number of the command that is being obeyed
         self._drawing = Drawing(self._runs, self._mailbox, self._scheduler.budget)
+        self._studies: Studies | None = None  # from when torch is loaded
         self._trained: Run | None = None  # the run whose step is under way
         self._accounted = 0.0  # up to when the step under way is in the budget
 
@@ -126,6 +130,10 @@ class Worker:
         try:
             METHODS.names()  # loads them
             DATASETS.names()
+            STUDIES.names()
+            from nerf_core.live.studies import Studies
+
+            self._studies = Studies(self._tell)
             self._runs[FIRST_RUN] = self._new_run(FIRST_RUN)
         except Exception as error:  # an installation that is not complete, say
             text = f"the worker failed: {type(error).__name__}: {error}"
@@ -156,6 +164,7 @@ class Worker:
         finally:
             for run in self._runs.values():
                 run.close()
+            self._study.cancel()
         self._publish(force=True)
 
     def _turn(self) -> None:
@@ -167,8 +176,10 @@ class Worker:
             return
         for run in self._runs.values():
             run.pause_if_done()
-        number = self._scheduler.next_run(list(self._runs.values()))
-        if number is not None:
+        number = self._scheduler.next_run([*self._runs.values(), self._study])
+        if number == self._study.number:
+            self._study_piece()
+        elif number is not None:
             self._train_step(self._runs[number])
         else:
             awaited = self._drawing.ray_awaited()
@@ -209,12 +220,19 @@ class Worker:
                     self._runs[command.run].train(None, None)
             case messages.CloseRun():
                 self._close_run(self._run(command.run))
+            case messages.StartStudy() | messages.CancelStudy() | messages.TurnKnob():
+                self._study.obey(command, self._run(command.run), self._command)
             case _:
                 run = self._run(command.run)
                 before = run.trainer
                 run.obey(command, self._command)
                 if run.trainer is not before:
                     self._scheduler.forget(run.number)
+
+    @property
+    def _study(self) -> Studies:
+        assert self._studies is not None  # `_prepare` made it
+        return self._studies
 
     # ---- runs -------------------------------------------------------------------------------------------------------
 
@@ -254,11 +272,11 @@ class Worker:
     def _train_step(self, run: Run) -> None:
         self._trained, self._accounted = run, time.perf_counter()
         self._mailbox.paint_seconds()  # before this step they took nothing from training
-        report = run.step(lambda: self._between_chunks(run))
+        report = run.step(lambda: self._between_chunks(run.number))
         if report is None:
             self._trained = None
             return
-        self._account_for_training(run, report.rays)
+        self._account_for_training(run.number, report.rays)
         from nerf_core.common.device import enough_memory
 
         begin = time.perf_counter()
@@ -268,17 +286,28 @@ class Worker:
             self._scheduler.budget.drew(time.perf_counter() - begin)
         self._trained = None
 
-    def _account_for_training(self, run: Run, rays: int) -> None:
-        """Count the time since `_accounted` as training, less the window's frames.
+    def _study_piece(self) -> None:
+        """Do a piece of the study. It counts as training, and windows are served in it as in a training step."""
+        self._accounted = time.perf_counter()
+        self._mailbox.paint_seconds()
+        between = partial(self._between_chunks, self._study.number, may_abandon=False)
+        self._study.advance(between)
+        between()
+
+    def _account_for_training(self, number: int, rays: int) -> None:
+        """Count the time since `_accounted` as training of a run, less the window's frames.
 
         Without a graphics card, those take the processor's cores away from training.
         """
         seconds, painted = time.perf_counter() - self._accounted, self._mailbox.paint_seconds()
-        self._scheduler.trained(run.number, max(0.0, seconds - painted), rays)
+        self._scheduler.trained(number, max(0.0, seconds - painted), rays)
         self._scheduler.budget.showed(painted)
 
-    def _between_chunks(self, trained: Run) -> None:
+    def _between_chunks(self, trained: int, may_abandon: bool = True) -> None:
         """Between two gradient chunks: obey, and serve the windows for as long as the budget allows.
+
+        trained: the number of the run, or of the study. may_abandon: whether the step is abandoned for a command that
+        needs it to end; else that command waits.
 
         A step can take long. A command that needs it to end, to close the window or to pause, say, abandons it: the
         step has then not happened. At each call, one requested ray is opened and one new view gets its first pixels.
@@ -286,7 +315,9 @@ class Worker:
         """
         while (waiting := self._mailbox.next_command()) is not None:
             if not waiting[1].quick:
-                raise _Abandoned
+                if may_abandon:
+                    raise _Abandoned
+                break
             self._obey_next()
         self._account_for_training(trained, 0)
         self._adapt()
@@ -360,7 +391,7 @@ class Worker:
         from nerf_core.live.snapshot import snapshot_of, status_of
 
         try:
-            return snapshot_of(run, before, self._scheduler)
+            return replace(snapshot_of(run, before, self._scheduler), study=self._study.newest)
         except Exception as error:
             if not run.failed:  # told once, not at every snapshot
                 run.fail(self._mailbox.view(run.number))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -21,8 +22,8 @@ MOST_NAME_BYTES = 255  # of a file or folder: the limit of common systems
 
 
 @dataclass(frozen=True)
-class TrainOptions:
-    """Dataset, method and training."""
+class LoadingOptions:
+    """Dataset."""
 
     format: str = "auto"
     """The dataset format; auto recognises it by content. A wrong name is answered with the list of formats."""
@@ -36,6 +37,19 @@ class TrainOptions:
     """What transparent photos lie on; auto: white if they have alpha, else black."""
     memory_gb: float = 8.0
     """What all photos together may take; they are downscaled further to fit."""
+
+    def loading(self) -> LoadOptions:
+        """Check the options of loading and return them. Raises UserError, which names the wrong option."""
+        _check_name("format", self.format, DATASETS.names)
+        load = LoadOptions(self.format, self.downscale, self.max_size, self.ndc, self.background, self.memory_gb)
+        check_options(load)
+        return load
+
+
+@dataclass(frozen=True)
+class TrainOptions(LoadingOptions):
+    """Dataset, method and training."""
+
     method: str = "auto"
     """How the scene is learnt; auto: the default for the device."""
     preset: str = "auto"
@@ -66,14 +80,8 @@ class TrainOptions:
             raise UserError(
                 f"--threads {shorten(self.threads)}: give a whole number from 1 to 1024, or 0 for all cores"
             )
-        for option, value, names in (
-            ("format", self.format, DATASETS.names),
-            ("method", self.method, METHODS.names),  # which loads torch
-        ):
-            if value != "auto" and value not in names():
-                raise UserError(f"--{option} {shorten(value)}: choose from auto, {', '.join(names())}")
-        load = LoadOptions(self.format, self.downscale, self.max_size, self.ndc, self.background, self.memory_gb)
-        check_options(load)
+        load = self.loading()
+        _check_name("method", self.method, METHODS.names)  # which loads torch
         return RunSettings(
             load=load,
             method=self.method,
@@ -101,6 +109,11 @@ class TrainOptions:
                 raise UserError(f"--set {name}: given as {shorten(changes[name])} and {shorten(value)}; choose one")
             changes[name] = value
         return changes
+
+
+def _check_name(option: str, value: str, names: Callable[[], tuple[str, ...]]) -> None:
+    if value != "auto" and value not in names():
+        raise UserError(f"--{option} {shorten(value)}: choose from auto, {', '.join(names())}")
 
 
 def run_name(data: Path | None, method: str) -> str:

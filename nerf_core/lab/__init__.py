@@ -1,0 +1,1 @@
+"""The lecture's studies: each trains and measures some rows one after the other, and writes a report of them."""

@@ -1,0 +1,103 @@
+"""`nerf-core lab compare`: the lecture's table of results, on one capture."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from nerf_core.common.configs import constant
+from nerf_core.common.errors import UserError
+from nerf_core.common.text import size
+from nerf_core.lab.figures import comparison
+from nerf_core.lab.published import published_for
+from nerf_core.lab.records import Report, Result, Row, Table
+from nerf_core.lab.study import STUDIES, Bench, Subject, Work, budget, checked, chosen
+from nerf_core.lab.tables import cell, failures
+from nerf_core.lab.training import measured, trained
+from nerf_core.methods import METHODS
+from nerf_core.training.evaluate import Selection, select
+from nerf_core.training.settings import RunSettings
+
+# From the simplest to the paper's: the order of the table. Others follow by name.
+ORDER = ("nearest-view", "rgba-grid", "neural-volumes", "srn", "mpi", "nerf", "nerf-guided", "voxels", "hash")
+NERF_FAMILY = ("nerf", "nerf-guided", "voxels", "hash")
+
+
+@STUDIES.register("compare")
+@dataclass(frozen=True)
+class Compare:
+    """Every method under one budget: pictures side by side, PSNR, SSIM, time, memory, and the published means."""
+
+    title: ClassVar[str] = "Compare methods"
+    summary: ClassVar[str] = "Every method learns the same photos for the same time, and draws the same held-out views."
+    order: ClassVar[int] = 0
+    of_scene: ClassVar[bool] = True
+
+    methods: str = constant("all", "which methods, with commas between; all: every one that the capture suits")
+    budget: str = constant("60s", "of each method: training time such as 90s or 10m, or a number such as 200steps")
+    views: int = constant(3, "held-out views that are drawn, evenly spread", least=1, most=10_000)
+    seed: int = constant(0, "of everything random")
+
+    def __post_init__(self) -> None:
+        checked(self)
+        budget(self.budget)
+
+    def plan(self, subject: Subject) -> tuple[Row, ...]:
+        known = sorted(METHODS.names(), key=lambda name: (ORDER.index(name) if name in ORDER else len(ORDER), name))
+        self._selection(subject)
+        return tuple(Row(name, name, {"method": name}) for name in chosen(self.methods, known, "--methods"))
+
+    def _selection(self, subject: Subject) -> Selection:
+        return select(subject.capture(), count=self.views)
+
+    def work(self, subject: Subject, row: Row, bench: Bench) -> Work:
+        selection = self._selection(subject)
+        settings = RunSettings(method=row.values["method"], seed=self.seed)
+        trainer = yield from trained(subject, bench, settings, budget(self.budget), selection.views[0])
+        return (yield from measured(trainer, bench, selection))
+
+    def report(self, subject: Subject, results: Mapping[str, Result], pictures: Path, figures: bool) -> Report:
+        name, published = published_for(subject.capture())
+        done = {key: result for key, result in results.items() if "failed" not in result}
+        columns = ("method", "PSNR dB", "SSIM", "training s", "steps", "parameters")
+        columns += (f"published PSNR, {name}", "SSIM", "LPIPS") if name else ()
+        lines = []
+        for key, result in done.items():
+            line = (key, cell(result["psnr"], 2), cell(result["ssim"], 3), cell(result["seconds"], 0),
+                    f"{result['steps']:,}", size(result["bytes"]))  # fmt: skip
+            theirs = published.get(key)
+            if name:
+                line += (
+                    ("–", "–", "–")
+                    if theirs is None
+                    else (cell(theirs.psnr, 2), cell(theirs.ssim, 3), cell(theirs.lpips, 3))
+                )
+            lines.append(line)
+        notes = failures(results, {key: key for key in results})
+        if done:
+            notes = (*_seen(done), *notes)
+        selection = self._selection(subject)
+        title = f"Results, {self.budget} of training each, {len(selection.views)} {selection.split} views"
+        table = Table(title, columns, tuple(lines), notes)
+        if not (figures and done):
+            return Report((table,))
+        names = [key for key in done if any(image["file"] for image in done[key]["images"])]
+        try:
+            drawn = comparison(subject.capture(), selection.views, done, names, pictures)
+        except OSError as error:
+            raise UserError(f"{error.filename}: cannot be read ({error.strerror}): run the study again") from None
+        return Report((table,), {"compare": drawn})
+
+
+def _seen(done: Mapping[str, Result]) -> tuple[str, ...]:
+    """Return what the table shows, in sentences."""
+    best = max(done, key=lambda key: done[key]["psnr"])
+    others = [key for key in done if key not in NERF_FAMILY]
+    text = f"First by PSNR is {best}."
+    if others and best in NERF_FAMILY:
+        rival = max(others, key=lambda key: done[key]["psnr"])
+        ahead = done[best]["psnr"] - done[rival]["psnr"]
+        text += f" The best of the others is {rival}, {ahead:.1f} dB behind."
+    return (text, "The published means are of another protocol: all scenes, whole test sets, hours of training.")
