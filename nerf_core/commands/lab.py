@@ -12,10 +12,11 @@ from nerf_core.commands import COMMANDS
 from nerf_core.commands.shared import loading, tell
 from nerf_core.common.configs import constants
 from nerf_core.common.console import Display
+from nerf_core.common.errors import UserError
 from nerf_core.common.output import say
 from nerf_core.common.signals import Signals
 from nerf_core.datasets import LoadOptions, load_scene
-from nerf_core.lab.job import StudyJob, summary
+from nerf_core.lab.job import StudyJob, failure, summary
 from nerf_core.lab.study import STUDIES, Subject
 from nerf_core.lab.workers import rows_on
 from nerf_core.training.options import LoadingOptions, run_name
@@ -91,6 +92,8 @@ class Lab:
         for table in job.progress.tables:
             for line in table.plain().splitlines():
                 say(line)
+        if failure(job):
+            raise UserError(f"no row could be done: {failure(job)}")
         say(summary(job))
         return 0
 

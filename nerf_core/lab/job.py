@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import io
 import json
 import time
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
+
+import numpy as np
 
 from nerf_core import __version__
 from nerf_core.common.device import describe, pick_device
 from nerf_core.common.errors import UserError, shorten
-from nerf_core.common.files import write_atomically
+from nerf_core.common.files import locked_file, write_atomically
 from nerf_core.common.json_files import read_json
 from nerf_core.common.text import counted
-from nerf_core.lab.records import Advance, Report, Result, Row, RowState, StudyState
+from nerf_core.lab.records import Advance, Look, Report, Result, Row, RowState, StudyState
 from nerf_core.lab.study import STUDIES, Bench, Study, Subject, Turnable, described
 
 STUDY_FILE, REPORT_FILE, RESULTS_FILE = "study.json", "report.md", "results.json"
@@ -29,6 +32,7 @@ class StudyJob:
     """A study that is done in pieces of work.
 
     progress: how far the study is. Whoever reads it gets an immutable value.
+    cancelled: whether `cancel` was called.
     """
 
     def __init__(
@@ -62,8 +66,13 @@ class StudyJob:
         self._results: dict[str, Result] = {}
         self._fractions = dict.fromkeys((row.key for row in self._rows), 0.0)
         self._began = 0.0
-        self._at_work = self._cancelled = False
-        self._claim()
+        self._at_work = self.cancelled = False
+        self._lock = self._locked()
+        try:
+            self._claim()
+        except BaseException:
+            self._lock.close()
+            raise
         self.progress = StudyState(
             self.name,
             folder,
@@ -97,16 +106,17 @@ class StudyJob:
             raise
         finally:
             self.tick, self._at_work = (lambda: None), False
-        if self._cancelled and running:
+        if self.cancelled and running:
             self._end("cancelled")
             return False
         if not running:
+            self._lock.close()
             self.progress = replace(self.progress, state="done", fraction=1.0, seconds_left=0.0, text="done")
         return running
 
     def cancel(self) -> None:
         """Stop, at the end of the piece under way. What is done stays in the folder: the same study goes on from it."""
-        self._cancelled = True
+        self.cancelled = True
         if self.progress.state == "running" and not self._at_work:
             self._end("cancelled")
 
@@ -123,6 +133,7 @@ class StudyJob:
     def _end(self, state: Any) -> None:
         self.progress = replace(self.progress, state=state, seconds_left=None)
         self._work.close()  # ends a row's training, which unlocks its folder
+        self._lock.close()
 
     # ---- files ------------------------------------------------------------------------------------------------------
 
@@ -135,6 +146,17 @@ class StudyJob:
             self.turned,
             self._watched,
         )
+
+    def _locked(self) -> BinaryIO:
+        """Make the folder if necessary and lock it. Raises UserError."""
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            lock = locked_file(self.folder / ".lock")
+        except OSError as error:
+            raise UserError(f"{self.folder}: cannot be written ({error.strerror}): take another --out") from None
+        if lock is None:
+            raise UserError(f"{self.folder}: another study works in this folder: wait for it or take another --out")
+        return lock
 
     def _claim(self) -> None:
         """Write what the study is into its folder, or check that the folder holds the same."""
@@ -200,8 +222,10 @@ class StudyJob:
             yield
         self.progress = replace(self.progress, text="writing the report")
         yield
-        files = self._write(self.study.report(self.subject, self._results, self.folder / "pictures", True))
-        self.progress = replace(self.progress, files=files)
+        report = self.study.report(self.subject, self._results, self.folder / "pictures", True)
+        files = self._write(report)
+        drawn = tuple(Look(name, _decoded(data)) for name, data in report.figures.items()) if self._watched else ()
+        self.progress = replace(self.progress, files=files, figures=drawn)
 
     def _advanced(self, row: Row, piece: Advance) -> None:
         self._show(row, "running", piece.text)
@@ -279,6 +303,18 @@ def row_pieces(study: Study, subject: Subject, row: Row, bench: Bench) -> Rows:
         yield row.key, {"failed": str(error)}
     finally:
         work.close()
+
+
+def _decoded(png: bytes) -> np.ndarray:
+    from PIL import Image
+
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
+
+
+def failure(job: StudyJob) -> str:
+    """Return why a study has no result: the reason of its first row if all rows failed; empty if one did not."""
+    rows = job.progress.rows
+    return rows[0].text if rows and all(row.state == "failed" for row in rows) else ""
 
 
 def summary(job: StudyJob) -> str:

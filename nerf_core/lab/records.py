@@ -135,6 +135,7 @@ class StudyState:
     tables: of the rows that are done.
     knobs: what may be turned.
     files: the report and the figures, once they are written.
+    figures: the figures' pictures.
     """
 
     name: str
@@ -149,3 +150,4 @@ class StudyState:
     tables: tuple[Table, ...] = ()
     knobs: tuple[Knob, ...] = ()
     files: tuple[Path, ...] = ()
+    figures: tuple[Look, ...] = ()

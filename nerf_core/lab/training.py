@@ -100,13 +100,15 @@ def measured(
     def keep(name: str, color: np.ndarray, truth: np.ndarray) -> None:
         write_png(picture_path(bench.pictures, name), to_bytes(color))
         every = max(1, max(color.shape) // LOOK_SIDE)
-        newest[:] = [Look(trainer.method_name, to_bytes(color[::every, ::every]), name)]
+        off = psnr_of(float(np.square(color - truth).mean()))
+        newest[:] = [Look(trainer.method_name, to_bytes(color[::every, ::every]), f"{off:.1f} dB, {name}")]
 
     def advance(piece: tuple[int, float]) -> Advance:
         done, fraction = piece
         return Advance(1 - MEASURED * (1 - fraction), f"measured {done} of {len(selection.views)} views", tuple(newest))
 
     metrics = yield from mapped(evaluating(trainer, selection, lpips, keep), advance)
+    yield advance((len(selection.views), 1.0))  # with the last picture
     images = [
         image | {"file": picture_path(bench.pictures, image["name"]).relative_to(bench.pictures).as_posix()}
         for image in metrics["images"]

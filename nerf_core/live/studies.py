@@ -76,7 +76,7 @@ class Studies:
 
     def turn(self, knob: str, value: float) -> None:
         """Raises UserError if no study runs that has this knob."""
-        if self._job is None:
+        if self._job is None or self._job.cancelled:
             raise UserError("no study runs: start one first")
         self._job.turn(knob, value)
         self.newest = self._job.progress

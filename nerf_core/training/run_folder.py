@@ -6,19 +6,18 @@ import itertools
 import json
 import os
 import platform
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, fields, replace
 from importlib import metadata
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from torch import Tensor
 
 from nerf_core.common import device
 from nerf_core.common.errors import UserError, shorten
-from nerf_core.common.files import clear_leftovers, write_atomically
+from nerf_core.common.files import clear_leftovers, locked_file, write_atomically
 from nerf_core.common.json_files import Fields, read_json
 from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.training import checkpoint
@@ -56,14 +55,12 @@ class RunFolder:
         existed = self.path.exists()
         try:
             (self.path / "checkpoints").mkdir(parents=True, exist_ok=True)
-            file = (self.path / ".lock").open("ab+")
+            file = locked_file(self.path / ".lock")
         except OSError as error:
             raise self._unwritable(error) from None
+        if file is None:
+            raise UserError(f"{self.path}: another process trains in this folder: wait for it or choose another --out")
         with file:
-            if not _locked(file):
-                raise UserError(
-                    f"{self.path}: another process trains in this folder: wait for it or choose another --out"
-                )
             clear_leftovers(self.path / "checkpoints")  # of a process that was killed while saving
             try:
                 yield
@@ -295,19 +292,3 @@ def _versions() -> dict[str, str]:
     names = ("nerf-viewer", "torch", "numpy", "safetensors")
     found = {d.metadata["Name"]: d.version for name in names for d in metadata.distributions(name=name)}
     return {"python": platform.python_version(), "system": platform.platform(), **found}
-
-
-def _locked(file: BinaryIO) -> bool:
-    """Lock an open file. The system drops the lock when the process ends. Returns False if another process has it."""
-    try:
-        if sys.platform == "win32":
-            import msvcrt
-
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-        else:
-            import fcntl
-
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True

@@ -166,6 +166,12 @@ def _shown(ui: Ui, study: StudyState) -> None:
         _table(ui, table, k)
     if study.tables and study.state == "running":
         _rows(ui, study)
+    for figure in study.figures:
+        room = imgui.get_content_region_avail().x
+        high, wide = figure.image.shape[:2]
+        width = min(room, wide * ui.em / 16)  # figures have 160 pixels an inch
+        imgui.image(_texture(ui, figure), ImVec2(width, width * high / wide))
+        ui.mark(f"lab.figure.{figure.name}")
 
 
 def _rows(ui: Ui, study: StudyState) -> None:
@@ -191,8 +197,7 @@ def _looks(ui: Ui, looks: tuple[Look, ...]) -> None:
             imgui.same_line(0, gap)
         imgui.begin_group()
         high, wide = look.image.shape[:2]
-        rgba = np.dstack([look.image, np.full((high, wide), 255, np.uint8)])
-        imgui.image(_texture(ui, look, rgba), ImVec2(width, width * high / wide))
+        imgui.image(_texture(ui, look), ImVec2(width, width * high / wide))
         ui.mark(f"lab.look.{look.name}")
         imgui.push_text_wrap_pos(imgui.get_cursor_pos_x() + width)
         imgui.text_unformatted(look.name)
@@ -204,10 +209,11 @@ def _looks(ui: Ui, looks: tuple[Look, ...]) -> None:
 _SEEN: dict[str, tuple[np.ndarray, np.ndarray]] = {}  # the array of each look and its RGBA, so that it is uploaded once
 
 
-def _texture(ui: Ui, look: Look, rgba: np.ndarray) -> imgui.ImTextureRef:
+def _texture(ui: Ui, look: Look) -> imgui.ImTextureRef:
     known = _SEEN.get(look.name)
     if known is None or known[0] is not look.image:
-        _SEEN[look.name] = look.image, rgba
+        opaque = np.full((*look.image.shape[:2], 1), 255, np.uint8)
+        _SEEN[look.name] = look.image, np.concatenate([look.image, opaque], -1)
     return ui.texture(f"lab {look.name}", _SEEN[look.name][1])
 
 
