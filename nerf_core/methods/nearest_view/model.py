@@ -19,6 +19,7 @@ from nerf_core.methods.nearest_view.config import NearestViewConfig
 
 LEAST_OUT = 1e-9  # of the scene's radius: the least ρ. An eye at the centre then goes by distance alone.
 ROUNDING = 1e-5  # of the scene's radius: origins that differ by less are one place, because rays are float32
+TIE = 9  # decimals of D: photos at equal distances differ by rounding, which must not choose between them
 HERE = 1e-6  # of D: a camera this near to a photo's is that camera, but for rounding
 RAYS = 1024  # pixels whose error `train` measures
 
@@ -88,7 +89,7 @@ class NearestViewModel(Defaults):
         aside = _angle(-self.poses[:, :, 2], -camera.c2w[:, 2])
         out = float(np.linalg.norm(camera.c2w[:, 3] - self.scene.center))
         distance = np.hypot(apart / max(out, LEAST_OUT * self.scene.radius), aside)
-        order = np.argsort(distance, kind="stable")
+        order = np.argsort(distance.round(TIE), kind="stable")
         return Ranking(self.views[order], distance[order], apart[order], aside[order])
 
     def facing(self, camera: Camera) -> Self:
