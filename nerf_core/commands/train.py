@@ -19,6 +19,7 @@ from nerf_core.common.signals import Signals
 from nerf_core.common.text import counted, duration
 from nerf_core.datasets import load_scene
 from nerf_core.kernels import choice as kernels
+from nerf_core.methods import nothing_to_train
 from nerf_core.training.checkpoint import step_path
 from nerf_core.training.loop import Progress, train_run
 from nerf_core.training.options import TrainOptions, run_name
@@ -70,6 +71,10 @@ class Train:
             return self._train(run, trainer, signals, time.monotonic() - began)
 
     def _train(self, run: RunFolder, trainer: Trainer, signals: Signals, loading: float) -> int:
+        if not trainer.total_steps:
+            saved = run.save(trainer.describe(), trainer.state())  # what eval, render and probe load
+            say(f"{nothing_to_train(trainer.method_name)}; saved {saved}")
+            return 0
         goal = self.training.goal(trainer.total_steps)
         if goal.reached(trainer):
             say(f"nothing to do: {_summary(trainer)}; --steps and --seconds count from the beginning of the run")

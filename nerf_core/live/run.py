@@ -24,6 +24,7 @@ from nerf_core.live import messages, pin_files
 from nerf_core.live.artist import Artist
 from nerf_core.live.exports import Exports
 from nerf_core.live.messages import Notice, ViewRequest
+from nerf_core.methods import nothing_to_train
 from nerf_core.probe import check_format, write_inspection
 from nerf_core.probe.axis import AxisChoice
 from nerf_core.training import checkpoint
@@ -286,6 +287,9 @@ class Run:
             raise UserError(f"training for {steps} steps: give at least 1")
         if seconds is not None and not seconds > 0:
             raise UserError(f"training for {seconds:g} seconds: give more than 0")
+        if not trainer.total_steps:
+            self._tell("info", nothing_to_train(trainer.method_name))
+            return
         if steps is None and trainer.step_count >= trainer.total_steps:
             self._tell("info", f"all {trainer.total_steps:,} steps of the schedule are done")
             return

@@ -37,7 +37,7 @@ class Draw(NamedTuple):
 class Config(Protocol):
     """A method's constants: a frozen dataclass whose fields `nerf_core.common.configs` describes.
 
-    total_steps: the length of the training schedule.
+    total_steps: the length of the training schedule; 0: the method has nothing to train.
     train_images: how many training photos are used, evenly spread; 0: all.
     """
 
@@ -295,6 +295,11 @@ def lacking(method: str, ability: str) -> str:
     if not method or method not in METHODS.names() or hasattr(METHODS.get(method), ability):
         return ""
     return f"method {method} {ABSENT[ability]}"
+
+
+def nothing_to_train(method: str) -> str:
+    """Return a sentence about a method, given by its name, whose `Config.total_steps` is 0."""
+    return f"nothing to train: method {method} has no parameters"
 
 
 def traced(method: Method, rays: Rays) -> Trace:

@@ -62,7 +62,7 @@ class Trainer:
     device: where the method really runs.
     reason: why "auto" chose this method; empty if the method was named.
     steps: the length of the schedule as it was asked for; 0: the method's own.
-    total_steps: the length of the schedule.
+    total_steps: the length of the schedule; 0: the method has nothing to train, whatever `steps` says.
     step_count: the number of steps done.
     seconds: seconds of training steps, without yield callbacks.
     history: the loss so far.
@@ -128,7 +128,7 @@ class Trainer:
         torch.set_num_threads(max(threads, 1))  # some methods use the CPU on any device
         self.scene, self.method_name = scene, name
         self.steps, self.seed, self.threads = steps, seed, max(threads, 1)
-        self.total_steps: int = steps or config.total_steps
+        self.total_steps: int = config.total_steps and (steps or config.total_steps)
         self.method: Method = METHODS.get(name)(scene, config, self.device, seed)
         self.device = self.method.device
         self.batches = PixelSampler(scene, config.train_images, self.device, seed)

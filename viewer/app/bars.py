@@ -12,7 +12,7 @@ from nerf_core.live.messages import Reset
 
 from ..commands.actions.files import saved_first
 from ..commands.registry import MENUS, USER_COMMANDS, Menu, UserCommand, commands, invoke, run, with_keys
-from ..model.state import Action, AppState
+from ..model.state import Action, AppState, nothing_to_train_in
 from ..ui.theme import CLEAR
 from .panel_host import PanelUi
 
@@ -53,30 +53,30 @@ def _item(ui: PanelUi, state: AppState, command: UserCommand, keys: bool = True)
 
 def _training(ui: PanelUi, state: AppState) -> Iterator[Action]:
     snapshot = state.snapshot
-    training = snapshot.status == "training"
+    training, untrainable = snapshot.status == "training", nothing_to_train_in(snapshot)
     imgui.dummy(ImVec2(0.5 * ui.em, 0))
     if snapshot.method:
         imgui.text_colored(ui.theme.muted, snapshot.method)
         imgui.dummy(ImVec2(0.2 * ui.em, 0))
-    imgui.begin_disabled(snapshot.scene is None)
+    imgui.begin_disabled(snapshot.scene is None or bool(untrainable))
     label = f"{icons.ICON_FA_PAUSE}  Pause" if training else f"{icons.ICON_FA_PLAY}  Train"
     imgui.push_style_color(imgui.Col_.button, CLEAR)
     imgui.push_style_color(imgui.Col_.text, ui.theme.text if training else ui.theme.accent)
     pressed = imgui.button(f"{label}###bar.train")
     imgui.pop_style_color()
     ui.mark("bar.train")
-    imgui.set_item_tooltip(", ".join(USER_COMMANDS.get("training.toggle").keys))
+    _tip(untrainable or ", ".join(USER_COMMANDS.get("training.toggle").keys))
     if pressed:
         yield from run("training.toggle", state)
     stepped = imgui.button(f"{icons.ICON_FA_FORWARD_STEP}###bar.step")
     ui.mark("bar.step")
-    imgui.set_item_tooltip(with_keys("one training step", "training.step"))
+    _tip(untrainable or with_keys("one training step", "training.step"))
     if stepped:
         yield from run("training.step", state)
     if imgui.button(f"{icons.ICON_FA_ROTATE_LEFT}###bar.reset"):
         imgui.open_popup("forget")
     ui.mark("bar.reset")
-    imgui.set_item_tooltip("start training again")
+    _tip(untrainable or "start training again")
     imgui.pop_style_color()
     imgui.end_disabled()
     if imgui.begin_popup("forget"):
@@ -96,6 +96,12 @@ def _training(ui: PanelUi, state: AppState) -> Iterator[Action]:
         imgui.end_popup()
 
 
+def _tip(text: str) -> None:
+    """Show a tooltip of the last item, also while it is disabled."""
+    if imgui.is_item_hovered(imgui.HoveredFlags_.allow_when_disabled | imgui.HoveredFlags_.for_tooltip):
+        imgui.set_tooltip(text)
+
+
 # ---- below --------------------------------------------------------------------------------------------------------
 
 
@@ -108,6 +114,7 @@ def draw_status(ui: PanelUi, state: AppState) -> None:
     begun = imgui.internal.begin_viewport_side_bar("status", imgui.get_main_viewport(), imgui.Dir.down, height, flags)
     imgui.pop_style_var(2)
     if begun:
+        snapshot = state.snapshot
         imgui.push_font(ui.mono, ui.em)
         for k, (words, color) in enumerate(_figures(ui, state)):
             if k:
@@ -115,15 +122,35 @@ def draw_status(ui: PanelUi, state: AppState) -> None:
                 imgui.text_colored(ui.theme.muted, "·")
                 imgui.same_line(0, 0.5 * ui.em)
             imgui.text_colored(color, words)
+        if snapshot.preview is not None and snapshot.preview.caption:
+            _caption(ui, snapshot.preview.caption)
         imgui.pop_font()
     imgui.end()
+
+
+def _caption(ui: PanelUi, text: str) -> None:
+    """What the picture shows, in the method's words, at the right end. It is cut short where there is no room."""
+    imgui.same_line(0, 1.5 * ui.em)
+    room, width = imgui.get_content_region_avail().x, imgui.calc_text_size(text).x
+    shown = text
+    if width > room:
+        kept = max(int(len(text) * room / width) - 1, 0)  # the letters of the mono font are equally wide
+        shown = f"{text[:kept].rstrip()}…" if kept else ""
+    if not shown:
+        return
+    imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + max(room - width, 0.0))
+    imgui.text_colored(ui.theme.text, shown)
+    ui.mark("status.caption")
+    if shown != text:
+        imgui.set_item_tooltip(text)
 
 
 def _figures(ui: PanelUi, state: AppState) -> list[tuple[str, ImVec4]]:
     """The texts of the status bar from left to right. Unknown figures are left out."""
     snapshot, theme = state.snapshot, ui.theme
     found: list[tuple[str, ImVec4]] = []
-    if snapshot.scene is not None:
+    untrainable = snapshot.status == "finished" and nothing_to_train_in(snapshot)
+    if snapshot.scene is not None and not untrainable:
         found.append((f"step {snapshot.step:,}", theme.text))
     if len(snapshot.history.psnr):
         found.append((f"{float(snapshot.history.psnr[-1]):.1f} dB", theme.text))
@@ -135,7 +162,8 @@ def _figures(ui: PanelUi, state: AppState) -> list[tuple[str, ImVec4]]:
     elif snapshot.status == "failed":
         found.append(("failed", theme.error))
     else:
-        found.append((snapshot.loading or snapshot.status, theme.muted))
+        words = "nothing to train" if untrainable else snapshot.status
+        found.append((snapshot.loading or words, theme.muted))
     if snapshot.memory_bytes:
         found.append((f"{snapshot.memory_bytes / 2**20:,.0f} MB", theme.muted))
     if snapshot.device:

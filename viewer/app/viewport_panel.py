@@ -11,6 +11,8 @@ from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
+from nerf_core.live.messages import Snapshot
+from nerf_core.methods import lacking
 from nerf_core.probe import RayProbe
 from nerf_core.rendering.modes import COLOR, MODES, Mode
 
@@ -20,10 +22,11 @@ from ..draw.imgui_renderer import ImguiRenderer
 from ..draw.overlays import NEAR, Overlay, axis_directions, frusta
 from ..draw.photo import NearestPhoto
 from ..draw.viewport import ViewportPicture
+from ..draw.visits import Ink
 from ..model.state import AppState, SampleRef
 from ..ui.layout import VIEWPORT
 from ..ui.theme import GREEN, SKY, VERMILION
-from ..ui.widgets import STALE, color_scale, faded, packed, sample_tooltip
+from ..ui.widgets import STALE, color_scale, faded, packed, sample_tooltip, visit_tooltip
 from .panel_host import PanelUi
 
 FRUSTUM_DEPTH = 0.12  # of the scene's radius: visible, but not in front of the scene
@@ -85,7 +88,7 @@ class ViewportPanel:
         if scene is not None:
             overlay = Overlay(draw, camera, (origin.x, origin.y), NEAR * state.camera.distance)
             self._draw_space(ui, state, scene, overlay)
-            if ray is not None and ray.passes and state.show_samples and hovered and not active:
+            if ray is not None and state.show_samples and hovered and not active:
                 _point_at(ui, state, overlay, ray)
         self._draw_words(ui, state, draw, origin, ImVec2(width, height))
 
@@ -130,7 +133,14 @@ class ViewportPanel:
         if ray is None:
             return
         pin = next((pin for pin in state.snapshot.pins if pin.id == state.snapshot.opened_id), None)
-        _draw_rays(ui, overlay, [ray], [theme.ray if pin is None else theme.pins[pin.color]])
+        color = theme.ray if pin is None else theme.pins[pin.color]
+        _draw_rays(ui, overlay, [ray], [color])
+        if not ray.passes:
+            marked = state.sample.at if state.sample is not None else None
+            overlay.visits(ray, ui.em, Ink(color, theme.ground, theme.text), marked)
+            if ray.depth_expected is not None:
+                overlay.point(ray.origin + ray.depth_expected * ray.direction, 1.15 * ui.em, SHADE)
+                overlay.point(ray.origin + ray.depth_expected * ray.direction, ui.em, theme.point)
         if state.sample is not None and state.sample.one < len(ray.passes):
             one = ray.passes[state.sample.one]
             if state.sample.at < len(one.t):
@@ -156,7 +166,7 @@ class ViewportPanel:
         words = []
         if self.stale:
             words.append(f"{icons.ICON_FA_CLOCK}  {STALE}")
-        elif snapshot.preview.complete and state.camera.moved and np.isnan(snapshot.preview.depth).all():
+        elif snapshot.preview.complete and state.camera.moved and _sees_nothing(snapshot):
             reset = USER_COMMANDS.get("camera.reset").title
             words.append(with_keys(f"Nothing is seen from here. {reset}", "camera.reset"))
         if snapshot.preview.quality == "coarse" and snapshot.coarse:
@@ -183,6 +193,12 @@ class ViewportPanel:
 def _point_at(ui: PanelUi, state: AppState, overlay: Overlay, ray: RayProbe) -> None:
     """Show the numbers of the sample under the mouse, and mark it in all panels."""
     mouse = imgui.get_mouse_pos()
+    if not ray.passes:
+        visit = overlay.visit_at(ray, ui.em, mouse.x, mouse.y)
+        if visit is not None:
+            state.pointed_at = SampleRef(0, visit)
+            visit_tooltip(ui, ray, visit)
+        return
     k = overlay.sample_at(ray, ui.em, mouse.x, mouse.y)
     if k is not None:
         state.pointed_at = SampleRef(len(ray.passes) - 1, k)
@@ -195,6 +211,14 @@ def _draw_rays(ui: PanelUi, overlay: Overlay, rays: list[RayProbe], colors: list
     for ray, color in zip(rays, colors, strict=True):
         if ray.passes:
             overlay.samples(ray, ui.em, (SHADE, 2.2 * thin), (color, 1.4 * thin))
+        else:
+            overlay.visits(ray, ui.em, Ink(color, SHADE, color), numbered=False)
+
+
+def _sees_nothing(snapshot: Snapshot) -> bool:
+    """Whether the picture shows nothing but background: of a method with samples, no pixel has a depth."""
+    preview = snapshot.preview
+    return preview is not None and not lacking(snapshot.method, "trace") and bool(np.isnan(preview.depth).all())
 
 
 def _ends(rays: list[RayProbe]) -> tuple[np.ndarray, np.ndarray]:

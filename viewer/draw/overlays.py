@@ -11,6 +11,7 @@ from nerf_core.geometry.camera import Camera
 from nerf_core.probe import RayProbe
 
 from ..ui.widgets import packed, tints
+from .visits import DISC_EM, Ink, discs
 
 NEAR = 1e-3  # of the distance to the orbit's centre: lines nearer to the eye are cut off
 FAINT = 1e-3  # a sample of smaller weight cannot change an 8-bit pixel and is not drawn
@@ -100,8 +101,7 @@ class Overlay:
 
         While the eye is on the ray it is None too, because all samples then lie behind each other in one pixel.
         """
-        aside = np.linalg.norm(np.cross(self._camera.c2w[:, 3] - ray.origin, ray.direction))
-        if aside < self._near:
+        if self._on(ray):
             return None
         found, places, radii = self._discs(ray, em)
         apart = np.hypot(*(places - (x, y)).T)
@@ -109,6 +109,38 @@ class Overlay:
             apart < radii + REACH_EM * em, apart, np.inf
         )  # of overlapping discs, the one with the nearest centre
         return int(found[apart.argmin()]) if np.isfinite(apart).any() else None
+
+    def visits(self, ray: RayProbe, em: float, ink: Ink, marked: int | None = None, numbered: bool = True) -> None:
+        """Draw the places that a method without samples looked at, as discs with their numbers; see `discs`.
+
+        One that a later disc covers is left out: while the eye is on the ray, all lie behind each other.
+        """
+        places, seen = self._visited(ray)
+        index = np.flatnonzero(seen)
+        kept = index[uncovered(places[index], np.full(len(index), DISC_EM * em))]
+        centres: list[ImVec2 | None] = [None] * len(places)
+        for k in kept.tolist():
+            centres[k] = ImVec2(*places[k])
+        discs(self._draw, centres, em, ink, marked, numbered)
+
+    def visit_at(self, ray: RayProbe, em: float, x: float, y: float) -> int | None:
+        """Return the visit whose disc is at, or nearly at, a screen position, as `sample_at` does for samples."""
+        places, seen = self._visited(ray)
+        if not seen.any() or self._on(ray):
+            return None
+        apart = np.where(seen, np.hypot(*(places - (x, y)).T), np.inf)
+        nearest = int(apart.argmin())
+        return nearest if apart[nearest] < (DISC_EM + REACH_EM) * em else None
+
+    def _visited(self, ray: RayProbe) -> tuple[np.ndarray, np.ndarray]:
+        """The screen positions (V, 2) of the visits, and which of them lie before the camera (V,)."""
+        pixels, depth = self._camera.project(ray.origin + ray.visited[:, None] * ray.direction)
+        return pixels + self._origin, (depth >= self._near) & np.isfinite(pixels).all(-1)
+
+    def _on(self, ray: RayProbe) -> bool:
+        """Whether the eye is on a ray: all that lies on it is then behind each other in one pixel."""
+        aside = np.linalg.norm(np.cross(self._camera.c2w[:, 3] - ray.origin, ray.direction))
+        return bool(aside < self._near)
 
     def _discs(self, ray: RayProbe, em: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The visible samples (K,) of the last pass, far to near, their screen positions (K, 2) and radii (K,)."""

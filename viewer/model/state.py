@@ -10,6 +10,7 @@ import numpy as np
 
 from nerf_core.geometry.paths import DEFAULT_PATH
 from nerf_core.live.messages import Command, Inspect, Notice, Snapshot
+from nerf_core.methods import nothing_to_train
 from nerf_core.probe.axis import AxisChoice
 from nerf_core.probe.directions import Around, Source
 from nerf_core.rendering.modes import COLOR
@@ -166,6 +167,11 @@ class AppState:
     current_view: int | None = None  # the photo at whose camera the user looks, until the camera moves
     time: float = 0.0  # seconds on the app's clock
     has_display: bool = True
+
+
+def nothing_to_train_in(snapshot: Snapshot) -> str:
+    """Return a sentence if the run has a model that cannot be trained; empty if it has another or none."""
+    return nothing_to_train(snapshot.method) if snapshot.method and not snapshot.total_steps else ""
 
 
 def unsaved_steps(snapshot: Snapshot) -> int:

@@ -11,9 +11,11 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui
 
 from nerf_core.common.text import number, triple
+from nerf_core.methods import lacking
 from nerf_core.probe import RayProbe
 from nerf_core.probe.axis import MET, PLAIN, Axis, chosen_axis, contracted_axis, weighty_part
 
+from ..draw.bare_ray import BareRay
 from ..draw.plot_marks import DEPTHS, Glyph
 from ..draw.ray_plots import LogChoice, Opened, RayPlots
 from ..draw.ray_steps import Steps, placed, steps_of
@@ -42,7 +44,7 @@ class RayPanel:
     order = 0
 
     def __init__(self) -> None:
-        self.plots = RayPlots()
+        self.plots, self._bare = RayPlots(), BareRay()
         self._probe: RayProbe | None = None
         self._passes: tuple[Steps, ...] = ()
         self._axis = PLAIN
@@ -52,7 +54,10 @@ class RayPanel:
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
         ray = state.snapshot.ray
         if ray is None:
-            nothing_yet(ui, state.snapshot.method, _nothing_yet(state))
+            nothing_yet(ui, state.snapshot.method, _nothing_yet(state), ())
+            return
+        if not ray.passes:
+            self._bare.draw(ui, state, ray)
             return
         self._take(ray, state)
         avail = imgui.get_content_region_avail()
@@ -230,6 +235,9 @@ def _nothing_yet(state: AppState) -> str:
     if state.inspect is not None:
         column, row = state.inspect.pixel
         return f"Opening the ray through pixel {column:,}, {row:,} …"
+    lacks = lacking(state.snapshot.method, "trace")
+    if lacks:
+        return f"Click a pixel: here you will see what is known of its ray. {lacks[0].upper()}{lacks[1:]}."
     if state.snapshot.scene is None:
         return "No scene yet. Once there is one, click a pixel to see where along its ray the colour comes from."
     return "Click a pixel: here you will see where along its ray the light comes from, sample by sample."

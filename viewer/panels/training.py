@@ -16,7 +16,7 @@ from nerf_core.live.shares import SHARES
 from ..commands.actions.files import saved_first
 from ..commands.registry import run, with_keys
 from ..draw.history_plots import HistoryPlots
-from ..model.state import Action, AppState, unsaved_steps
+from ..model.state import Action, AppState, nothing_to_train_in, unsaved_steps
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import Forgetting, Row, button, exists, field_beside, field_width, figures, hint, same_line_if_fits
 
@@ -43,23 +43,27 @@ class TrainingPanel:
         yield from self._buttons(ui, state)
         if snapshot.scene is None:
             return
-        self._plots.draw(ui, snapshot)
-        figures(ui, "training", _rows(snapshot))
-        yield from self._time_share(ui, snapshot)
+        if snapshot.total_steps:
+            self._plots.draw(ui, snapshot)
+            figures(ui, "training", _rows(snapshot))
+            yield from self._time_share(ui, snapshot)
         yield from self._checkpoint(ui, state)
 
     def _buttons(self, ui: Ui, state: AppState) -> Iterator[Action]:
         snapshot = state.snapshot
-        can_train = snapshot.status in ("ready", "paused", "failed")
+        untrainable = nothing_to_train_in(snapshot)
+        can_train = snapshot.status in ("ready", "paused", "failed") and not untrainable
         training = snapshot.status == "training"
-        tip = with_keys("pause" if training else "train until the schedule ends", "training.toggle")
+        tip = untrainable or with_keys("pause" if training else "train until the schedule ends", "training.toggle")
         if training:
             if button(ui, PAUSE, "training.pause", tip=tip):
                 yield Pause()
         elif button(ui, START, "training.start", enabled=can_train, tip=tip):
             yield Train()
         same_line_if_fits(STEP)
-        if button(ui, STEP, "training.step", enabled=can_train, tip=with_keys("one step", "training.step")):
+        if button(
+            ui, STEP, "training.step", enabled=can_train, tip=untrainable or with_keys("one step", "training.step")
+        ):
             yield Train(steps=1)
         same_line_if_fits(RESET)
         tip = "" if self._reset.asking else "forget the weights and start again"  # a tooltip would cover the question
@@ -123,6 +127,8 @@ class TrainingPanel:
 def _progress(ui: Ui, s: Snapshot) -> tuple[str, ImVec4]:
     steps = f"{s.step:,} of {s.total_steps:,} steps"
     left = f", {duration(s.seconds_left)} left" if s.seconds_left is not None else ""
+    if s.status == "finished" and (untrainable := nothing_to_train_in(s)):
+        return f"{untrainable[0].upper()}{untrainable[1:]}.", ui.theme.muted
     return {
         "empty": ("Nothing to train yet: open a scene.", ui.theme.muted),
         "loading": ("Training can start once the scene is loaded.", ui.theme.muted),

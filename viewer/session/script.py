@@ -31,6 +31,7 @@ from nerf_core.live.messages import (
     Train,
 )
 from nerf_core.live.worker import Worker
+from nerf_core.methods import nothing_to_train
 from nerf_core.rendering.export.requests import ExportStill
 from nerf_core.training.settings import RunSettings
 
@@ -105,6 +106,9 @@ class Script:
 
     def _train(self, steps: int | None, seconds: float | None) -> None:
         start = self._snapshot()
+        if not start.total_steps:
+            self.say(nothing_to_train(start.method))
+            return
         left = None if steps is None else max(steps - start.step, 0)
         if left == 0:
             self.say(f"no training: step {start.step:,} is past --steps {steps:,} already")

@@ -129,9 +129,10 @@ class Session:
 
     def _attend(self, wishes: Wishes) -> None:
         """Serve the user until the window closes. A capture trains; a loaded checkpoint does if that is asked for."""
-        left = None if wishes.steps is None else wishes.steps - self.worker.snapshot().step
+        snapshot = self.worker.snapshot()
+        left = None if wishes.steps is None else wishes.steps - snapshot.step
         wanted = wishes.load is None or wishes.steps is not None or wishes.seconds is not None
-        if wanted and (left is None or left > 0):
+        if snapshot.total_steps and wanted and (left is None or left > 0):
             self.worker.send(Train(left, wishes.seconds))
         self.app.run(lambda: self.signals.received is not None)
 

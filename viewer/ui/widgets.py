@@ -17,13 +17,13 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from nerf_core.common.colormaps import Name, colored
 from nerf_core.common.errors import UserError
 from nerf_core.common.names import printable
-from nerf_core.common.text import number, triple
+from nerf_core.common.text import decimal, number, triple
 from nerf_core.common.user_paths import own_path
 from nerf_core.methods import lacking
 
 if TYPE_CHECKING:
     from nerf_core.live.messages import Notice
-    from nerf_core.probe import PassProbe
+    from nerf_core.probe import PassProbe, RayProbe
 
     from .contract import Ui
 
@@ -179,6 +179,18 @@ def sample_tooltip(ui: Ui, p: PassProbe, index: int) -> None:
     if imgui.begin_tooltip():
         imgui.text_colored(ui.theme.muted, f"{p.name} sample {index + 1:,} of {len(p.t):,}")
         figures(ui, "sample", rows, 15 * ui.em)
+        imgui.end_tooltip()
+
+
+def visit_tooltip(ui: Ui, ray: RayProbe, index: int) -> None:
+    """Show in a tooltip a place that a method without samples looked at."""
+    t = ray.visited
+    rows: list[Row] = [("t", f"{t[index]:.5f}")]
+    if index:
+        rows.append(("moved", decimal(float(t[index] - t[index - 1]), 5)))
+    if imgui.begin_tooltip():
+        imgui.text_colored(ui.theme.muted, f"visit {index + 1:,} of {len(t):,}")
+        figures(ui, "visit", rows, 15 * ui.em)
         imgui.end_tooltip()
 
 

@@ -1,0 +1,1 @@
+"""The nearest training photo, shown as it is: the baseline that learns nothing."""

@@ -1,0 +1,67 @@
+"""The stages of one ray through the nearest photo: which photo, where in it, and its colour."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nerf_core.common.text import counted, number, triple
+from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.rays import Rays
+from nerf_core.methods.nearest_view.model import NearestViewModel
+from nerf_core.methods.stages import Colors, Pictures, Stage
+
+SIDE = 160  # most pixels of the picture's longer side
+CANDIDATES = 3  # photos that are compared in numbers
+
+
+def explain(model: NearestViewModel, rays: Rays) -> tuple[Stage, ...]:
+    """Return the stages: the nearest photos with their distances, the ray's place in the first, and its colour."""
+    ((_, view, local),) = model.looks(rays)
+    found = model.look_up(view, local)
+    name = model.scene.views[view].name
+    inside, place = bool(found.inside[0]), found.places[0]
+    small = model.scene.photos.small(view, SIDE)
+    scale = small.shape[1] / model.scene.views[view].camera.width
+    mark = place * scale if inside else np.full(2, np.nan)
+    where = f"It falls on column {int(place[0]):,}, row {int(place[1]):,}." if inside else "It misses the photo."
+    return (
+        _choice(model, name),
+        Stage(
+            "Place in the photo",
+            "The ray's direction in its own camera is drawn into the photo, with the photo's focal length and lens. "
+            + where,
+            (Pictures((name,), (small,), mark[None]),),
+        ),
+        Stage(
+            "Colour",
+            "The photo's pixel is the colour, as it is." if inside else "Beside the photo there is only background.",
+            (Colors(("photo's pixel" if inside else "background",), found.color),),
+            (("colour", triple(found.color[0])),),
+        ),
+    )
+
+
+def _choice(model: NearestViewModel, name: str) -> Stage:
+    photos = counted(len(model.views), "training photo")
+    if model.faced is None:
+        return Stage(
+            "Nearest photo",
+            f"Of {photos}, {name} was taken nearest to the ray's origin; of several from there, its optical axis is "
+            "the nearest to the ray.",
+        )
+    nearest = model.ranking(model.faced)
+    rows = tuple(
+        (model.scene.views[int(nearest.views[k])].name, _distance(model.faced, nearest.distance[k], nearest.apart[k],
+                                                                   nearest.aside[k]))
+        for k in range(min(CANDIDATES, len(nearest.views)))
+    )  # fmt: skip
+    return Stage(
+        "Nearest photo",
+        f"Of {photos}, {name} was taken nearest to this camera. D² = (distance / ρ)² + angle², with ρ from the camera "
+        "to the scene's centre: walking around the scene by an angle counts like turning by it.",
+        rows=rows,
+    )
+
+
+def _distance(camera: Camera, distance: float, apart: float, aside: float) -> str:
+    return f"D {number(float(distance), 3)}: {number(float(apart), 3)} units, {np.degrees(aside):.1f}°"
