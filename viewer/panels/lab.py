@@ -22,8 +22,9 @@ from ..ui.contract import PANELS, Ui
 from ..ui.widgets import axis_name, button, field_width, hint, mono, path_line
 
 START, CANCEL = f"{icons.ICON_FA_FLASK}  Start", f"{icons.ICON_FA_XMARK}  Cancel"
-FORM_EM, BESIDE_EM = 20.0, 46.0  # width of the options, and of the panel from which they are beside what is shown
-LOOK_EM = 8.0  # least width of a picture
+FORM_EM, RUNNING_EM = 18.0, 13.0  # width of the options, and of the progress while the study runs
+BESIDE_EM = 40.0  # width of the panel from which they are beside what is shown
+LOOK_EM = 5.2  # least width of a picture
 PLOT_EM = 9.0  # height of a plot
 SIGNS = {
     "waiting": icons.ICON_FA_HOURGLASS,
@@ -45,6 +46,7 @@ class LabPanel:
         self._folders: dict[str, str] = {}
         self._photo = ""
         self._turned: dict[str, float] = {}  # knobs until the worker has taken them
+        self._began = ""  # the study whose tab came to the front when it began
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
         if state.snapshot.status == "loading" and not state.snapshot.loaded:
@@ -53,8 +55,14 @@ class LabPanel:
         if not imgui.begin_tab_bar("studies"):
             return
         for name in sorted(STUDIES.names(), key=lambda name: STUDIES.get(name).order):
-            kind = STUDIES.get(name)
-            shown, _ = imgui.begin_tab_item(f"{kind.title}##{name}")
+            kind, flags = STUDIES.get(name), imgui.TabItemFlags_.none
+            study = state.snapshot.study
+            running = study.name if study is not None and study.state == "running" else ""
+            if running == name != self._began:
+                flags = imgui.TabItemFlags_.set_selected
+            if running in (name, ""):
+                self._began = running
+            shown, _ = imgui.begin_tab_item(f"{kind.title}##{name}", None, flags)
             ui.mark(f"lab.{name}")
             if shown:
                 yield from self._study(ui, state, name, kind)
@@ -62,15 +70,16 @@ class LabPanel:
         imgui.end_tab_bar()
 
     def _study(self, ui: Ui, state: AppState, name: str, kind: type[Study]) -> Iterator[Action]:
-        avail = imgui.get_content_region_avail()
+        avail, study = imgui.get_content_region_avail(), state.snapshot.study
         beside = avail.x > BESIDE_EM * ui.em
-        imgui.begin_child(f"form {name}", ImVec2(FORM_EM * ui.em if beside else 0.0, 0.0 if beside else avail.y * 0.5))
+        running = study is not None and study.name == name and study.state == "running"
+        wide = (RUNNING_EM if running else FORM_EM) * ui.em
+        imgui.begin_child(f"form {name}", ImVec2(wide if beside else 0.0, 0.0 if beside else avail.y * 0.5))
         yield from self._form(ui, state, name, kind)
         imgui.end_child()
         if beside:
             imgui.same_line(0, ui.em)
         imgui.begin_child(f"shown {name}", ImVec2(0, 0))
-        study = state.snapshot.study
         if study is None or study.name != name:
             hint(ui, kind.summary)
         else:
