@@ -17,6 +17,7 @@ from nerf_core.geometry.scene import Scene
 from nerf_core.methods import METHODS, Dense, Explainable, Method, Radiant, Traceable
 from nerf_core.methods.guided import model as guided_model
 from nerf_core.methods.hash import model as hash_model
+from nerf_core.methods.rgba_grid import model as grid_model
 from nerf_core.methods.stages import BarCode, Stems, Transfer
 from nerf_core.methods.voxels import coarse_to_fine
 from nerf_core.methods.voxels import model as voxel_model
@@ -30,6 +31,7 @@ SMALL: dict[str, dict[str, str]] = {
     "nerf-guided": {"guide_steps": "1", "depth": "6", "width": "32"},
     "hash": {"samples": "2000", "levels": "4", "log2_rows": "10", "cells": "16", "update_every": "2", "hidden": "16"},
     "voxels": {"start": "6", "level_steps": "1", "pixels": "0.5"},
+    "rgba-grid": {"side": "10", "coarsest": "6", "level_steps": "2", "update_every": "2"},
 }
 # Batches of about 77 rays, so that a step calls the yield callback only a few times.
 FEW_RAYS = {
@@ -37,6 +39,7 @@ FEW_RAYS = {
     "nerf-guided": {"rays": "77", "guide.first_rays": "77", "guide.rays": "77"},
     "hash": {"most_rays": "77"},
     "voxels": {"first_rays": "77", "rays": "77"},
+    "rgba-grid": {"rays": "77"},
 }
 # State that an abandoned step may change: it notes which samples have weight, and notes the same when it is repeated.
 NOTED_AGAIN = {"method.seen", "method.guide.seen"}
@@ -259,7 +262,7 @@ def test_a_pixel_does_not_depend_on_its_neighbours_in_either_precision(scene: Sc
 @pytest.mark.parametrize("name", METHODS.names())
 def test_an_abandoned_step_leaves_the_state_as_it_was(name: str, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """The step is abandoned in each call of the yield callback in turn."""
-    for module, piece in ((voxel_model, 30), (guided_model, 100), (hash_model, 2000)):
+    for module, piece in ((voxel_model, 30), (guided_model, 100), (hash_model, 2000), (grid_model, 300)):
         monkeypatch.setattr(module, "PIECE", piece)
     monkeypatch.setattr(coarse_to_fine, "BRICKS", 20)
     changes = SMALL.get(name, {}) | FEW_RAYS.get(name, {})
