@@ -128,7 +128,8 @@ def _history(arrays: Mapping[str, np.ndarray], last: int) -> RayHistory:
         raise ValueError("not the shapes of a history")
     if any(value.dtype.kind != ("i" if name == "steps" else "f") for name, value in arrays.items()):
         raise ValueError("not the types of a history")
-    numbers = all(np.isfinite(arrays[name]).all() for name in ("edges", "weights", "color", "opacity"))
+    numbers = all(np.isfinite(arrays[name]).all() for name in ("edges", "color", "opacity"))
+    numbers = numbers and (np.isfinite(arrays["weights"]).all() or np.isnan(arrays["weights"]).all())  # no samples
     steps = np.concatenate([[-1], arrays["steps"], [last + 1]])
     if not (numbers and (np.diff(arrays["edges"]) > 0).all() and (np.diff(steps) > 0).all()):
         raise ValueError("not the numbers of a history")

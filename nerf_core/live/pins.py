@@ -12,7 +12,6 @@ from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
 from nerf_core.live.clock import RefreshClock
 from nerf_core.live.messages import MOST_PINS, PIN_NAME_LENGTH, EditPin, Pin, PinRay
-from nerf_core.methods import Traceable
 from nerf_core.probe import RayProbe, open_ray
 from nerf_core.probe.history import HistoryRecorder
 from nerf_core.training.trainer import Trainer
@@ -126,12 +125,7 @@ class Pins:
     # ---- what is done ------------------------------------------------------------------------------------------------
 
     def record(self, trainer: Trainer) -> bool:
-        """Take the records that are due after a training step; return whether there were any.
-
-        Of a method without samples along a ray there are none.
-        """
-        if not isinstance(trainer.method, Traceable):
-            return False
+        """Take the records that are due after a training step; return whether there were any."""
         due = [pin for pin in self._pins if pin.recorder.due(trainer.step_count)]
         for pin in due:
             self._open(pin, trainer)
@@ -139,8 +133,6 @@ class Pins:
 
     def draw(self, trainer: Trainer, training: bool) -> bool:
         """Open the ray that waited longest, if one is due; return whether one was."""
-        if not isinstance(trainer.method, Traceable):
-            return False
         for pin in sorted(self._pins, key=lambda pin: pin.clock.ended):
             if pin.clock.due(trainer, training):
                 self._open(pin, trainer)

@@ -55,7 +55,8 @@ class HistoryRecorder:
             return
         if self._edges is None:
             self._edges = np.linspace(ray.near, max(ray.far, ray.near + 1e-6), BINS + 1)  # fixed: records are compared
-        depth = np.nan if ray.depth_median is None else ray.depth_median
+        known = ray.depth_median if ray.passes else ray.depth_expected
+        depth = np.nan if known is None else known
         self._rows.append((ray.step, binned(ray, self._edges), ray.color, depth, ray.opacity))
         self._view = None
         self._due = self._after(ray.step)
@@ -91,8 +92,10 @@ def binned(ray: RayProbe, edges: np.ndarray) -> np.ndarray:
         edges: (B + 1,) the edges of the bins, as world distances along the ray.
 
     Returns:
-        (B,) float32.
+        (B,) float32; NaN of a ray without samples, which has no weights.
     """
+    if not ray.passes:
+        return np.full(len(edges) - 1, np.nan, np.float32)
     last = ray.last
     if not len(last.t):
         return np.zeros(len(edges) - 1, np.float32)

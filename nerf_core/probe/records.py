@@ -121,9 +121,9 @@ class RayHistory:
 
     edges: (BINS + 1,) the edges of the bins, as world distances along the ray.
     steps: (N,) int64, the training step of each record, ascending.
-    weights: (N, BINS) Σ w in each bin.
+    weights: (N, BINS) Σ w in each bin; NaN if the method keeps no samples along a ray.
     color: (N, 3) the pixel's colour.
-    depth: (N,) median depth in world units; NaN where the opacity is under 0.5.
+    depth: (N,) median depth in world units; without samples, the depth as it was rendered. NaN where there is none.
     opacity: (N,) Σ w.
     """
 

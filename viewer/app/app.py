@@ -12,6 +12,7 @@ from imgui_bundle import ImVec2, imgui, implot
 
 from nerf_core.common.errors import UserError
 from nerf_core.live.messages import Notice, Snapshot
+from nerf_core.rendering.modes import COLOR, MODES, obstacle
 from nerf_core.rendering.video import write_png
 
 from ..commands.keyboard import Keyboard
@@ -121,8 +122,17 @@ class App:
             moved = self.state.camera.update(now)  # by the user's input in this frame
             self._pacer.note(now, user=moved, fading=self._viewport.fading)
         if min(self._size) > 0:
+            self._refuse_mode()
             self._views.update(self.state, now)
         return drew
+
+    def _refuse_mode(self) -> None:
+        """Show colours, and say why, if the method cannot draw the chosen mode: the viewport would stay empty."""
+        why = obstacle(self.state.snapshot.method, self.state.mode)
+        if why:
+            label, self.state.mode = MODES.get(self.state.mode).label, COLOR
+            self._actions.tell(Notice("error", f"{why}: it cannot show {label.lower()}"))
+            self._pacer.note(self.state.time, user=True)
 
     def _read(self) -> None:
         """Take the worker's notices, then its snapshot: the state that a notice speaks of is then already there."""

@@ -13,7 +13,7 @@ from nerf_core.methods import lacking
 from nerf_core.probe import RayProbe
 
 from ..model.state import AppState, SampleRef
-from ..ui.widgets import Limits, Row, axis_name, faded, figures, hint, swatch, visit_tooltip
+from ..ui.widgets import Limits, Row, faded, figures, hint, swatch, visit_tooltip
 from .visits import Ink, discs
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ SIDE_EM, SIDE_NEEDS_EM = 17.0, 36.0  # width of the figures' column; the panel's
 LOW_EM = 12.0  # height of the plot if the figures are below it
 REACH_EM = 0.8  # the mouse hits a visit at this distance from it
 AIR = 0.06  # of the axis: beside the first and the last place
+TICKS = 5  # of the visits
 INVISIBLE = 1e-6  # the shortest axis over t, in world units
 
 
@@ -70,15 +71,16 @@ class BareRay:
         )
         self._t.follow(low - air, high + air, opened != self._opened)
         self._opened = opened
-        imgui.text_colored(ui.theme.muted, f"the {counted(count, 'place')} that the method looks at, one after another")
+        over = "over t (world units)" + ("" if ray.depth_expected is None else "; line: depth")
+        imgui.text_colored(ui.theme.muted, f"{counted(count, 'visit')}, the first on top, {over}")
         if not implot.begin_plot("##visits", ImVec2(-1, -1), PLOT):
             return
         implot.setup_axis(X1, None, 0)
         implot.setup_axis_links(X1, self._t.low, self._t.high)
         implot.setup_axis(Y1, None, implot.AxisFlags_.invert | implot.AxisFlags_.lock)
         implot.setup_axis_limits(Y1, 0.3, count + 0.7, implot.Cond_.always)
-        ticks = np.unique(np.linspace(1, count, min(count, 6)).round())
-        implot.setup_axis_ticks(Y1, ticks.tolist(), [f"{v:.0f}" for v in ticks])
+        ticks = range(1, count + 1, max(1, -(-(count - 1) // TICKS)))
+        implot.setup_axis_ticks(Y1, [float(v) for v in ticks], [f"{v}" for v in ticks])
         way = implot.Spec(line_color=faded(ui.theme.fine, 0.7), line_weight=0.1 * ui.em)
         implot.plot_line("way", t, order, way)
         if ray.depth_expected is not None:
@@ -91,8 +93,6 @@ class BareRay:
         implot.push_plot_clip_rect()
         discs(implot.get_plot_draw_list(), centres, ui.em, Ink(ui.theme.fine, ui.theme.surface, ui.theme.text), marked)
         implot.pop_plot_clip_rect()
-        axis_name(ui, "visit")
-        axis_name(ui, "t (world units)" + ("" if ray.depth_expected is None else "; line: the depth"), right=True)
         implot.end_plot()
         ui.mark("ray.visits")
         if hovered is not None:

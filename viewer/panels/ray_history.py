@@ -12,11 +12,12 @@ from imgui_bundle import ImVec2, imgui, implot
 from nerf_core.common.colormaps import colored
 from nerf_core.common.text import counted
 from nerf_core.live.messages import Pin
+from nerf_core.methods import lacking
 from nerf_core.probe import RayHistory
 
-from ..model.state import Action, AppState
+from ..model.state import Action, AppState, nothing_to_train_in
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import Limits, axis_name, color_scale, faded, hint, nothing_yet, packed, same_line_if_fits
+from ..ui.widgets import Limits, axis_name, color_scale, faded, hint, packed, same_line_if_fits
 
 COLUMNS = 320  # columns of the map: more than there are records, so that each has its own
 STRIP_EM = 1.4
@@ -41,14 +42,10 @@ class RayHistoryPanel:
         pin = _shown(state)
         history = pin.history if pin is not None else None
         if pin is not None and history is not None and len(history.steps) == 1:
-            hint(
-                ui,
-                f"{pin.name}: its history begins at step {history.steps[0]:,}. Train on to see how its weights move.",
-            )
+            hint(ui, f"{pin.name}: its history begins at step {history.steps[0]:,}. {_outlook(state, history)}")
             return
         if pin is None or history is None:
-            text = "Pin a ray (Ctrl+click): from then on, here is how its weights move while the model learns."
-            nothing_yet(ui, state.snapshot.method, text)
+            hint(ui, "Pin a ray (Ctrl+click): from then on, here is how its weights move while the model learns.")
             return
         fresh = self._of is None or history.edges is not self._of.edges  # another pin, or a new training
         if history is not self._of:
@@ -58,7 +55,12 @@ class RayHistoryPanel:
         imgui.same_line()
         extent = f"{counted(len(history.steps), 'record')}, steps {history.steps[0]:,} to {history.steps[-1]:,}"
         imgui.text_colored(ui.theme.muted, extent)
-        _scale(ui)
+        if weightless(history):
+            lacks = lacking(state.snapshot.method, "trace") or "the method keeps no samples along a ray"
+            hint(ui, f"{lacks[0].upper()}{lacks[1:]}: there are no weights to show, but colour and depth.")
+            ui.mark("ray_history.lacks")
+        else:
+            _scale(ui)
         self._draw(ui, history, fresh)
 
     def _draw(self, ui: Ui, history: RayHistory, fresh: bool) -> None:
@@ -82,14 +84,15 @@ class RayHistoryPanel:
             implot.setup_axis_ticks(implot.ImAxis_.x1, places, [f"{v:,}" for v in steps])
             unfit = implot.Spec(flags=implot.ItemFlags_.no_fit)
             low, high = implot.Point(0, float(history.edges[0])), implot.Point(end, float(history.edges[-1]))
-            implot.plot_image("weights", ui.texture("ray history", self._map, smooth=False), low, high, spec=unfit)
+            if not weightless(history):
+                implot.plot_image("weights", ui.texture("ray history", self._map, smooth=False), low, high, spec=unfit)
             line = implot.Spec(line_color=ui.theme.text, line_weight=0.1 * ui.em, flags=implot.ItemFlags_.no_fit)
             implot.plot_line("depth", x, history.depth.astype(np.float64), line)  # with gaps where there is no depth
             unseen = implot.Spec(line_color=faded(ui.theme.text, 0.0))
             implot.plot_line(
                 "open", np.array([0.0, end]), np.array(self._open), unseen
             )  # an invisible line, so that a double click fits the axes to this range
-            axis_name(ui, "t; white: median depth")
+            axis_name(ui, _depth_name(history))
             axis_name(ui, "step, log scale since it was pinned", right=True, height=1.0)
             if implot.is_plot_hovered():
                 _tooltip(history, x, implot.get_plot_mouse_pos().x)
@@ -109,6 +112,25 @@ def _shown(state: AppState) -> Pin | None:
     """The opened pin, or else the first."""
     asked, pins = state.inspect, state.snapshot.pins
     return next((pin for pin in pins if asked is not None and pin.id == asked.id), pins[0] if pins else None)
+
+
+def weightless(history: RayHistory) -> bool:
+    """Return whether a history is of a method without samples along a ray, and so without weights."""
+    return bool(np.isnan(history.weights).all())
+
+
+def _outlook(state: AppState, history: RayHistory) -> str:
+    """What a history of one record will show."""
+    untrainable = nothing_to_train_in(state.snapshot)
+    if untrainable:
+        return f"It ends there, for there is {untrainable}."
+    return f"Train on to see how its {'colour and depth' if weightless(history) else 'weights'} move."
+
+
+def _depth_name(history: RayHistory) -> str:
+    if not weightless(history):
+        return "t; white: median depth"
+    return "t; white: depth" if np.isfinite(history.depth).any() else "t; there is no depth"
 
 
 def _columns(history: RayHistory) -> np.ndarray:
@@ -135,11 +157,15 @@ def _rgba(rgb: np.ndarray) -> np.ndarray:
 
 
 def where_weights_are(history: RayHistory) -> tuple[float, float]:
-    """Return the part of the ray, with a margin, in which any record has visible weight."""
-    edges, heavy = history.edges, np.flatnonzero((history.weights > WORTH * history.weights.max()).any(0))
-    if not len(heavy):
+    """Return the part of the ray, with a margin, in which any record has visible weight; without weights, a depth."""
+    edges, depths = history.edges, history.depth[np.isfinite(history.depth)]
+    heavy = np.flatnonzero((history.weights > WORTH * history.weights.max()).any(0))
+    if weightless(history) and len(depths):
+        low, high = float(depths.min()), float(depths.max())
+    elif len(heavy):
+        low, high = float(edges[heavy[0]]), float(edges[heavy[-1] + 1])
+    else:
         return float(edges[0]), float(edges[-1])
-    low, high = float(edges[heavy[0]]), float(edges[heavy[-1] + 1])
     margin = max(0.1 * (high - low), 3 * float(edges[1] - edges[0]))
     return max(low - margin, float(edges[0])), min(high + margin, float(edges[-1]))
 

@@ -15,7 +15,7 @@ from nerf_core.live.messages import MOST_PINS, PIN_NAME_LENGTH, EditPin, ExportR
 
 from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import Row, button, field_beside, figures, nothing_yet, packed, swatch
+from ..ui.widgets import Row, button, field_beside, figures, hint, packed, swatch
 
 WRITE = f"{icons.ICON_FA_FILE_EXPORT}  Write"
 PIN = f"{icons.ICON_FA_THUMBTACK}  Pin the opened ray"
@@ -36,7 +36,7 @@ class RaysPanel:
             yield PinRay.of(asked)
         if not pins:
             text = f"Up to {MOST_PINS} rays stay where they are while you move, and keep a history of their training."
-            nothing_yet(ui, state.snapshot.method, text)
+            hint(ui, text)
         if pins or state.snapshot.opened is not None:
             field_beside(ui, WRITE)
             _, state.rays_file = imgui.input_text("##file", state.rays_file)
@@ -74,8 +74,9 @@ def _draw_pin(ui: Ui, pin: Pin) -> Iterator[Action]:
         yield UnpinRay(pin.id)
     ray = pin.ray
     if ray is not None:
+        depth = ray.depth_median if ray.passes else ray.depth_expected
         rows: list[Row] = [
             ("colour", triple(ray.color), partial(swatch, ui, ray.color)),
-            ("depth", f"{number(ray.depth_median, 4)}   opacity {ray.opacity:.3f}   step {ray.step:,}"),
+            ("depth", f"{number(depth, 4)}   opacity {ray.opacity:.3f}   step {ray.step:,}"),
         ]
         figures(ui, "figures", rows)

@@ -9,7 +9,7 @@ from imgui_bundle import ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.common.text import number, vector
-from nerf_core.rendering.modes import COLOR, MODES, mode_names
+from nerf_core.rendering.modes import COLOR, MODES, mode_names, obstacle
 
 from ..commands.registry import USER_COMMANDS, run, with_keys
 from ..draw.warp import same_view
@@ -70,15 +70,27 @@ def _titled(icon: str, command: str) -> str:
 
 def _modes(ui: Ui, state: AppState) -> None:
     """The choice of the render mode."""
-    names = list(mode_names())
-    labels = ["Colour", *(MODES.get(name).label for name in names[1:])]
+    labels = {name: "Colour" if name == COLOR else MODES.get(name).label for name in mode_names()}
     field_width(ui, "shows")
-    at = names.index(state.mode) if state.mode in names else 0
-    _, chosen = imgui.combo("shows", at, labels)
+    if imgui.begin_combo("shows", labels.get(state.mode, "")):
+        for name, label in labels.items():
+            lacks = obstacle(state.snapshot.method, name)
+            flags = imgui.SelectableFlags_.disabled if lacks else imgui.SelectableFlags_.none
+            chosen, _ = imgui.selectable(f"{label}##mode", name == state.mode, flags)
+            ui.mark(f"view.mode.{name}")
+            _mode_tip(name, lacks)
+            if chosen:
+                state.mode = name
+        imgui.end_combo()
     ui.mark("view.mode")
-    state.mode = names[chosen]
-    if state.mode != COLOR:
-        imgui.set_item_tooltip(MODES.get(state.mode).tip)
+    _mode_tip(state.mode, "")
+
+
+def _mode_tip(name: str, lacks: str) -> None:
+    """The last item's tooltip: what a mode shows, or why it cannot be shown."""
+    tip = lacks or ("" if name == COLOR else MODES.get(name).tip)
+    if tip and imgui.is_item_hovered(imgui.HoveredFlags_.allow_when_disabled | imgui.HoveredFlags_.for_tooltip):
+        imgui.set_tooltip(tip)
 
 
 def _preview_state(ui: Ui, state: AppState) -> tuple[str, ImVec4]:

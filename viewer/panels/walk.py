@@ -9,14 +9,16 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 
 from nerf_core.common.colormaps import colored
-from nerf_core.methods.stages import BarCode, Chart, Colors, Marks, Stage, Stems, Transfer
+from nerf_core.methods.stages import BarCode, Chart, Colors, Marks, Pictures, Stage, Stems, Transfer
 
+from ..draw.picture_stack import picture_stack
 from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import axis_name, color_of, faded, figures, hint, nothing_yet, packed, swatch
 
 WIDTH_EM = 19.0
 CHART_EM = 2.0, 9.0  # least and largest height of a plot; in between, the plots of a stage share its height
+PICTURES_EM = 16.0  # greatest height of pictures
 PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
 QUIET = implot.AxisFlags_.no_highlight
 
@@ -59,6 +61,7 @@ class WalkPanel:
                 ui,
                 state.snapshot.method,
                 "Click a pixel: here you will see it go through the whole method, stage by stage.",
+                (),
             )
             return
         scroll = imgui.WindowFlags_.horizontal_scrollbar
@@ -94,12 +97,14 @@ def _draw_stage(ui: Ui, number: int, stage: Stage, bounds: tuple[float, float]) 
 
 def _plot_height(ui: Ui, stage: Stage) -> float:
     """The height of each plot: what the numbers of t, the figures and the gaps leave, divided by the plots."""
-    plots = sum(isinstance(chart, (Stems, Marks, Transfer)) for chart in stage.charts)
+    plots = sum(isinstance(chart, (Stems, Marks, Transfer, Pictures)) for chart in stage.charts)
     if not plots:
         return 0.0
     line, gap = imgui.get_text_line_height_with_spacing(), imgui.get_style().item_spacing.y
     rest = imgui.get_content_region_avail().y - len(stage.rows) * (line + gap) - gap - line
     least, most = CHART_EM
+    if any(isinstance(chart, Pictures) for chart in stage.charts):
+        most = PICTURES_EM
     return min(max(rest / plots - gap, least * ui.em), most * ui.em)
 
 
@@ -194,6 +199,13 @@ def _colors(ui: Ui, name: str, chart: Colors, _: Space) -> None:
         imgui.text_colored(ui.theme.muted, text)
 
 
+def _pictures(ui: Ui, name: str, chart: Pictures, space: Space) -> None:
+    line = imgui.get_text_line_height_with_spacing()
+    wide = imgui.get_content_region_avail().x
+    picture_stack(ui, name, chart, (wide, max(space.high - (0 if space.numbered else line), CHART_EM[0] * ui.em)))
+
+
 CHARTS: dict[type[Chart], Callable[[Ui, str, Any, Space], None]] = {
     Stems: _stems, Marks: _marks, BarCode: _bar_code, Transfer: _transfer, Colors: _colors,
+    Pictures: _pictures,
 }  # fmt: skip

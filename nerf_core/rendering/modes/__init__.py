@@ -8,6 +8,7 @@ import numpy as np
 
 from nerf_core.common.colormaps import Name, colored
 from nerf_core.common.registry import Registry
+from nerf_core.methods import lacking
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -26,6 +27,9 @@ class Mode(Protocol):
     tip: a sentence on what the mode shows.
     low, high: the numbers at which the colour map begins and ends.
     colors: the colour map.
+
+    A mode needs a method with samples along a ray. It may have `needs`, a tuple of what else it needs: keys of
+    `nerf_core.methods.ABSENT`.
     """
 
     order: ClassVar[int]
@@ -59,6 +63,19 @@ MODES: Registry[type[Mode]] = Registry("render mode", "nerf_core.rendering.modes
 def mode_names() -> tuple[str, ...]:
     """Return the names of all modes in the order of menus and number keys. Colour is the first."""
     return COLOR, *sorted(MODES.names(), key=lambda name: (MODES.get(name).order, name))
+
+
+def obstacle(method: str, name: str) -> str:
+    """Return a sentence if a method cannot draw a mode because it lacks what that needs; empty if it can.
+
+    Args:
+        method: the method's name in `METHODS`; empty: there is none yet.
+        name: the mode's name in `MODES`, or colour.
+    """
+    if name == COLOR:
+        return ""
+    needs = ("trace", *getattr(MODES.get(name), "needs", ()))
+    return next(filter(None, (lacking(method, ability) for ability in needs)), "")
 
 
 def shaded(method: Method, rays: Rays, trace: Trace, name: str) -> np.ndarray:

@@ -29,6 +29,7 @@ class ViewDependence:
     low: ClassVar[float] = 0.0
     high: ClassVar[float] = 0.25
     colors: ClassVar[Name] = "viridis"
+    needs: ClassVar[tuple[str, ...]] = ("radiance",)
 
     @staticmethod
     def values(method: Method, rays: Rays, trace: Trace) -> Tensor:
