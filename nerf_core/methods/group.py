@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class Lost(UserError):
-    """Another process of the group ended or does not answer."""
+    """Another process of the group ended or does not answer. It is raised before a step changes anything."""
 
 
 class Group:

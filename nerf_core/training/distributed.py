@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import atexit
 import hashlib
+import itertools
 import json
 import os
-import signal
+import re
 import time
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from datetime import timedelta
 from typing import Any
@@ -21,6 +22,7 @@ from typing import Any
 import torch
 import torch.distributed as dist
 from torch import Tensor
+from torch.distributed.distributed_c10d import PrefixStore
 from torch.distributed.rendezvous import rendezvous
 
 from nerf_core.common.errors import UserError
@@ -28,23 +30,25 @@ from nerf_core.methods.group import Group, Lost
 
 PATIENCE = 600.0  # seconds that a process waits for the others: the first may write a large checkpoint meanwhile
 REASON_SECONDS = 2.0  # a process that fails tells why before its connections close; one that was killed never does
-FAILURE, OVER = "nerf-viewer/failure", "nerf-viewer/over"  # keys of the store
+FAILURE, OVER = "failure", "over"  # keys of the store
+_groups = itertools.count()  # a process may join one after the other; their keys must differ
 
 
 class Processes(Group):
     """The group of this process and of those that torchrun started with it."""
 
-    def __init__(self, device: str, patience: float) -> None:
+    def __init__(self, device: str) -> None:
         """Find the others. Raises UserError if they do not answer, or if they cannot have the device.
 
-        device: "auto", "cpu" or "cuda". patience: see PATIENCE.
+        device: "auto", "cpu" or "cuda".
         """
         self.local = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
         self.device = _device(device)
         backend = "gloo" if self.device == "cpu" else "cpu:gloo,cuda:nccl"
-        wait = timedelta(seconds=patience)
+        wait = timedelta(seconds=PATIENCE)
         try:
-            self.store, self.rank, self.size = next(iter(rendezvous("env://", timeout=wait)))
+            store, self.rank, self.size = next(iter(rendezvous("env://", timeout=wait)))
+            self.store = PrefixStore(f"nerf-viewer/{next(_groups)}", store)
             dist.init_process_group(backend, store=self.store, rank=self.rank, world_size=self.size, timeout=wait)
         except (RuntimeError, ValueError) as error:
             raise Lost(f"the processes of torchrun do not find each other: {_line(error)}") from None
@@ -96,38 +100,38 @@ class Processes(Group):
     def leave(self, error: BaseException) -> None:
         """End the group after an error in this process: the others' exchanges fail from now on.
 
-        torchrun ends all processes as soon as one has ended with an error. So the others wait until the first one has
-        saved its run and printed what happened.
+        torchrun ends all processes as soon as one has ended with an error. So the first one ends first, when it has
+        saved its run and printed what happened. If one was killed, torchrun ends the others already.
         """
         with suppress(RuntimeError):
             if not isinstance(error, Lost):
                 self.store.compare_set(FAILURE, "", f"process {self.rank}: {_line(error)}")
-            if self.rank == 0:
-                atexit.register(suppressed(self.store.set, OVER, "1"))
         with suppress(RuntimeError):
             dist.destroy_process_group()
-        if self.rank > 0:
-            for number in (signal.SIGINT, signal.SIGTERM):
-                signal.signal(number, signal.SIG_DFL)  # nothing is left to be saved here
-            end = time.monotonic() + PATIENCE
-            with suppress(RuntimeError):
-                while time.monotonic() < end and not self.store.check([OVER]):
-                    time.sleep(0.05)
+        atexit.register(self._end)
+
+    def _end(self) -> None:
+        """Say that the first process ends, or wait for that."""
+        end = time.monotonic() + PATIENCE
+        with suppress(RuntimeError):  # the store is gone if torchrun is
+            if self.rank == 0:
+                self.store.set(OVER, "1")
+            while time.monotonic() < end and self.store.check([FAILURE]) and not self.store.check([OVER]):
+                time.sleep(0.05)
 
 
 @contextmanager
-def together(device: str, patience: float = PATIENCE) -> Iterator[Processes]:
+def together(device: str) -> Iterator[Processes]:
     """Join the group of torchrun's processes during the block. They leave it together.
 
     Args:
         device: "auto", "cpu" or "cuda"; `Processes.device` says which one this process has.
-        patience: seconds to wait for the others before it is an error.
 
     Raises:
         UserError: the group cannot be joined.
         Lost: another process failed; the text says why.
     """
-    group = Processes(device, patience)
+    group = Processes(device)
     try:
         yield group
         group.greatest(0)  # until the first process has saved: torchrun ends all once one has ended
@@ -160,14 +164,7 @@ def _sum_of_bits(value: Tensor) -> int:
 def _line(error: BaseException) -> str:
     """Return what an error says, as one line."""
     text = " ".join(str(error).split())
-    return text if isinstance(error, UserError) else f"{type(error).__name__}: {text[:200]}"
-
-
-def suppressed(function: Callable[..., object], *arguments: object) -> Callable[[], None]:
-    """Return a function that calls another one and ignores a RuntimeError."""
-
-    def call() -> None:
-        with suppress(RuntimeError):
-            function(*arguments)
-
-    return call
+    if isinstance(error, UserError):
+        return text
+    words = re.sub(r"^\[[^]]*] *", "", text).partition(". ")[0]  # gloo begins with the line of its code
+    return f"{type(error).__name__}: {words[:200]}"

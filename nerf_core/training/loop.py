@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -161,6 +162,9 @@ class _Session:
             finished = train_steps(self.trainer, lambda: self.goal.reached(self.trainer), self.stop, self._after)
             self._good.remember(self.trainer)
         except Exception as error:
+            if isinstance(error, Lost):  # raised between steps or before the weights changed
+                with suppress(Diverged):
+                    self._good.remember(self.trainer)
             self._save_last(asked=False)
             step = self._good.description["step"]
             if isinstance(error, Diverged):
