@@ -12,6 +12,7 @@ from nerf_core.commands import COMMANDS
 from nerf_core.common.command_line import parse
 from nerf_core.common.errors import UserError
 from nerf_core.common.output import complain, forgiving_output, unprinted
+from nerf_core.common.processes import is_first
 from nerf_core.common.signals import Interrupted, Signals
 from nerf_core.training.trainer import Diverged
 
@@ -23,7 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     2 also if what a command prints could not be written, unless the command has its work in files.
     """
-    with forgiving_output() as output, Signals() as signals:
+    with forgiving_output(silent=not is_first()) as output, Signals() as signals:
         try:
             arguments = sys.argv[1:] if arguments is None else arguments
             if arguments and not arguments[0].startswith("-"):

@@ -9,6 +9,7 @@ from pathlib import Path
 from nerf_core.common.console import Display
 from nerf_core.common.output import complain, say
 from nerf_core.common.signals import Signals
+from nerf_core.methods.group import ALONE, Group
 from nerf_core.rendering.export.jobs import Job
 from nerf_core.training.run_folder import RunFolder
 from nerf_core.training.trainer import Trainer
@@ -23,10 +24,13 @@ def loading() -> Iterator[Callable[[str, int, int], None]]:
         yield lambda words, done, total: display.show(done / total, f"{words}: {done:,} of {total:,}")
 
 
-def restored(run: RunFolder, data: Path | None, device: str) -> Trainer:
-    """The newest checkpoint of a run with its scene; notes about both are printed. Raises UserError."""
+def restored(run: RunFolder, data: Path | None, device: str, group: Group = ALONE) -> Trainer:
+    """The newest checkpoint of a run with its scene; notes about both are printed. Raises UserError.
+
+    group: the processes that will train it together.
+    """
     with loading() as progress:
-        trainer, notes = run.restore(data, device, progress)
+        trainer, notes = run.restore(data, device, progress, group)
     tell(notes)
     return trainer
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, ClassVar
 
@@ -15,16 +16,19 @@ from nerf_core.common.console import Display
 from nerf_core.common.device import describe, pick_device
 from nerf_core.common.errors import UserError
 from nerf_core.common.output import say
+from nerf_core.common.processes import started_together
 from nerf_core.common.signals import Signals
 from nerf_core.common.text import counted, duration
 from nerf_core.datasets import load_scene
 from nerf_core.kernels import choice as kernels
 from nerf_core.methods import nothing_to_train
+from nerf_core.methods.group import ALONE, Group
 from nerf_core.training.checkpoint import step_path
-from nerf_core.training.loop import Progress, train_run
+from nerf_core.training.loop import Progress, train_run, train_steps
 from nerf_core.training.options import TrainOptions, run_name
 from nerf_core.training.run_folder import RunFolder, must_agree
-from nerf_core.training.trainer import Trainer, choose_method
+from nerf_core.training.settings import RunSettings
+from nerf_core.training.trainer import Trainer, choose_method, must_be_distributed
 
 DATA_HELP = "Folder of the capture (or its .json file); none: the demo scene."
 
@@ -32,7 +36,8 @@ DATA_HELP = "Folder of the capture (or its .json file); none: the demo scene."
 @COMMANDS.register("train")
 @dataclass(frozen=True)
 class Train:
-    """Train a scene into a run folder. Ctrl-C or SIGTERM saves and ends; --resume then continues."""
+    """Train a scene into a run folder. Ctrl-C or SIGTERM saves and ends; --resume then continues. Under torchrun
+    several processes train it together."""
 
     order: ClassVar[int] = 0
 
@@ -50,24 +55,36 @@ class Train:
         settings = self.training.settings()
         if not self.save_every > 0:
             raise UserError(f"--save-every {self.save_every}: give a number above 0")
-        method, _ = choose_method(settings.method, pick_device(settings.device))
-        run = RunFolder(self.out or Path("runs") / run_name(self.data, method))
+        with _group(settings.device) as group:
+            return self._run(settings, group, signals)
+
+    def _run(self, settings: RunSettings, group: Group, signals: Signals) -> int:
+        device = group.device or settings.device
+        method, _ = choose_method(settings.method, pick_device(device))
+        run, first = RunFolder(self.out or Path("runs") / run_name(self.data, method)), group.rank == 0
         if self.resume:
             must_agree(settings, run)
+            method = run.config()[1].method
+        if group.size > 1:
+            must_be_distributed(method)  # before the photos are loaded
         began = time.monotonic()
-        with run.claimed():
+        with run.claimed() if first else nullcontext():
             if self.resume:
-                trainer = restored(run, self.data, settings.device)
-                tell(run.rewind(trainer.step_count))
+                trainer = restored(run, self.data, device, group)
+                trainer.compare()  # all have read the checkpoint before the folder changes
+                tell(run.rewind(trainer.step_count) if first else ())
                 say(f"continuing {run.path} at step {trainer.step_count:,}")
             else:
-                run.must_be_new()
+                if first:
+                    run.must_be_new()
                 with loading() as progress:
                     scene = load_scene(self.data, settings.load, progress)
                 tell(scene.notes)
-                trainer = Trainer(scene, settings)
+                trainer = Trainer(scene, replace(settings, device=device), group)
+                trainer.compare()
                 tell([note for note in (kernels.note(trainer.device),) if note])
-                run.begin(self.data, settings, trainer)
+                if first:
+                    run.begin(self.data, settings, trainer)
             return self._train(run, trainer, signals, time.monotonic() - began)
 
     def _train(self, run: RunFolder, trainer: Trainer, signals: Signals, loading: float) -> int:
@@ -84,7 +101,12 @@ class Train:
         say(
             f"training {trainer.method_name}{f' ({trainer.reason})' if trainer.reason else ''} on {trainer.scene.name} "
             f"({counted(views, 'photo')}), {describe(trainer.device)}"
+            f"{f', {trainer.group.size} processes' if trainer.group.size > 1 else ''}"
         )
+
+        def stop() -> bool:
+            return signals.received is not None
+
         with Display("training") as display:
 
             def show(p: Progress) -> None:
@@ -92,15 +114,24 @@ class Train:
                 text += f"; {trainer.method.stage}" if trainer.method.stage else ""
                 display.show(p.fraction, text, p.seconds_left)
 
-            finished = train_run(
-                run, trainer, goal, save_every=self.save_every, show=show, warn=warn,
-                stop=lambda: signals.received is not None,
-            )  # fmt: skip
+            if trainer.group.rank == 0:
+                finished = train_run(run, trainer, goal, save_every=self.save_every, show=show, warn=warn, stop=stop)
+            else:
+                finished = train_steps(trainer, lambda: False, stop)
         ending = "finished" if finished else "stopped"
         saved = step_path(run.path, trainer.step_count)
         where = f"; saved {saved}" if saved.exists() else ""  # else a warning said where it is
         say(f"{ending}: {_summary(trainer)}; loading took {duration(loading)}{where}")
-        return 0 if finished else 128 + (signals.received or 0)
+        return 0 if finished else 128 + trainer.group.greatest(signals.received or 0)
+
+
+def _group(device: str) -> AbstractContextManager[Group]:
+    """The processes that torchrun started; without torchrun this one alone."""
+    if not started_together():
+        return nullcontext(ALONE)
+    from nerf_core.training.distributed import together
+
+    return together(device)
 
 
 def _summary(trainer: Trainer) -> str:

@@ -74,10 +74,14 @@ def complain(text: str) -> None:
 
 
 @contextmanager
-def forgiving_output() -> Iterator[Forgiving]:
-    """Make `sys.stdout` and `sys.stderr` forgiving during the block. Yields the former."""
+def forgiving_output(silent: bool = False) -> Iterator[Forgiving]:
+    """Make `sys.stdout` and `sys.stderr` forgiving during the block. Yields the former.
+
+    silent: print nothing.
+    """
     before = sys.stdout, sys.stderr
-    out, err = (Forgiving(stream or open(os.devnull, "w")) for stream in before)  # noqa: SIM115  None: no console
+    streams = (None, None) if silent else before
+    out, err = (Forgiving(stream or open(os.devnull, "w")) for stream in streams)  # noqa: SIM115  None: no console
     sys.stdout, sys.stderr = cast(TextIO, out), cast(TextIO, err)
     try:
         yield out

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self, run
 from nerf_core.common.errors import UserError
 from nerf_core.common.registry import Registry
 from nerf_core.geometry.scene import Scene
+from nerf_core.methods.group import ALONE, Group
 from nerf_core.methods.stages import Stage
 
 if TYPE_CHECKING:
@@ -255,14 +256,32 @@ class Method(Renderable, Trainable, Protocol):
         ...
 
 
+@runtime_checkable
+class Distributed(Protocol):
+    """A method whose training steps several processes can share.
+
+    `draw` then asks for the rays of the whole group. `train` gets those of `group.part` and draws random numbers for
+    all. It calls `group.add` on the gradients before the optimiser's step, and on every number that decides a later
+    step. It returns the error of the whole batch.
+
+    distributed: True. A model that others inherit from leaves it to each registered method.
+    group: the processes; the trainer sets it before the first step.
+    """
+
+    distributed: ClassVar[bool]
+    group: Group
+
+
 class Defaults:
-    """Defaults that a method may inherit: no coarse picture, no remark on progress, nothing to undo."""
+    """Defaults that a method may inherit: no coarse picture, no remark on progress, nothing to undo, one process."""
 
     coarse: ClassVar[str] = ""
     alone: ClassVar[bool] = True
     stage, born = "", 0
     presets: ClassVar[tuple[str, ...]] = ()
     generators: tuple[torch.Generator, ...] = ()
+    distributed: ClassVar[bool] = False
+    group: Group = ALONE
 
     def undo(self, step: int) -> Callable[[], None]:
         return lambda: None

@@ -61,11 +61,12 @@ class PixelSampler:
         self.generator = torch.Generator().manual_seed(seed)
         self._photos: dict[int, _Level] = {}
 
-    def draw(self, wanted: Draw) -> tuple[Rays, Tensor]:
+    def draw(self, wanted: Draw, part: range | None = None) -> tuple[Rays, Tensor]:
         """Draw the pixels of one training step.
 
         Args:
             wanted: how many, and from which part of the photos.
+            part: return only these of them; the generator moves on as for all. None: all.
 
         Returns:
             R rays, and the photos' colours (R, 3) float32 in [0, 1], sRGB-encoded.
@@ -75,11 +76,13 @@ class PixelSampler:
             index = self._integers(len(photos.sizes), 1).expand(count)
         else:
             index = torch.searchsorted(photos.offsets, self._integers(int(photos.offsets[-1]), count), right=True) - 1
+        where = torch.rand(count, 2, generator=self.generator, dtype=torch.float64)
+        if part is not None:
+            index, where = index[part.start : part.stop], where[part.start : part.stop]
         size = photos.sizes[index]
         window = size
         if wanted.crop < 1:
             window = (size * wanted.crop).long().clamp(min=1)
-        where = torch.rand(count, 2, generator=self.generator, dtype=torch.float64)
         # the minimum, because a product of a float below 1 and an integer can round up to the integer
         pixel = (size - window) // 2 + torch.minimum((where * window).long(), window - 1)
         colors = photo_colors(index, pixel, photos.sizes[:, 0], photos.starts, photos.pixels)

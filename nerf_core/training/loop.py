@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,17 +14,20 @@ import torch
 
 from nerf_core.common import device
 from nerf_core.common.errors import UserError
+from nerf_core.methods.group import Lost
 from nerf_core.training import checkpoint
 from nerf_core.training.autosaves import left_off, spare_files
 from nerf_core.training.checkpoint import step_path
 from nerf_core.training.last_good import LastGood
 from nerf_core.training.last_save import save_somewhere, telling
 from nerf_core.training.run_folder import RunFolder
-from nerf_core.training.trainer import Diverged, Report, Trainer, psnr_of
+from nerf_core.training.trainer import Diverged, Report, Trainer, nothing, psnr_of
 
 LOG_SECONDS = 1.0  # between two lines of the log
 SHOW_SECONDS = 0.1  # between two calls of `show`
 MEMORY = 0.98  # decay of the EMA of what is shown, per step: it averages some 50 steps
+COMPARE_EVERY = 100  # steps between comparisons of the weights that the processes of a group have
+GO_ON, STOP, END = range(3)  # what a process wants before a step; the greatest wish of a group is done
 
 
 @dataclass(frozen=True)
@@ -101,6 +105,41 @@ def train_run(
     return _Session(run, trainer, goal, save_every, stop, show, warn).run()
 
 
+def train_steps(
+    trainer: Trainer,
+    reached: Callable[[], bool],
+    stop: Callable[[], bool],
+    after: Callable[[Report], None] = lambda report: None,
+) -> bool:
+    """Make steps until the first process has reached the goal or any process of the group is stopped.
+
+    Args:
+        trainer: what to train.
+        reached: whether the goal is reached, asked between steps.
+        stop: asked between gradient chunks, of several processes only between steps, where they agree on it.
+        after: called after each step.
+
+    Returns:
+        True if the goal was reached, False if training was stopped.
+    """
+    group = trainer.group
+
+    def between_chunks() -> None:
+        if stop():
+            raise _StoppedError
+
+    try:
+        while True:
+            wish = group.greatest(END if reached() else STOP if stop() else GO_ON)
+            if wish != GO_ON:
+                return wish == END
+            after(trainer.step(between_chunks if group.size == 1 else nothing))
+            if trainer.step_count % COMPARE_EVERY == 0:
+                trainer.compare()
+    except _StoppedError:
+        return False
+
+
 @dataclass
 class _Session:
     folder: RunFolder
@@ -120,13 +159,18 @@ class _Session:
 
     def run(self) -> bool:
         try:
-            finished = self._train()
+            finished = train_steps(self.trainer, lambda: self.goal.reached(self.trainer), self.stop, self._after)
             self._good.remember(self.trainer)
         except Exception as error:
+            if isinstance(error, Lost):  # raised between steps or before the weights changed
+                with suppress(Diverged):
+                    self._good.remember(self.trainer)
             self._save_last(asked=False)
             step = self._good.description["step"]
             if isinstance(error, Diverged):
                 raise Diverged(f"{error}; went back to step {step:,} and saved it") from None
+            if isinstance(error, Lost):
+                raise Lost(f"{error}; step {step:,} is saved") from None
             if isinstance(error, torch.OutOfMemoryError):
                 raise UserError(
                     f"out of memory on {device.describe(self.trainer.device)}; step {step:,} is saved: "
@@ -136,20 +180,6 @@ class _Session:
         self._log()
         self._save_last(asked=not finished)
         return finished
-
-    def _train(self) -> bool:
-        """Train until the goal is reached. Returns False if training was stopped before."""
-        try:
-            while not self.goal.reached(self.trainer):
-                self._between_chunks()
-                self._after(self.trainer.step(self._between_chunks))
-        except _StoppedError:
-            return False
-        return True
-
-    def _between_chunks(self) -> None:
-        if self.stop():
-            raise _StoppedError
 
     def _after(self, report: Report) -> None:
         self._meter.add(report)

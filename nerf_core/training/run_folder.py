@@ -20,6 +20,7 @@ from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.files import clear_leftovers, locked_file, write_atomically
 from nerf_core.common.json_files import Fields, read_json
 from nerf_core.datasets import LoadOptions, load_scene
+from nerf_core.methods.group import ALONE, Group
 from nerf_core.training import checkpoint
 from nerf_core.training.settings import RunSettings, filled
 from nerf_core.training.trainer import Trainer
@@ -173,14 +174,16 @@ class RunFolder:
         return data, filled(RunSettings, Fields(given, self.config_file, "settings."))
 
     def restore(
-        self, data: Path | None = None, on: str = "auto", progress: Callable[[str, int, int], None] | None = None
-    ) -> tuple[Trainer, tuple[str, ...]]:
+        self, data: Path | None = None, on: str = "auto", progress: Callable[[str, int, int], None] | None = None,
+        group: Group = ALONE,
+    ) -> tuple[Trainer, tuple[str, ...]]:  # fmt: skip
         """Load the newest intact checkpoint with its scene.
 
         Args:
             data: where the dataset is now, if it has moved; None: where config.json says.
             on: the device, such as "cpu"; "auto" picks one.
             progress: called as (what is done, photos done, photos in all) while photos load; it may raise to cancel.
+            group: the processes that will train it together.
 
         Returns:
             The trainer, which has the scene, and warnings for the user, a line each.
@@ -196,7 +199,7 @@ class RunFolder:
             raise UserError(f"{path}: {scene.difference(description)}")
         device.pick_device(on)  # a wrong one is no fault of the checkpoint
         with checkpoint.named(path):
-            trainer = Trainer.resume(scene, description, state, on)
+            trainer = Trainer.resume(scene, description, state, on, group)
         return trainer, (*rejected, *scene.notes, *trainer.notes(description))
 
     def rewind(self, step: int) -> tuple[str, ...]:

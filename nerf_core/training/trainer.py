@@ -16,7 +16,8 @@ from nerf_core.common.configs import constants
 from nerf_core.common.device import pick_device, usable_cores
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.geometry.scene import IDENTITY, Scene
-from nerf_core.methods import METHODS, Config, Method
+from nerf_core.methods import METHODS, Config, Distributed, Method
+from nerf_core.methods.group import ALONE, Group
 from nerf_core.training.batches import PixelSampler
 from nerf_core.training.loss_history import HistoryLog
 from nerf_core.training.settings import RunSettings
@@ -33,7 +34,7 @@ class Report:
     step: the number of steps done, with this one.
     loss: the mean squared error of the batch.
     psnr: −10 log₁₀ of the loss, in dB.
-    rays: the number of rays in the batch.
+    rays: the number of rays in the batch, of all processes together.
     seconds: the duration of the step, without the yield callback.
     note: a message for the user; mostly empty.
     """
@@ -61,6 +62,7 @@ class Trainer:
     method_name: its name in `METHODS`.
     device: where the method really runs.
     reason: why "auto" chose this method; empty if the method was named.
+    group: the processes that train the model together.
     steps: the length of the schedule as it was asked for; 0: the method's own.
     total_steps: the length of the schedule; 0: the method has nothing to train, whatever `steps` says.
     step_count: the number of steps done.
@@ -68,27 +70,29 @@ class Trainer:
     history: the loss so far.
     """
 
-    def __init__(self, scene: Scene, settings: RunSettings) -> None:
+    def __init__(self, scene: Scene, settings: RunSettings, group: Group = ALONE) -> None:
         """Make a new model of a scene. This also sets torch's number of threads, for the whole process.
 
         Args:
             scene: the scene.
             settings: method, preset, changes of constants, steps, seed, device and threads. `settings.load` is not
                 used.
+            group: the processes that train the model together.
 
         Raises:
-            UserError: the device, the method, the preset or a constant does not exist, a constant's value is wrong, or
-                the scene has no training photos.
+            UserError: the device, the method, the preset or a constant does not exist, a constant's value is wrong, the
+                scene has no training photos, or the method trains in one process.
         """
-        self.device = pick_device(settings.device)
+        self.device, self.group = pick_device(settings.device), group
         name, self.reason = choose_method(settings.method, self.device)
         config = METHODS.get(name).configure(scene, settings.preset, settings.changes, self.device)
-        self._build(scene, name, config, settings.steps, settings.seed, settings.threads or usable_cores())
+        self._build(scene, name, config, settings.steps, settings.seed, settings.threads or self._cores())
 
     @classmethod
     def resume(
-        cls, scene: Scene, description: Mapping[str, Any], state: Mapping[str, Tensor], device: str = "auto"
-    ) -> Trainer:
+        cls, scene: Scene, description: Mapping[str, Any], state: Mapping[str, Tensor], device: str = "auto",
+        group: Group = ALONE,
+    ) -> Trainer:  # fmt: skip
         """Rebuild the trainer of a checkpoint.
 
         Args:
@@ -96,15 +100,17 @@ class Trainer:
             description: that of `describe()`.
             state: that of `state()`.
             device: "cpu", "cuda" or "cuda:N"; "auto" picks one. It may differ from the device before.
+            group: the processes that go on together. They may be more or fewer than before.
 
         Raises:
-            UserError: the checkpoint does not fit this version, or the device does not exist.
+            UserError: the checkpoint does not fit this version, the device does not exist, or the method trains in one
+                process.
         """
         trainer = cls.__new__(cls)
-        trainer.device, trainer.reason = pick_device(device), ""
+        trainer.device, trainer.reason, trainer.group = pick_device(device), "", group
         config = METHODS.get(description["method"]).restore(description["config"])
         # A larger machine's checkpoint may ask for more threads than there are cores; they would slow each other down.
-        threads = min(description["threads"], usable_cores())
+        threads = min(description["threads"], trainer._cores())
         trainer._build(scene, description["method"], config, description["steps"], description["seed"], threads)
         try:
             trainer.go_to(description, state)
@@ -120,9 +126,13 @@ class Trainer:
     def restarted(self) -> Trainer:
         """Return a new trainer of the same run, at step 0."""
         trainer = Trainer.__new__(Trainer)
-        trainer.device, trainer.reason = self.device, self.reason
+        trainer.device, trainer.reason, trainer.group = self.device, self.reason, self.group
         trainer._build(self.scene, self.method_name, self.config, self.steps, self.seed, self.threads)
         return trainer
+
+    def _cores(self) -> int:
+        """The cores that this process may use, if the group's processes on this machine share them."""
+        return max(1, usable_cores() // self.group.local)
 
     def _build(self, scene: Scene, name: str, config: Config, steps: int, seed: int, threads: int) -> None:
         torch.set_num_threads(max(threads, 1))  # some methods use the CPU on any device
@@ -130,6 +140,10 @@ class Trainer:
         self.steps, self.seed, self.threads = steps, seed, max(threads, 1)
         self.total_steps: int = config.total_steps and (steps or config.total_steps)
         self.method: Method = METHODS.get(name)(scene, config, self.device, seed)
+        if self.group.size > 1:
+            must_be_distributed(name)
+            assert isinstance(self.method, Distributed)
+            self.method.group = self.group
         self.device = self.method.device
         self.batches = PixelSampler(scene, config.train_images, self.device, seed)
         self.history = HistoryLog()
@@ -152,11 +166,12 @@ class Trainer:
         """Do one optimiser step.
 
         If device memory runs out, the step is tried again with chunks of half the size, as often as they can be halved.
+        Several processes do not try again, because the others have not run out of theirs.
 
         Args:
             yield_callback: called between gradient chunks. Its time does not count as training. If it raises, the step
                 is abandoned and the state is what it was before. Only the notes on which cells were seen remain; the
-                same step takes them again later.
+                same step takes them again later. Several processes end together between steps: there it must not raise.
 
         Returns:
             Loss, PSNR and duration of the step.
@@ -177,11 +192,13 @@ class Trainer:
         while True:
             try:
                 with self.transaction():
-                    rays, truth = self.batches.draw(self.method.draw(self.step_count))
+                    wanted = self.method.draw(self.step_count)
+                    rays, truth = self.batches.draw(wanted, self.group.part(wanted.rays))
                     loss = self.method.train(rays, truth, self.step_count, self.steps or None, timed_yield)
                 break
             except torch.OutOfMemoryError:
-                if yielded or not self.method.halve():  # smaller chunks do not help the callback
+                # smaller chunks do not help the callback, and must be the same in all processes
+                if yielded or self.group.size > 1 or not self.method.halve():
                     raise
             torch.cuda.empty_cache()  # not in the handler, where the traceback keeps the tensors alive
         seconds = time.perf_counter() - start - waited
@@ -193,7 +210,7 @@ class Trainer:
         note = ""
         if self.config != config:
             note = f"out of device memory at step {self.step_count:,}: going on in chunks of half the size"
-        return Report(self.step_count, loss, psnr_of(loss), len(rays), seconds, note)
+        return Report(self.step_count, loss, psnr_of(loss), wanted.rays, seconds, note)
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
@@ -208,6 +225,12 @@ class Trainer:
                 generator.set_state(state)
             undo()
             raise
+
+    def compare(self) -> None:
+        """Raise UserError if the processes of the group do not all have the same run in the same state."""
+        if self.group.size > 1:
+            own = "threads", "seconds"  # they may differ: machines have different cores, and clocks of their own
+            self.group.compare({k: v for k, v in self.describe().items() if k not in own}, self.state())
 
     def frozen_method(self) -> Method:
         """Return a copy of the model for pictures. Further training does not change it."""
@@ -224,6 +247,7 @@ class Trainer:
             "steps": self.steps,
             "seed": self.seed,
             "threads": self.threads,
+            "processes": self.group.size,
             "step": self.step_count,
             "seconds": self.seconds,
             "scene": self.scene.identity(),
@@ -246,6 +270,12 @@ class Trainer:
                 f"begun on {description['threads']} threads, continued on the {self.threads} there are here: "
                 "its weights will differ in rounding from an uninterrupted run's"
             )
+        begun = description.get("processes", 1)  # checkpoints of earlier versions do not say
+        if begun != self.group.size:
+            notes.append(
+                f"begun with {begun}, continued with {self.group.size} processes: a step has the rays of all of them, "
+                "so its weights will differ from an uninterrupted run's"
+            )
         return tuple(filter(None, notes))
 
     def go_to(self, description: Mapping[str, Any], state: Mapping[str, Tensor]) -> None:
@@ -266,6 +296,13 @@ class Trainer:
         self.batches.load_state(parts["batches."])
         self.history.load_state({k: v.cpu().numpy() for k, v in parts["history."].items()}, description["step"])
         self.step_count, self.seconds = description["step"], description["seconds"]
+
+
+def must_be_distributed(name: str) -> None:
+    """Raise UserError if several processes cannot train the method called `name` together."""
+    if not getattr(METHODS.get(name), "distributed", False):
+        able = [one for one in METHODS.names() if getattr(METHODS.get(one), "distributed", False)]
+        raise UserError(f"method {name} trains in one process: torchrun works with {' and '.join(able)}")
 
 
 def choose_method(asked: str, device: torch.device) -> tuple[str, str]:

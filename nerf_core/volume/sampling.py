@@ -32,13 +32,21 @@ def stratified(t: Float[Tensor, "R S"], generator: torch.Generator) -> Float[Ten
     """Move each depth to a uniformly random place between the midpoints to its neighbours.
 
     t: depths (R, S), ascending. generator: the source of the random numbers. Returns (R, S), ascending.
+    """
+    return within_bins(t, torch.rand(t.shape, generator=generator, device=t.device, dtype=t.dtype))
+
+
+def within_bins(t: Float[Tensor, "R S"], u: Float[Tensor, "R S"]) -> Float[Tensor, "R S"]:
+    """Move each depth to the place u in its bin: 0 … 1 between the midpoints to its neighbours.
+
+    t: depths (R, S), ascending. u: (R, S) in [0, 1). Returns (R, S), ascending.
     This is the official code's form of NeRF Eq. 2. The equation's bins are equal; here the first and the last are half
     as wide.
     """
     middle = (t[:, 1:] + t[:, :-1]) / 2
     lower = torch.cat([t[:, :1], middle], 1)
     upper = torch.cat([middle, t[:, -1:]], 1)
-    return lower + (upper - lower) * torch.rand(t.shape, generator=generator, device=t.device, dtype=t.dtype)
+    return lower + (upper - lower) * u
 
 
 def cumulative(weights: Float[Tensor, "R bins"]) -> Float[Tensor, "R edges"]:
@@ -57,11 +65,22 @@ def inverse_transform(
     count: draws a ray. generator: the source of the random numbers; None: evenly spaced quantiles 0 … 1.
     Returns (R, count): unsorted with a generator, ascending without one.
     """
-    cdf = cumulative(weights)
+    rays, like = len(weights), {"device": weights.device, "dtype": weights.dtype}
     if generator is None:
-        u = torch.linspace(0, 1, count, device=cdf.device, dtype=cdf.dtype).expand(len(cdf), count).contiguous()
+        u = torch.linspace(0, 1, count, **like).expand(rays, count).contiguous()
     else:
-        u = torch.rand(len(cdf), count, generator=generator, device=cdf.device, dtype=cdf.dtype)
+        u = torch.rand(rays, count, generator=generator, **like)
+    return quantiles(edges, weights, u)
+
+
+def quantiles(
+    edges: Float[Tensor, "R edges"], weights: Float[Tensor, "R bins"], u: Float[Tensor, "R count"]
+) -> Float[Tensor, "R count"]:
+    """Return the depths at which the CDF of a distribution that is constant within bins is u.
+
+    edges, weights: as for `inverse_transform`. u: (R, count) in [0, 1]. Returns (R, count) in the order of u.
+    """
+    cdf = cumulative(weights)
     # cdf[-1] can round to just under 1: the bin's index is limited to the last bin.
     bins = (torch.searchsorted(cdf, u, right=True) - 1).clamp(0, weights.shape[-1] - 1)
     low, high = cdf.gather(-1, bins), cdf.gather(-1, bins + 1)

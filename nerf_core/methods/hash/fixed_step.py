@@ -30,15 +30,18 @@ class FixedStep:
     length: the length of a sample in box coordinates; it turns density into optical depth.
     into: the tensor that receives the table's gradient.
     update: makes the optimisers' steps after the gradients; it is recorded too.
+    batch: the rays over which the error is averaged; 0: these rays alone.
     """
 
     def __init__(
         self, field: HashField, kernels: PackedKernels, cells: Cells, rays: int, capacity: int, step: float,
         length: float, background: Tensor, into: Tensor, update: Callable[[], None],
+        batch: int = 0,
     ) -> None:  # fmt: skip
         self.field, self.kernels, self.capacity, self.step, self.length = field, kernels, capacity, step, length
         self.background, self.into, self.update = background, into, update
         self.cells = replace(cells, occupied=cells.occupied.clone(), leap=cells.leap.clone())
+        self.scale = 2 / (3 * (batch or rays))
         device = background.device
         one, three = torch.zeros(rays, device=device), torch.zeros(rays, 3, device=device)
         self.rays = BoxRays(three, three.clone(), three.clone(), one, one.clone())
@@ -85,8 +88,7 @@ class FixedStep:
         tau = softened(raw) * self.length * (place < total)
         known = tau.detach(), rgb.detach(), samples, self.background
         off = torch.where(whole[:, None], self.kernels.composite(*known)[:, :3] - self.truth, 0)
-        scale = 2 / self.truth.numel()
-        torch.autograd.backward([tau, rgb], self.kernels.composite_gradient(off * scale, *known))
+        torch.autograd.backward([tau, rgb], self.kernels.composite_gradient(off * self.scale, *known))
         assert features.grad is not None
         self.kernels.encode_gradient(features.grad, self.field.levels, samples.x, self.into)
         self.update()

@@ -18,6 +18,7 @@ class Hash(HashModel):
 
     summary: ClassVar[str] = "Instant-ngp (2022): a hash grid and two small MLPs; made for a GPU."
 
+    distributed: ClassVar[bool] = True
     constants: ClassVar[type[HashConfig]] = HashConfig
     configure = staticmethod(HashConfig.configure)
     restore = staticmethod(HashConfig.restore)

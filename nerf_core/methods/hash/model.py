@@ -94,10 +94,11 @@ class HashModel(Defaults):
         return clear
 
     def draw(self, step: int) -> Draw:
-        count = int(min(max(self.config.samples / self.samples_per_ray, 64), self.config.most_rays))
-        if self.kernels.fixed_shapes:  # one of a few numbers, because each needs its own recording
-            now = len(self.fixed.rays) if self.fixed is not None else 0
-            count = now if 0.4 * count <= now <= 1.1 * count else 2 ** int(math.log2(count))
+        size = self.group.size
+        count = int(min(max(size * self.config.samples / self.samples_per_ray, 64), size * self.config.most_rays))
+        if self.kernels.fixed_shapes:  # one of a few numbers a process, because each needs its own recording
+            own, now = max(count // size, 1), len(self.fixed.rays) if self.fixed is not None else 0
+            count = size * (now if 0.4 * own <= now <= 1.1 * own else 2 ** int(math.log2(own)))
         return Draw(count)
 
     def train(
@@ -110,39 +111,55 @@ class HashModel(Defaults):
         for group in self.optimizer.param_groups:  # loading a state replaces the tensor
             group["lr"] = self.rate
         self.optimizer.zero_grad(set_to_none=False)
-        offsets = torch.rand(len(rays), generator=self.generator).to(self.device)
+        batch = len(rays) if self.group.size == 1 else self.draw(step).rays
+        own = self.group.part(batch)
+        offsets = torch.rand(batch, generator=self.generator)[own.start : own.stop].to(self.device)
         if self.kernels.fixed_shapes:
-            error, found = self._fixed(len(rays))(self.occupancy.cells, self.space.rays(rays), offsets, truth)
+            fixed = self._fixed(len(rays), batch)
+            error, found = fixed(self.occupancy.cells, self.space.rays(rays), offsets, truth)
         else:
-            error, found = self._pieces(rays, offsets, truth, yield_callback)
+            error, found = self._pieces(rays, offsets, truth, 2 / (3 * batch), yield_callback)
+        if self.group.size > 1:
+            error, found = self._added(error, found)
+        if self.group.size > 1 or not self.kernels.fixed_shapes:
             self._update()
         self.updates += 1
         if self.updates % AVERAGE_EVERY == 0:
             self._update_ema(self.updates // AVERAGE_EVERY)
-        self.samples_per_ray = max(1.0, 0.9 * self.samples_per_ray + 0.1 * found / len(rays))
+        self.samples_per_ray = max(1.0, 0.9 * self.samples_per_ray + 0.1 * found / batch)
         if self.updates % self.config.update_every == 0:
             self._update_occupancy()
-        return error / truth.numel()
+        return error / (3 * batch)
+
+    def _added(self, error: float, found: int) -> tuple[float, int]:
+        """Add up the gradients of all processes, and return the sums of their errors and numbers of samples."""
+        numbers = torch.tensor([error, found], dtype=torch.float64)
+        self.group.add([numbers])
+        self.group.add([self.table_gradient])
+        self.group.add([p.grad for p in self.field.networks() if p.grad is not None])
+        return float(numbers[0]), int(numbers[1])
 
     def _pieces(
-        self, rays: Rays, offsets: Tensor, truth: Tensor, yield_callback: Callable[[], None]
+        self, rays: Rays, offsets: Tensor, truth: Tensor, scale: float, yield_callback: Callable[[], None]
     ) -> tuple[float, int]:
         """Compute the gradient of all rays in pieces. Returns the summed squared error and the number of samples."""
         error, found = 0.0, 0
         piece = max(1, int((PIECE if self.device.type == "cpu" else self.config.samples) / self.samples_per_ray))
         for start in range(0, len(rays), piece):
             part = slice(start, start + piece)
-            one, samples = self._accumulate(rays[part], offsets[part], truth[part], 2 / truth.numel())
+            one, samples = self._accumulate(rays[part], offsets[part], truth[part], scale)
             error, found = error + one, found + samples
             yield_callback()
         return error, found
 
-    def _fixed(self, rays: int) -> FixedStep:
+    def _fixed(self, rays: int, batch: int) -> FixedStep:
         if self.fixed is None or len(self.fixed.rays) != rays:
             self.fixed = None  # frees its memory first
+            # several processes add up their gradients before the update, which is then no part of the recording
+            update = self._update if self.group.size == 1 else lambda: None
             self.fixed = FixedStep(
                 self.field, self.kernels, self.occupancy.cells, rays, int(FIRST_CAPACITY * self.config.samples),
-                self.step_cells, self.length, self.background, self.table_gradient, self._update,
+                self.step_cells, self.length, self.background, self.table_gradient, update, batch,
             )  # fmt: skip
         return self.fixed
 
@@ -169,7 +186,7 @@ class HashModel(Defaults):
         try:
             self.occupancy.update(self._tau, whole, self.generator)
         except torch.OutOfMemoryError:
-            if not self.halve():
+            if self.group.size > 1 or not self.halve():  # the constants must stay the same in all processes
                 raise
 
     def _accumulate(self, rays: Rays, offsets: Tensor, truth: Tensor, scale: float) -> tuple[float, int]:

@@ -19,7 +19,7 @@ def explain(model: NerfModel, rays: Rays) -> tuple[Stage, ...]:
     """Return the stages: samples, encoding, coarse network and compositing; resampling and the fine network."""
     passes = model.trace(rays).passes
     p, world = model.parametrise(rays.to(model.device)), partial(_world_t, model, rays.to(model.device))
-    u = model.coarse_u(p, random=False)
+    u = model.coarse_u(p)
     edges = torch.cat([u[:, :1], (u[:, 1:] + u[:, :-1]) / 2, u[:, -1:]], 1)
     spacing = "1/t" if model.disparity and model.ndc is None else "t" if model.ndc is None else "disparity (NDC)"
     stages = [

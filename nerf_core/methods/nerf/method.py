@@ -20,6 +20,7 @@ class Nerf(NerfModel):
         "The paper's NeRF (2020): two MLPs, every sample through a network; slow, and the reference."
     )
 
+    distributed: ClassVar[bool] = True
     constants: ClassVar[type[NerfConfig]] = NerfConfig
     presets: ClassVar[tuple[str, ...]] = tuple(PRESETS)
     configure = staticmethod(NerfConfig.configure)

@@ -17,7 +17,7 @@ from nerf_core.methods import Draw
 from nerf_core.methods.mlp.model import MlpModel, Parametrised
 from nerf_core.methods.nerf.config import NerfConfig
 from nerf_core.volume.compositing import absorb, composite, expected_depth
-from nerf_core.volume.sampling import inverse_transform, spaced, stratified
+from nerf_core.volume.sampling import inverse_transform, quantiles, spaced, within_bins
 
 # Samples of density 0 have no gradient, because of the ReLU; the others are called alive. If less than this share f is
 # alive, it is cheaper to evaluate all samples without a graph and the living ones again with one than to make one dense
@@ -40,6 +40,21 @@ class _Pass(NamedTuple):
     transmittance: Tensor
     weights: Tensor
     rgb: Tensor
+
+
+class _Random(NamedTuple):
+    """The random numbers of R rays in training. They do not depend on the networks, so they are drawn beforehand.
+
+    strata: (R, N_c) uniform, places in the coarse bins. levels: (R, N_f) uniform, levels of the CDF.
+    noise: normal numbers for the density of every sample, by network; empty if the density has no noise.
+    """
+
+    strata: Tensor
+    levels: Tensor
+    noise: dict[str, Tensor]
+
+    def of(self, rays: slice) -> _Random:
+        return _Random(self.strata[rays], self.levels[rays], {name: v[rays] for name, v in self.noise.items()})
 
 
 class NerfModel(MlpModel):
@@ -67,17 +82,32 @@ class NerfModel(MlpModel):
 
     # ---- sampling -------------------------------------------------------------------------------------------------
 
-    def coarse_u(self, p: Parametrised, random: bool) -> Tensor:
-        """Return the parameters u (R, N_c) of the coarse samples: evenly spaced, or each at random in its bin."""
-        u = spaced(p.near, p.far, self.config.coarse_samples, self.disparity and self.ndc is None, self.near)
-        return stratified(u, self.generator) if random else u
+    def _random(self, rays: int) -> _Random:
+        """Draw the numbers of so many rays, in the order in which the networks take them."""
+        c, like = self.config, {"generator": self.generator, "device": self.device}
+        strata, noise = torch.rand(rays, c.coarse_samples, **like), dict[str, Tensor]()
+        levels = strata[:, :0]
+        for name in self.networks:
+            if name == "fine":
+                levels = torch.rand(rays, c.fine_samples, **like)
+            if c.density_noise > 0:
+                noise[name] = torch.randn(rays, self._samples(name), **like)
+        return _Random(strata, levels, noise)
 
-    def _fine_u(self, coarse_u: Tensor, weights: Tensor, random: bool) -> Tensor:
-        """Merge and sort the coarse depths and N_f draws from their weights (without the end bins, as in the code)."""
-        middle = (coarse_u[:, 1:] + coarse_u[:, :-1]) / 2
-        draws = inverse_transform(
-            middle, weights[:, 1:-1], self.config.fine_samples, self.generator if random else None
-        )
+    def coarse_u(self, p: Parametrised) -> Tensor:
+        """Return the parameters u (R, N_c) of the coarse samples, evenly spaced."""
+        return spaced(p.near, p.far, self.config.coarse_samples, self.disparity and self.ndc is None, self.near)
+
+    def _fine_u(self, coarse_u: Tensor, weights: Tensor, levels: Tensor | None = None) -> Tensor:
+        """Merge and sort the coarse depths and N_f draws from their weights (without the end bins, as in the code).
+
+        levels: (R, N_f) of the CDF, random ones; None: evenly spaced ones.
+        """
+        middle, inner = (coarse_u[:, 1:] + coarse_u[:, :-1]) / 2, weights[:, 1:-1]
+        if levels is None:
+            draws = inverse_transform(middle, inner, self.config.fine_samples, None)
+        else:
+            draws = quantiles(middle, inner, levels)
         return torch.cat([coarse_u, draws], -1).sort(-1).values
 
     # ---- evaluating -----------------------------------------------------------------------------------------------
@@ -92,15 +122,15 @@ class NerfModel(MlpModel):
             x, d = x[index], p.encoded[torch.div(index, samples, rounding_mode="floor")]
         return self.networks[name](x, d)
 
-    def _composite(self, name: str, p: Parametrised, u: Tensor, raw: Tensor, rgb: Tensor, noise: bool) -> _Pass:
+    def _composite(
+        self, name: str, p: Parametrised, u: Tensor, raw: Tensor, rgb: Tensor, noise: Tensor | None = None
+    ) -> _Pass:
         steps = u[:, 1:] - u[:, :-1]
         last = torch.full_like(u[:, :1], self.config.last_delta)
         delta = torch.cat([steps, last], -1) * p.length[:, None]
         raw = raw.view(u.shape)
-        if noise and self.config.density_noise > 0:
-            raw = raw + self.config.density_noise * torch.randn(
-                u.shape, generator=self.generator, device=u.device, dtype=u.dtype
-            )
+        if noise is not None:
+            raw = raw + self.config.density_noise * noise
         sigma = torch.relu(raw) * p.exists[:, None]
         return _Pass(name, u, delta, sigma, *absorb(sigma, delta), rgb.view(*u.shape, 3))
 
@@ -108,48 +138,60 @@ class NerfModel(MlpModel):
 
     def draw(self, step: int) -> Draw:
         c = self.config
-        return Draw(c.rays, c.one_image, c.precrop if step < c.precrop_steps else 1.0)
+        return Draw(c.rays * self.group.size, c.one_image, c.precrop if step < c.precrop_steps else 1.0)
 
     def train(
         self, rays: Rays, truth: Tensor, step: int, steps: int | None, yield_callback: Callable[[], None]
     ) -> float:
         """Make one step: MSE of the coarse colour plus MSE of the fine colour, Adam with an exponential decay."""
         self.begin_step(step, steps)
-        scale = 1 / truth.numel()
-        error, alive = self._gradients(rays, truth, scale, yield_callback)
+        batch = len(rays) if self.group.size == 1 else self.draw(step).rays
+        scale = 1 / (3 * batch)
+        error, alive = self._gradients(rays, truth, batch, scale, yield_callback)
+        self.group.add([error, *(p.grad for p in self.parameters() if p.grad is not None)])
+        self.group.add([alive])
         self.optimizer.step()
-        for name, living in alive.items():
-            self._alive[name] = living / (len(rays) * self._samples(name))
+        for name, living in zip(self.networks, alive.tolist(), strict=True):
+            self._alive[name] = living / (batch * self._samples(name))
         return float(error * scale)
 
     def _gradients(
-        self, rays: Rays, truth: Tensor, scale: float, yield_callback: Callable[[], None]
-    ) -> tuple[Tensor, dict[str, int]]:
-        """Add up the gradient over all chunks. Returns the summed squared error and the number of living samples."""
+        self, rays: Rays, truth: Tensor, batch: int, scale: float, yield_callback: Callable[[], None]
+    ) -> tuple[Tensor, Tensor]:
+        """Add up the gradient over all chunks of a batch of which `rays` are this process's part.
+
+        Returns the summed squared error, and the number of living samples (N,) int64 of each of the N networks.
+        """
         error = torch.zeros((), device=self.device)
-        alive = dict.fromkeys(self.networks, 0)
-        for start in range(0, len(rays), self.config.chunk_rays):
-            chunk = slice(start, start + self.config.chunk_rays)
+        alive = torch.zeros(len(self.networks), dtype=torch.long)
+        own = self.group.part(batch)
+        for start in range(0, batch, self.config.chunk_rays):
+            count = min(self.config.chunk_rays, batch - start)
+            random = self._random(count)
+            first, last = max(start, own.start), min(start + count, own.stop)
+            if first >= last:  # other processes' rays: their numbers had to be drawn
+                continue
+            random, chunk = random.of(slice(first - start, last - start)), slice(first - own.start, last - own.start)
             p = self.parametrise(rays[chunk])
-            u, weights, squared = self.coarse_u(p, random=True), torch.empty(0), error
-            for name in self.networks:
+            u, weights, squared = within_bins(self.coarse_u(p), random.strata), torch.empty(0), error
+            for i, name in enumerate(self.networks):
                 if name == "fine":
-                    u = self._fine_u(u, weights, random=True)
-                weights, squared, living = self._supervise(name, p, u, truth[chunk], scale)
-                alive[name] += living
+                    u = self._fine_u(u, weights, random.levels)
+                weights, squared, living = self._supervise(name, p, u, truth[chunk], scale, random.noise.get(name))
+                alive[i] += living
                 yield_callback()
             error = error + squared  # after the loop, of the last network, which draws the picture
         return error, alive
 
     def _supervise(
-        self, name: str, p: Parametrised, u: Tensor, truth: Tensor, scale: float
+        self, name: str, p: Parametrised, u: Tensor, truth: Tensor, scale: float, noise: Tensor | None
     ) -> tuple[Tensor, Tensor, int]:
         """Add one network's gradient of the loss. Returns weights, summed squared error, number of living samples."""
         dense = self._alive[name] >= SPARSE_BELOW
         with torch.set_grad_enabled(dense):
             raw, rgb = self._field(name, p, u)
         leaves = raw.detach().requires_grad_(), rgb.detach().requires_grad_()
-        done = self._composite(name, p, u, *leaves, noise=True)
+        done = self._composite(name, p, u, *leaves, noise)
         color, _ = composite(done.weights, done.rgb, self.background)
         squared = (color - truth).square().sum()
         raw_grad, rgb_grad = torch.autograd.grad(squared * scale, leaves)
@@ -181,14 +223,14 @@ class NerfModel(MlpModel):
         count = len(rays)
         padded = rays.to(self.device).padded(self.tile)
         p = self.parametrise(padded)
-        u = self.coarse_u(p, random=False)
+        u = self.coarse_u(p)
         passes: list[_Pass] = []
         for name in self.networks:
             if name == "fine":
                 if quality == "coarse":
                     break
-                u = self._fine_u(u, passes[-1].weights, random=False)
-            passes.append(self._composite(name, p, u, *self._field(name, p, u), noise=False))
+                u = self._fine_u(u, passes[-1].weights)
+            passes.append(self._composite(name, p, u, *self._field(name, p, u)))
         color, opacity = composite(passes[-1].weights, passes[-1].rgb, self.background)
         depth = expected_depth(passes[-1].weights, passes[-1].u)
         if self.ndc is not None:  # the mean is taken in t′, then mapped to the world
