@@ -16,7 +16,7 @@ from nerf_core.geometry.spaces import Space
 from nerf_core.methods import Defaults, Draw
 from nerf_core.methods.adam_state import adam_state, load_adam
 from nerf_core.methods.neural_volumes.config import NeuralVolumesConfig
-from nerf_core.methods.neural_volumes.decoder import Chain, Decoder, Volume
+from nerf_core.methods.neural_volumes.decoder import Chain, Decoder, Volume, sampled
 from nerf_core.methods.neural_volumes.march import Box, March, add_up
 from nerf_core.methods.neural_volumes.priors import undecided, variation
 from nerf_core.methods.neural_volumes.warp import AffineWarp, FieldWarp
@@ -182,11 +182,23 @@ class NeuralVolumesModel(Defaults):
 
 
 def looked_up(volume: Volume, march: March) -> tuple[Tensor, Tensor]:
-    """Return V_α δ (R, S) and the colours (R, S, 3) of the samples; 0 where there is none."""
-    alpha, rgb = volume.at(march.u)
-    real = march.real
-    opacity = torch.zeros_like(march.length).masked_scatter(real, alpha) * march.length
-    return opacity, torch.zeros(*real.shape, 3).to(rgb).masked_scatter(real[..., None], rgb)
+    """Return V_α δ (R, S) and the colours (R, S, 3) of the samples; 0 where there is none.
+
+    A first pass without gradients finds the samples that can count: those that the warp leaves in the template, and
+    that no opacity of 1 hides. All others have the weight 0 and the gradient 0, whatever the volume holds there.
+    """
+    template, real = volume.template, march.real
+    with torch.no_grad():
+        moved = volume.moved(march.u)
+        reach = 1 + 2 / (template.shape[-1] - 1)  # one voxel beyond the template, interpolation reaches 0
+        inside = (moved.abs() < reach).all(-1)
+        counted = real.masked_scatter(real, inside)
+        alpha = sampled(template[:, 3:], moved[inside], "zeros")[:, 0]
+        opacity = torch.zeros_like(march.length).masked_scatter(counted, alpha) * march.length
+        counted &= add_up(opacity)[0] > 0
+    alpha, rgb = volume.at(march.u[counted[real]])
+    opacity = torch.zeros_like(march.length).masked_scatter(counted, alpha) * march.length
+    return opacity, torch.zeros(*real.shape, 3).to(rgb).masked_scatter(counted[..., None], rgb)
 
 
 class Net(nn.Module):
