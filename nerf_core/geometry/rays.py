@@ -76,8 +76,6 @@ class Samples:
     """The samples that one pass composited along R rays, front to back: (R, S) each, rgb (R, S, 3).
 
     count: (R,) the number of samples that each ray really has; the others have density 0. None: all S.
-    additive: whether a sample adds σδ to the opacity of its ray until that is 1, α = min(1, σδ/T), in place of
-        α = 1 − exp(−σδ). T and w follow from α alike.
     """
 
     name: str
@@ -89,7 +87,6 @@ class Samples:
     weights: Tensor
     rgb: Tensor
     count: Tensor | None = None
-    additive: bool = False
 
 
 @dataclass(frozen=True)

@@ -133,7 +133,7 @@ class NeuralVolumesModel(Defaults):
         alpha = torch.where(empty, 0, weights / torch.where(empty, 1, transmittance))
         sigma = opacity / torch.where(march.real, delta, 1)
         samples = Samples(
-            "volume", t, delta, sigma, alpha, transmittance, weights, rgb, march.real.sum(-1), additive=True
+            "volume", t, delta, sigma, alpha, transmittance, weights, rgb, march.real.sum(-1)
         )
         return Trace(Rendering(color.clamp(0, 1), total, expected_depth(weights, t)), (samples,))
 
