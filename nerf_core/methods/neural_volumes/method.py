@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from nerf_core.geometry.rays import Rays
 from nerf_core.methods import METHODS
 from nerf_core.methods.neural_volumes.config import NeuralVolumesConfig
+from nerf_core.methods.neural_volumes.explain import explain
 from nerf_core.methods.neural_volumes.model import NeuralVolumesModel
+from nerf_core.methods.stages import Stage
 
 
 @METHODS.register("neural-volumes")
@@ -17,3 +20,6 @@ class NeuralVolumes(NeuralVolumesModel):
     constants: ClassVar[type[NeuralVolumesConfig]] = NeuralVolumesConfig
     configure = staticmethod(NeuralVolumesConfig.configure)
     restore = staticmethod(NeuralVolumesConfig.restore)
+
+    def explain(self, rays: Rays) -> tuple[Stage, ...]:
+        return explain(self, rays)

@@ -61,16 +61,24 @@ class AffineWarp(nn.Module):
         identity = torch.tensor([1.0, 0.0, 0.0, 0.0]).to(raw)
         return torch.exp(raw[:, :3]), rotations(raw[:, 3:7] + identity), raw[:, 7:]
 
-    def warp(self, code: Tensor) -> Tensor:
+    def _warped(self, code: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the points' places A_i(x) (K, P, 3) under each warp, and their weights there (K, P, 1)."""
         scale, rotation, translation = self.affine(code)
         first, last = self.weights
         weights = torch.exp(last(leaky(first(code)))).view(self.warps, 1, *[self.side] * 3)
-        points = self.points.view(-1, 3)
-        moved = torch.einsum("kab,kpb->kpa", rotation, points - translation[:, None]) * scale[:, None]  # (K, P, 3)
-        places = moved.view(self.warps, *[self.side] * 3, 3)
-        w = functional.grid_sample(weights, places, padding_mode="border", align_corners=True).view(self.warps, -1, 1)
-        warped = (w * moved).sum(0) / w.sum(0).clamp(min=SMALLEST)
+        places = torch.einsum("kab,kpb->kpa", rotation, points - translation[:, None]) * scale[:, None]
+        w = functional.grid_sample(weights, places[:, None, None], padding_mode="border", align_corners=True)
+        return places, w.view(self.warps, -1, 1)
+
+    def warp(self, code: Tensor) -> Tensor:
+        places, w = self._warped(code, self.points.view(-1, 3))
+        warped = (w * places).sum(0) / w.sum(0).clamp(min=SMALLEST)
         return warped.T.reshape(1, 3, *[self.side] * 3)
+
+    def shares(self, code: Tensor, points: Tensor) -> Tensor:
+        """Return how much each warp counts at points (P, 3) of the cube: (P, K), with sum 1."""
+        w = self._warped(code, points)[1][..., 0].T
+        return w / w.sum(-1, keepdim=True).clamp(min=SMALLEST)
 
 
 class FieldWarp(nn.Module):
