@@ -1,0 +1,146 @@
+"""The decoder: from the latent code to the template, and from the latent code to the warp."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+LEAK = 0.2  # slope of the leaky ReLU below 0 (the published code)
+FOG = -5.0  # softplus(−5) = 0.007 of a voxel's opacity: a ray through 64 of them sees thin fog, and all that is behind
+
+
+class Chain:
+    """Functions applied one after the other, whose gradient is computed one by one, so that training can yield.
+
+    value: the last function's result, as a leaf: the gradient of the loss is to be collected in `value.grad`.
+    """
+
+    def __init__(
+        self, start: Tensor, parts: Sequence[Callable[[Tensor], Tensor]], yield_callback: Callable[[], None]
+    ) -> None:
+        """Apply the parts.
+
+        Args:
+            start: the input of the first part.
+            parts: functions of one tensor. Their parameters get gradients in `backward`.
+            yield_callback: called after each part.
+        """
+        self._done: list[tuple[Tensor, Tensor]] = []
+        for part in parts:
+            leaf = start.detach().requires_grad_()
+            start = part(leaf)
+            self._done.append((leaf, start))
+            yield_callback()
+        self.value = start.detach().requires_grad_()
+        self.value.grad = torch.zeros_like(self.value)  # if no ray meets the box, the gradient is 0
+
+    def backward(self, yield_callback: Callable[[], None]) -> Tensor:
+        """Add the parameters' gradients. Returns that of `start`."""
+        gradient = self.value.grad
+        for leaf, result in reversed(self._done):
+            result.backward(gradient)
+            gradient = leaf.grad
+            yield_callback()
+        assert gradient is not None
+        return gradient
+
+
+def upsampling(width: int, side: int, channels: int) -> list[nn.ConvTranspose3d]:
+    """Return the transposed convolutions (4³ kernels, stride 2) that make 1 voxel with `width` channels side³ voxels.
+
+    The channels halve at every second layer (Sec. "Volume decoder" and the published code); the last layer has
+    `channels`.
+    """
+    count = int(math.log2(side))
+    widths = [max(width >> (k + 1) // 2, 1) for k in range(count)] + [channels]
+    return [nn.ConvTranspose3d(a, b, 4, 2, 1) for a, b in zip(widths[:-1], widths[1:], strict=True)]
+
+
+def initialise(module: nn.Module, generator: torch.Generator, gain: float) -> None:
+    """Draw weights from Glorot's normal distribution times `gain`, and set biases to 0.
+
+    A transposed convolution with stride 2 adds up only 2³ of its 4³ taps in each voxel, which its fan counts.
+    """
+    assert isinstance(module, nn.Linear | nn.ConvTranspose3d) and module.bias is not None
+    into, out = (8 * module.in_channels, 8 * module.out_channels) if isinstance(module, nn.ConvTranspose3d) else (
+        module.in_features, module.out_features
+    )
+    with torch.no_grad():
+        module.weight.normal_(0, gain * math.sqrt(2 / (into + out)), generator=generator)
+        module.bias.zero_()
+
+
+def leaky(x: Tensor) -> Tensor:
+    return functional.leaky_relu(x, LEAK)
+
+
+GAIN = math.sqrt(2 / (1 + LEAK**2))  # keeps the variance through a leaky ReLU
+
+
+class Volume(NamedTuple):
+    """What the decoder makes of the latent code.
+
+    template: (1, 4, N, N, N) red, green, blue in [0, 1] and the opacity V_α ≥ 0 per unit of the box's half side; the
+        last three axes are z, y, x, and the outermost voxels' centres lie on the faces of the cube [−1, 1]³.
+    warp: (1, 3, D, D, D) where the points of such a grid lie in the template; None: where they are.
+    """
+
+    template: Tensor
+    warp: Tensor | None
+
+    def at(self, u: Tensor) -> tuple[Tensor, Tensor]:
+        """Return opacity (P,) and colour (P, 3) at points u (P, 3) of the cube: V(u) = T(W⁻¹(u)).
+
+        Outside the template there is nothing.
+        """
+        found = sampled(self.template, self.moved(u), "zeros")
+        return found[:, 3], found[:, :3]
+
+    def moved(self, u: Tensor) -> Tensor:
+        """Return where points u (P, 3) lie in the template, (P, 3): the inverse warp W⁻¹."""
+        return u if self.warp is None else sampled(self.warp, u, "border")
+
+
+def sampled(grid: Tensor, u: Tensor, outside: str) -> Tensor:
+    """Interpolate a grid (1, C, D, D, D) at points u (P, 3) of the cube [−1, 1]³, trilinearly: (P, C)."""
+    found = functional.grid_sample(grid, u[None, None, None], padding_mode=outside, align_corners=True)
+    return found[0, :, 0, 0].T
+
+
+class Decoder(nn.Module):
+    """The template's half of the decoder: latent code → fully connected layer → transposed convolutions → RGBα."""
+
+    def __init__(self, latent: int, width: int, side: int) -> None:
+        super().__init__()
+        self.first = nn.Linear(latent, width)
+        self.ups = nn.ModuleList(upsampling(width, side, 4))
+        self.side = side
+
+    def initialise(self, generator: torch.Generator) -> None:
+        initialise(self.first, generator, GAIN)
+        for k, up in enumerate(self.ups):
+            initialise(up, generator, GAIN if k + 1 < len(self.ups) else 1.0)
+
+    def parts(self) -> list[Callable[[Tensor], Tensor]]:
+        """The functions that turn a latent code (L,) into the template (1, 4, N, N, N), to be applied in turn."""
+        ups = list(self.ups)
+        return [
+            lambda code: leaky(self.first(code)).view(1, -1, 1, 1, 1),
+            *(lambda x, up=up: leaky(up(x)) for up in ups[:-1]),
+            ups[-1],
+            self.activated,
+        ]
+
+    def activated(self, raw: Tensor) -> Tensor:
+        """Turn raw values (1, 4, N, N, N) into colours in [0, 1] and opacities ≥ 0.
+
+        V_α = softplus(raw + FOG) / voxel. So 1 is the opacity of a voxel that fills a pixel alone, whatever the
+        template's resolution.
+        """
+        opacity = functional.softplus(raw[:, 3:] + FOG) * ((self.side - 1) / 2)
+        return torch.cat([torch.sigmoid(raw[:, :3]), opacity], 1)
