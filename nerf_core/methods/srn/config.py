@@ -21,7 +21,9 @@ class SrnConfig:
     """The paper's networks (arXiv:1906.01618), and a training schedule for minutes on a CPU."""
 
     march_steps: int = constant(10, "steps of the ray marcher", least=1, most=256)
-    start: float = constant(1.0, "where the marcher starts, as a share of the ray's near distance", share="(0, 1]")
+    start: float = constant(
+        1.0, "distance where the marcher starts, as a share of the scene's near bound", share="(0, 1]"
+    )
     layers: int = constant(4, "layers of the scene network Φ", least=1, most=64)
     generator_layers: int = constant(5, "layers of the pixel generator before its linear output", least=1, most=64)
     width: int = constant(256, "units of a layer, and features of a point", least=2, most=2**13)

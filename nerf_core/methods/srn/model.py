@@ -6,8 +6,9 @@ import math
 from collections.abc import Callable, Mapping
 from copy import copy, deepcopy
 from dataclasses import replace
-from typing import ClassVar, Self
+from typing import ClassVar, NamedTuple, Self
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -21,9 +22,28 @@ from nerf_core.methods.srn.network import March, SrnNetwork
 TILE_PRODUCTS = 1.2e9  # multiplications of one tile on a CPU: about 10 ms on two cores that are fast at bfloat16
 
 
+class Found(NamedTuple):
+    """What R rays found.
+
+    t: (R, N + 1) the distances of the marcher's points, in units of Φ's coordinates.
+    features: (R, width) Φ at the last point.
+    color: (R, 3) the pixel generator's colour of it, which may leave [0, 1].
+    """
+
+    t: Tensor
+    features: Tensor
+    color: Tensor
+
+
 def unit_of(scene: Scene) -> float:
     """Return the world length that is 1 in the coordinates of Φ: half the depth of an object, else the radius."""
     return (scene.far - scene.near) / 2 if scene.synthetic else scene.radius
+
+
+def reach_of(scene: Scene) -> float:
+    """Return the median distance of the training cameras from the scene's centre, in world units."""
+    places = scene.poses[list(scene.split("train")), :, 3]
+    return float(np.median(np.linalg.norm(places - scene.center, axis=-1)))
 
 
 def behind_camera(t: Tensor) -> Tensor:
@@ -49,14 +69,14 @@ class SrnModel(Defaults):
         self.device = device
         self.center = torch.tensor(scene.center, dtype=torch.float32, device=device)
         self.unit = unit_of(scene)
+        self.start = c.start * scene.near / self.unit
         precision = torch.bfloat16 if c.precision == "bfloat16" else None
         self.network = SrnNetwork(c.layers, c.generator_layers, c.width, c.hidden, precision)
-        self.network.initialise(torch.Generator().manual_seed(seed))
+        step = (reach_of(scene) / self.unit - self.start) / c.march_steps  # the march begins by ending at the centre
+        self.network.initialise(torch.Generator().manual_seed(seed), step)
         self.network.to(device)
         self.tile = config.tile or self._fitting_tile()
-        self.optimizer = torch.optim.Adam(
-            self.parameters(), lr=c.learning_rate, eps=c.adam_epsilon, fused=True
-        )
+        self.optimizer = torch.optim.Adam(self.parameters(), lr=c.learning_rate, eps=c.adam_epsilon, fused=True)
         for parameter in self.parameters():
             parameter.grad = torch.zeros_like(parameter)
 
@@ -71,7 +91,8 @@ class SrnModel(Defaults):
     def march(self, rays: Rays) -> March:
         """March along R rays. Distances t are in units of Φ's coordinates: `unit` world units each."""
         origins = (rays.origins - self.center) / self.unit
-        start = self.config.start * rays.near / self.unit
+        # the scene's near distance and not the rays': a ray that is opened may begin where the marcher stepped back to
+        start = torch.full_like(rays.near, self.start)
         return self.network.march(origins, rays.directions, start, self.config.march_steps)
 
     # ---- training -------------------------------------------------------------------------------------------------
@@ -114,29 +135,24 @@ class SrnModel(Defaults):
     # ---- rendering ------------------------------------------------------------------------------------------------
 
     @torch.no_grad()
-    def marched(self, rays: Rays) -> March:
+    def found(self, rays: Rays) -> Found:
         """March along any number of rays, always in full tiles, so that a pixel does not depend on its neighbours."""
         parts = []
         for first in range(0, len(rays), self.tile):
             part = rays[first : first + self.tile]
-            done = self.march(part.to(self.device).padded(self.tile))
-            parts.append(March(*(value[: len(part)] for value in done)))
-        return March(*(torch.cat(values) for values in zip(*parts, strict=True)))
+            march = self.march(part.to(self.device).padded(self.tile))
+            done = Found(*march, self.network.color(march.features))
+            parts.append([value[: len(part)] for value in done])
+        return Found(*(torch.cat(values) for values in zip(*parts, strict=True)))
 
-    @torch.no_grad()
     def render(self, rays: Rays, quality: str = "fine") -> Rendering:
-        parts = []
-        for first in range(0, len(rays), self.tile):
-            part = rays[first : first + self.tile]
-            done = self.march(part.to(self.device).padded(self.tile))
-            color = self.network.color(done.features).clamp(0, 1)[: len(part)]
-            depth = (done.t[: len(part), -1] * self.unit).clamp(min=0)
-            parts.append(Rendering(color, torch.ones_like(depth), depth))
-        return Rendering.cat(parts)
+        found = self.found(rays)
+        depth = (found.t[:, -1] * self.unit).clamp(min=0)
+        return Rendering(found.color.clamp(0, 1), torch.ones_like(depth), depth)
 
     def visited(self, rays: Rays) -> Tensor:
         """Return the distances (R, N + 1) in world units of the marcher's points: the start, and one for each step."""
-        return self.marched(rays).t * self.unit
+        return self.found(rays).t * self.unit
 
     # ---- state ----------------------------------------------------------------------------------------------------
 

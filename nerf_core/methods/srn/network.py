@@ -9,6 +9,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+# The share of its usual size that the LSTM's output layer begins with: its part of a step is then about a tenth of the
+# bias, if the scene is of about unit size.
+FIRST_STEPS = 0.1
+
 
 class March(NamedTuple):
     """What the marcher did along R rays.
@@ -83,21 +87,21 @@ class SrnNetwork(nn.Module):
         self.rgb = nn.Linear(width, 3)
 
     @torch.no_grad()
-    def initialise(self, generator: torch.Generator) -> None:
-        """Initialise all parameters at random.
+    def initialise(self, generator: torch.Generator, step: float) -> None:
+        """Initialise all parameters at random, and the marcher to steps of about `step`.
 
-        Layers before a ReLU get normal weights of variance 2 / inputs (He et al. 2015, arXiv:1502.01852). Everything
-        else, and all biases, are uniform in ±1/√inputs, and in ±1/√hidden in the LSTM. Without those biases the norm
-        of Φ's first layer would remove the distance of a point from the origin. The LSTM's forget gates begin open.
+        Layers before a ReLU get normal weights of variance 2 / inputs (He et al. 2015, arXiv:1502.01852). All others,
+        and all biases, are uniform in ±1/√inputs, and in ±1/√hidden in the LSTM, whose forget gates begin open. Without
+        biases the norm of Φ's first layer would remove the distance of a point from the origin.
+
+        The paper leaves the first steps to chance, and some seeds begin behind the camera. Here the output layer of the
+        LSTM gets small weights, and `step` as its bias, so that a march begins with even steps into the scene.
         """
         for module in self.modules():
             if isinstance(module, nn.Linear):
                 bound = 1 / math.sqrt(module.in_features)
                 module.weight.uniform_(-bound, bound, generator=generator)
                 module.bias.uniform_(-bound, bound, generator=generator)
-            elif isinstance(module, nn.LayerNorm):
-                nn.init.ones_(module.weight)
-                nn.init.zeros_(module.bias)
         for layer in (*self.scene, *self.generator):
             assert isinstance(layer, NormedLayer)
             layer.linear.weight.normal_(std=math.sqrt(2 / layer.linear.in_features), generator=generator)
@@ -106,6 +110,8 @@ class SrnNetwork(nn.Module):
             gates.weight.uniform_(-bound, bound, generator=generator)
             gates.bias.uniform_(-bound, bound, generator=generator)
             gates.bias[hidden : 2 * hidden] = 1
+        self.marcher.step.weight.mul_(FIRST_STEPS)
+        self.marcher.step.bias.fill_(step)
 
     def features(self, x: Tensor) -> Tensor:
         """Φ: points (P, 3) → features (P, width)."""
