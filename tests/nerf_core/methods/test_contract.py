@@ -32,6 +32,7 @@ SMALL: dict[str, dict[str, str]] = {
     "hash": {"samples": "2000", "levels": "4", "log2_rows": "10", "cells": "16", "update_every": "2", "hidden": "16"},
     "voxels": {"start": "6", "level_steps": "1", "pixels": "0.5"},
     "rgba-grid": {"side": "10", "coarsest": "6", "level_steps": "2", "update_every": "2"},
+    "srn": {"march_steps": "3", "layers": "2", "generator_layers": "2", "width": "16", "hidden": "4", "tile": "32"},
 }
 # Batches of about 77 rays, so that a step calls the yield callback only a few times.
 FEW_RAYS = {
@@ -40,6 +41,7 @@ FEW_RAYS = {
     "hash": {"most_rays": "77"},
     "voxels": {"first_rays": "77", "rays": "77"},
     "rgba-grid": {"rays": "77"},
+    "srn": {"rays": "77", "chunk_rays": "32"},
 }
 # State that an abandoned step may change: it notes which samples have weight, and notes the same when it is repeated.
 NOTED_AGAIN = {"method.seen", "method.guide.seen"}

@@ -1,0 +1,65 @@
+"""The constants of Scene Representation Networks for a single scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import torch
+
+from nerf_core.common.configs import changed, check_ranges, constant, restored
+from nerf_core.common.device import fast_precision
+from nerf_core.common.errors import UserError, shorten
+from nerf_core.geometry.scene import Scene
+
+PRECISIONS = ("float32", "bfloat16")
+
+
+@dataclass(frozen=True)
+class SrnConfig:
+    """The paper's networks (arXiv:1906.01618), and a training schedule for minutes on a CPU."""
+
+    march_steps: int = constant(10, "steps of the ray marcher", least=1, most=256)
+    start: float = constant(
+        1.0, "distance where the marcher starts, as a share of the scene's near bound", share="(0, 1]"
+    )
+    layers: int = constant(4, "layers of the scene network Φ", least=1, most=64)
+    generator_layers: int = constant(5, "layers of the pixel generator before its linear output", least=1, most=64)
+    width: int = constant(256, "units of a layer, and features of a point", least=2, most=2**13)
+    hidden: int = constant(16, "hidden units of the marcher's LSTM", least=1, most=2**13)
+    depth_weight: float = constant(0.0125, "weight of the depth regulariser beside the squared error of the colours")
+    rays: int = constant(1024, "rays per step", least=1, most=2**22)
+    learning_rate: float = constant(5e-4, "Adam's learning rate at the first step")
+    decay: float = constant(0.1, "the learning rate falls to this share of itself over the run", share="(0, 1]")
+    total_steps: int = constant(5_000, "steps of the schedule, unless --steps says otherwise", least=1, most=10**9)
+    adam_epsilon: float = constant(1e-8, "Adam's epsilon")
+    train_images: int = constant(0, "training photos that are used, evenly spread; 0: all", most=10**9)
+    chunk_rays: int = constant(
+        128, "rays whose gradient is computed at once; part of what a seed fixes", least=1, most=2**22
+    )
+    precision: str = constant(
+        "float32", "of matrix products; by default bfloat16 where the device is fast at it; part of what a seed fixes",
+        choices=PRECISIONS,
+    )  # fmt: skip
+    tile: int = constant(0, "rays rendered at once; 0: by device; part of what a seed fixes", most=2**22)
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+    @staticmethod
+    def configure(scene: Scene, preset: str, changes: Mapping[str, str], device: torch.device) -> SrnConfig:
+        """Return the constants for this device, then apply `changes`."""
+        if preset != "auto":
+            raise UserError(f"--preset {shorten(preset)}: method srn has none but auto; change constants with --set")
+        config = SrnConfig(precision=fast_precision(device))
+        if device.type == "cuda":
+            config = replace(config, rays=4096, chunk_rays=4096, total_steps=100_000)
+        return changed(config, changes, "srn")
+
+    @staticmethod
+    def restore(config: Mapping[str, Any]) -> SrnConfig:
+        return restored(SrnConfig, config, "srn")
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
