@@ -9,6 +9,7 @@ from typing import Protocol, cast
 import numpy as np
 import pytest
 import torch
+from fitting_scenes import fitting
 
 from nerf_core.common.errors import UserError
 from nerf_core.geometry.cameras import camera_rays
@@ -30,6 +31,7 @@ SMALL: dict[str, dict[str, str]] = {
     "nerf-guided": {"guide_steps": "1", "depth": "6", "width": "32"},
     "hash": {"samples": "2000", "levels": "4", "log2_rows": "10", "cells": "16", "update_every": "2", "hidden": "16"},
     "voxels": {"start": "6", "level_steps": "1", "pixels": "0.5"},
+    "mpi": {"references": "3", "planes": "6", "blended": "2"},
 }
 # Batches of about 77 rays, so that a step calls the yield callback only a few times.
 FEW_RAYS = {
@@ -37,6 +39,7 @@ FEW_RAYS = {
     "nerf-guided": {"rays": "77", "guide.first_rays": "77", "guide.rays": "77"},
     "hash": {"most_rays": "77"},
     "voxels": {"first_rays": "77", "rays": "77"},
+    "mpi": {"rays": "77", "references": "2"},
 }
 # State that an abandoned step may change: it notes which samples have weight, and notes the same when it is repeated.
 NOTED_AGAIN = {"method.seen", "method.guide.seen"}
@@ -47,6 +50,12 @@ class Whole(Method, Traceable, Radiant, Dense, Explainable, Protocol):
 
 
 MakeMethod = Callable[..., Whole]
+
+
+@pytest.fixture
+def scene(request: pytest.FixtureRequest, scene: Scene, facing: Scene) -> Scene:
+    """The ball seen from all around, or from one side for a method that refuses that."""
+    return fitting(request, scene, facing)
 
 
 @pytest.fixture(params=METHODS.names())
