@@ -16,7 +16,7 @@ def fitting(request: pytest.FixtureRequest, *scenes: Scene) -> Scene:
     request: that of a fixture. The test's parameter "make" or "name" is the method's name.
     """
     params = request.node.callspec.params if hasattr(request.node, "callspec") else {}
-    name = params.get("make", params.get("name"))
+    name = str(params.get("make", params.get("name", "")))
     for scene in scenes if name in METHODS.names() else ():
         try:
             METHODS.get(name).configure(scene, "auto", {}, torch.device("cpu"))

@@ -29,7 +29,7 @@ SMALLER = {"chunk_rays": "512", "coarse_samples": "6", "fine_samples": "6", "dep
 SMALL = {
     "hash": {"samples": "2000", "levels": "4", "log2_rows": "10", "cells": "16", "hidden": "16", "pixels": "4"},
     "nerf": NETWORK | {"chunk_rays": "512", "coarse_samples": "8", "fine_samples": "8"},
-    "mpi": {"references": "2", "planes": "4", "rays": "256", "sweep_views": "3"},
+    "mpi": {"references": "2", "planes": "8", "rays": "512"},
     "nerf-guided": NETWORK | {"guide_steps": "5", "precision": "bfloat16"},
 }
 

@@ -35,8 +35,8 @@ def _views_stage(model: MpiModel, rays: Rays, blend: Blend) -> Stage:
     away = (model.positions - rays.origins[0]).norm(dim=-1).tolist()
     return Stage(
         "Nearest views",
-        f"{len(model.stacks)} of the photos have a multiplane image (MPI), a stack of {model.config.planes} planes. The "
-        f"ray is drawn from the {len(blend.views)} nearest ones. A view's weight β falls with its distance ℓ.",
+        f"{len(model.stacks)} of the photos have a multiplane image (MPI), a stack of {model.config.planes} planes. "
+        f"The ray is drawn from the {len(blend.views)} nearest ones. A view's weight β falls with its distance ℓ.",
         rows=tuple((model.name(k), f"ℓ {number(away[k])}, β {number(beta[k])}") for k in blend.views),
     )
 
@@ -47,9 +47,9 @@ def _planes_stage(model: MpiModel, blend: Blend, i: int, samples: Samples) -> St
     images, marks = zip(*(_crop(model, k, plane, blend.crossings[i].at[plane, 0]) for plane in crossed), strict=True)
     return Stage(
         f"Planes of {model.name(k)}",
-        "The planes lie across this view's axis, evenly spaced in disparity. The ray looks each one up where it crosses "
-        "it. A plane has a colour and an opacity α, not a density. Its weight is α times what the planes before it let "
-        "through.",
+        "The planes lie across this view's axis, evenly spaced in disparity. The ray looks each one up where it "
+        "crosses it. A plane has a colour and an opacity α, not a density. Its weight w is α times what the planes "
+        "in front of it let through.",
         (Pictures(tuple(f"plane {plane + 1}" for plane in crossed), images, np.stack(marks)),
          Stems("α", t, alpha), Stems("w", t, weights)),
         (("planes crossed", f"{len(crossed)} of {model.config.planes}"), ("Σ w", number(float(weights.sum())))),
@@ -92,8 +92,8 @@ def _merged_stage(samples: Samples) -> Stage:
     )
     return Stage(
         "All planes",
-        f"The same colour, written as one line of {len(t)} planes of all these MPIs, from front to back. W is a plane's "
-        "weight in the blend, T = 1 − Σ W of the planes before it, and α = W / T.",
+        f"The same colour as one line of {len(t)} planes of all these MPIs, from front to back. W is a plane's weight "
+        "in the blend, T = 1 − Σ W of the planes in front of it, and α = W / T.",
         (Stems("α", t, alpha), Stems("T", t, transmittance), Stems("W", t, weights)),
         (("Σ W", number(float(weights.sum()))),),
     )

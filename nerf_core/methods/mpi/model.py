@@ -1,9 +1,9 @@
 """Multiplane images of several reference views, optimised on the photos and blended in each pixel.
 
-LLFF (Mildenhall et al. 2019, arXiv:1905.00889) lets a network predict an MPI for each photo. Its trained weights are not
-available here: a plane sweep makes a first guess of a few MPIs, and gradient descent fits them to the photos. A pixel is
-blended as in LLFF, section 4.2: with the colour C_k and the accumulated opacity A_k of view k's MPI along the ray and
-the weight β_k of the view,
+LLFF (Mildenhall et al. 2019, arXiv:1905.00889) lets a network predict an MPI for each photo. Its trained weights are
+not available here: a plane sweep makes a first guess of a few MPIs, and gradient descent fits them to the photos. A
+pixel is blended as in LLFF, section 4.2: with the colour C_k and the accumulated opacity A_k of view k's MPI along the
+ray and the weight β_k of the view,
 
     C = Σ_k β_k C_k / Σ_k β_k A_k,    where C_k = Σ_i w_{k,i} c_{k,i} is not divided by A_k.
 
@@ -34,6 +34,7 @@ from nerf_core.volume.compositing import expected_depth
 OPAQUE = 1 - 1 / 256  # the largest α: half a step of 8 bits below 1, so that what lies behind keeps a gradient
 COVERED = 1 / 16  # accumulated opacity below which a pixel fades to the background, instead of showing noise as colour
 PIECE = 4096  # rays of a step between two calls of the yield callback, and of a picture: about 10 ms on two cores
+MEASURED = 1024  # rays of a step whose blended colour is compared with the photo, for the error that is reported
 EPSILON = 1e-8  # Adam's: far below the gradient of a texel that one ray of a batch has touched
 
 
@@ -84,7 +85,7 @@ class MpiModel(Defaults):
             self.color.append(torch.zeros(config.planes // config.shared, 3, *side, device=device))
         self.moments = [(torch.zeros_like(v), torch.zeros_like(v)) for v in self.parameters()]
         self.updates = [0] * len(self.stacks)  # of Adam
-        self._lent = False  # whether a frozen copy shares the planes
+        self._lent: set[int] = set()  # MPIs whose planes a frozen copy shares
 
     @property
     def stage(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]  only read
@@ -170,53 +171,30 @@ class MpiModel(Defaults):
         rays, truth = rays.to(self.device), truth.to(self.device)
         if self.swept < len(self.stacks):
             return self._sweep(rays, truth, yield_callback)
-        c = self.config
         chosen = self.weights(rays.origins.double().mean(0, keepdim=True).float())[0].cpu()
         k = int(torch.multinomial(chosen, 1, generator=self.generator))
         rays, truth = self._sorted(k, rays, truth)
         behind = torch.rand(3, 1, generator=self.generator).to(self.device)
-        error, at, alphas, weights, colors = 0.0, [], [], [], []
+        done: list[tuple[Tensor, ...]] = []
         for start in range(0, len(rays), PIECE):
-            part = rays[start : start + PIECE]
-            wanted = truth[start : start + PIECE].T
-            crossed = self.stacks[k].crossings(part)
+            crossed = self.stacks[k].crossings(rays[start : start + PIECE])
             seen = self.look(k, crossed)
-            alpha, color = torch.zeros_like(seen.alpha), torch.zeros_like(seen.color)
-            if c.own < 1:
-                g, b, e = self._blend_gradient(k, part, wanted, seen, crossed)
-                alpha += (1 - c.own) * alpha_gradient(seen, g, b)
-                color += (1 - c.own) * g
-            if c.own > 0:
-                b = behind.expand_as(wanted)
-                g = 2 * (seen.color + (1 - seen.opacity) * b - wanted)
-                if c.own == 1:
-                    e = float((g / 2).square().sum())
-                alpha += c.own * alpha_gradient(seen, g, b)
-                color += c.own * g
-            error += e
-            at.append(crossed.at)
-            alphas.append(alpha)
-            weights.append(seen.weights)
-            colors.append(color)
+            gradient = 2 * (seen.color + (1 - seen.opacity) * behind - truth[start : start + PIECE].T)
+            done.append((crossed.at, alpha_gradient(seen, gradient, behind), seen.weights, gradient))
             yield_callback()
-        rate = c.decay ** min(1.0, step / (steps or c.total_steps))
-        self._update(k, torch.cat(at, 1), torch.cat(alphas, 1), torch.cat(weights, 1), torch.cat(colors, 1), rate)
-        return error / truth.numel()
+        error = self._error(rays, truth)
+        yield_callback()
+        self._update(k, *(torch.cat(values, 1) for values in zip(*done, strict=True)), rate=self._rate(step, steps))
+        return error
 
-    def _blend_gradient(self, k, part, wanted, seen, crossed):
-        weights = self.weights(part.origins).T
-        total = 0
-        covered = 0
-        for j in (weights > 0).any(1).nonzero()[:, 0].tolist():
-            s = seen if j == k else self.look(j, self.stacks[j].crossings(part))
-            total = total + weights[j] * s.color
-            covered = covered + weights[j] * s.opacity
-        divisor = covered.clamp(min=COVERED)
-        out = total / divisor + (1 - covered / divisor) * self.background[:, None]
-        residual = out - wanted
-        g = 2 * residual * weights[k] / divisor
-        b = torch.where(covered > COVERED, out, self.background[:, None])
-        return g, b, float(residual.square().sum())
+    def _rate(self, step: int, steps: int | None) -> float:
+        """Return the share of the learning rates at a step: 1 at first, `decay` at the end of the run and after it."""
+        return self.config.decay ** min(1.0, step / (steps or self.config.total_steps))
+
+    def _error(self, rays: Rays, truth: Tensor) -> float:
+        """Return the mean squared error of the blended colour, of MEASURED rays at most."""
+        some = slice(None, None, -(-len(rays) // MEASURED))
+        return float((self.render(rays[some]).color - truth[some]).square().mean())
 
     def _sweep(self, rays: Rays, truth: Tensor, yield_callback: Callable[[], None]) -> float:
         k, c = self.swept, self.config
@@ -226,8 +204,9 @@ class MpiModel(Defaults):
             self.scene, others, stack, c.planes // c.shared, c.sweep_window, c.sweep_softness, OPAQUE, yield_callback
         )
         self.alpha[k], self.color[k] = alpha, color
+        self._lent.discard(k)
         self.swept += 1
-        return float((self.render(rays[:PIECE]).color - truth[:PIECE]).square().mean())
+        return self._error(rays, truth)
 
     def _by_distance(self, stack: Stack) -> list[int]:
         """Return the training views, the nearest to a reference view first: the view itself, unless others share its
@@ -245,9 +224,9 @@ class MpiModel(Defaults):
         """Add gradients up on the texels of MPI k, plane by plane, and make Adam's step."""
         c = self.config
         stack = self.stacks[k]
-        if self._lent:  # a frozen copy shows the planes as they are
-            self.alpha, self.color = [v.clone() for v in self.alpha], [v.clone() for v in self.color]
-            self._lent = False
+        if k in self._lent:  # a frozen copy goes on showing the planes as they are
+            self.alpha[k], self.color[k] = self.alpha[k].clone(), self.color[k].clone()
+            self._lent.remove(k)
         self.updates[k] += 1
         alpha, color, shared = self.alpha[k], self.color[k], c.shared
         on_alpha, on_color = torch.zeros_like(alpha[0]), torch.zeros_like(color[0])
@@ -283,7 +262,7 @@ class MpiModel(Defaults):
     def frozen(self) -> Self:
         other = copy(self)
         other.alpha, other.color = list(self.alpha), list(self.color)
-        self._lent = True
+        self._lent = set(range(len(self.stacks)))
         return other
 
     def parameters(self) -> list[Tensor]:
@@ -311,7 +290,7 @@ class MpiModel(Defaults):
         ]
         self.generator.set_state(state["generator"].cpu())
         self.alpha, self.color, self.moments, self.swept, self.updates = alpha, color, moments, swept, updates
-        self._lent = False
+        self._lent = set()
 
 
 def _fitting(value: Tensor, like: Tensor) -> Tensor:

@@ -36,9 +36,6 @@ class Crossings(NamedTuple):
     at: Tensor
     t: Tensor
 
-    def __getitem__(self, rays: slice) -> Crossings:  # pyright: ignore[reportIncompatibleMethodOverride]  of rays
-        return Crossings(self.at[:, rays], self.t[:, rays])
-
 
 class Seen(NamedTuple):
     """What R rays see of the D planes of an MPI, whose colours come from G pictures with P = D / G planes each.
@@ -140,7 +137,7 @@ class Stack:
         return Crossings(at.float(), torch.where(forwards, t, -1.0).float())
 
     def covers(self, at: Tensor) -> Tensor:
-        """Return whether planes may have an opacity at positions (..., 2), bool (...): they end half a texel outside."""
+        """Return whether planes may be opaque at positions (..., 2), bool (...): they fade out over half a texel."""
         size = torch.tensor([self.width, self.height], device=at.device)
         return ((at > -0.5) & (at < size + 0.5)).all(-1)
 
@@ -188,9 +185,9 @@ def alpha_gradient(seen: Seen, gradient: Tensor, behind: Tensor) -> Tensor:
 
 
 class Spread(NamedTuple):
-    """How positions (R, 2) share the four texels around them: flat indices (4R,) and bilinear weights (4, R)."""
+    """How positions (R, 2) share the four texels around them: their flat indices (4R,) and bilinear weights (4, R)."""
 
-    index: Tensor
+    texel: Tensor
     share: Tensor
 
     @staticmethod
@@ -207,4 +204,4 @@ class Spread(NamedTuple):
 
     def onto(self, values: Tensor, plane: Tensor) -> None:
         """Add values (R,) to the texels of a contiguous plane (H + 2, W + 2): the transpose of a bilinear look-up."""
-        plane.view(-1).scatter_add_(0, self.index, (self.share * values).view(-1))
+        plane.view(-1).scatter_add_(0, self.texel, (self.share * values).view(-1))
