@@ -10,8 +10,9 @@ import numpy as np
 from nerf_core.common.errors import UserError
 from nerf_core.datasets.capture import Capture, LoadOptions
 from nerf_core.datasets.depths import Depths, known_depths
-from nerf_core.datasets.rig import common_focus, mean_camera, spread, up_direction, upright
+from nerf_core.datasets.rig import common_focus, spread, up_direction, upright
 from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.forward_facing import mean_camera, turned_away
 from nerf_core.geometry.ndc import Ndc
 
 SYNTHETIC_DEPTHS = (2.0, 6.0)  # of the official Blender configurations
@@ -23,7 +24,6 @@ NO_DEPTHS_NEAR = (
 )
 NO_DEPTHS_REACH = 5.0  # of the cameras' spread, if they do not look at one point either
 FORWARD = 0.5  # the least length of the mean view direction: all views within 60° of it reach this
-BORDER = 33  # pixels checked along each side: a lens bends the side, so that its extreme may lie between the corners
 
 
 @dataclass(frozen=True)
@@ -102,30 +102,10 @@ def _ndc_obstacle(capture: Capture, poses: np.ndarray, depths: Depths | None) ->
     mean = mean_camera(poses)
     if mean is None:
         return "the cameras have no mean direction of view"
-    turned = _turned([photo.camera for photo in capture.photos], mean[:, 2])
+    turned = turned_away([photo.camera for photo in capture.photos], mean[:, 2])
     if turned:
         return f"{turned} of {len(poses)} cameras have rays that do not point along the mean view"
     return ""
-
-
-def _turned(cameras: Sequence[Camera], back: np.ndarray) -> int:
-    """The number of cameras with a ray that does not point against the unit vector `back` (3,).
-
-    The map from the image plane to directions is convex, so that the rays at the picture's border are the extreme ones.
-    """
-    import torch
-
-    from nerf_core.geometry.cameras import Cameras  # here, so that a Scene and what describes one load without torch
-
-    u = np.linspace(0, 1, BORDER)
-    sides = [np.stack(np.broadcast_arrays(x, y), -1) for x, y in ((u, 0), (u, 1), (0, u), (1, u))]
-    border = np.concatenate(sides)
-    sizes = np.array([(c.width - 1, c.height - 1) for c in cameras], dtype=np.float64)
-    pixels = (border * sizes[:, None] + 0.5).reshape(-1, 2)
-    index = torch.arange(len(cameras)).repeat_interleave(len(border))
-    directions = Cameras(cameras, 1.0, 2.0).rays(index, torch.from_numpy(pixels)).directions.double().numpy()
-    along = (directions @ back).reshape(len(cameras), -1)
-    return int((~(along < -1e-6)).any(1).sum())  # the same limit as in `Ndc.rays`; NaN counts as turned away
 
 
 def _in_ndc(capture: Capture, poses: np.ndarray, depths: Depths) -> Normalised:

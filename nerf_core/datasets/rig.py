@@ -1,10 +1,11 @@
-"""Find what the cameras of a capture have in common: a mean camera, a point that all look at, an up direction."""
+"""Find what the cameras of a capture have in common: a point that all look at, an up direction."""
 
 from __future__ import annotations
 
 import numpy as np
 
-CANCELLED = 1e-3  # a shorter mean of unit vectors has no direction: the vectors point everywhere or against each other
+from nerf_core.geometry.forward_facing import CANCELLED
+
 FOCUS_ROUNDS = 10  # of reweighting; after about five the point moves by less than 1 % of the rig's size
 FOCUS_FLOOR = 1e-3  # of the rig's size: bounds the weight 1/distance of an axis that passes closer
 FOCUS_SPREAD = 0.01  # the least mean sin² of the axes about their common direction (6°); with less they are parallel
@@ -12,19 +13,6 @@ FOCUS_SEEN = 0.75  # share of the cameras that must have the focus in front of t
 TURNED = 0.05  # the least share of the image rows' directions beside their main one (13°) that defines a plane
 LEVEL = 0.02  # the largest share of them off that plane (8°) for photos that were held level
 AGREED = 0.3  # the least cosine between the plane's normal and the mean up vector of the photos
-
-
-def mean_camera(poses: np.ndarray) -> np.ndarray | None:
-    """Return the mean camera (3, 4) of poses (N, 3, 4); None if the view directions or up vectors cancel out.
-
-    Position, back and up are means; x = up × back and y = back × x (official LLFF `poses_avg`).
-    """
-    up, back, position = poses[:, :, 1:].mean(0).T
-    right = np.cross(up, back)
-    if min(np.linalg.norm(back), np.linalg.norm(right)) < CANCELLED:
-        return None
-    back, right = back / np.linalg.norm(back), right / np.linalg.norm(right)
-    return np.column_stack([right, np.cross(back, right), back, position])
 
 
 def spread(poses: np.ndarray) -> float:

@@ -65,15 +65,18 @@ def _cameras() -> list[Camera]:
 @pytest.fixture(scope="session")
 def scene() -> Scene:
     """Six views of 16 × 16 pixels, one of them held out."""
-    cameras = _cameras()
+    return _scene("ball", _cameras(), {"train": (0, 1, 2, 3, 4), "test": (5,)})
+
+
+def _scene(name: str, cameras: list[Camera], splits: dict[str, tuple[int, ...]]) -> Scene:
     photos = [_photo(c).astype(np.float64) / 255 for c in cameras]
     images = [((p[..., :3] + 1 - p[..., 3:]) * 65535 + 0.5).astype(np.uint16) for p in photos]
     return Scene(
-        name="ball",
+        name=name,
         format="blender",
         views=tuple(View(f"{i}.png", c) for i, c in enumerate(cameras)),
         photos=Photos.of(images),
-        splits={"train": (0, 1, 2, 3, 4), "test": (5,)},
+        splits=splits,
         near=NEAR,
         far=FAR,
         background=(1.0, 1.0, 1.0),
@@ -83,6 +86,17 @@ def scene() -> Scene:
         to_input=np.eye(4),
         synthetic=True,
     )
+
+
+@pytest.fixture(scope="session")
+def facing() -> Scene:
+    """Ten views of the same ball from a grid of places, all looking the same way; one of them is held out."""
+    focal = SIZE / 2 / np.tan(ANGLE / 2)
+    places = [(x, y, 4.0) for y in (-0.3, 0.3) for x in (-0.6, -0.3, 0.0, 0.3, 0.6)]
+    cameras = [
+        Camera(SIZE, SIZE, focal, focal, SIZE / 2, SIZE / 2, np.column_stack([np.eye(3), place])) for place in places
+    ]
+    return _scene("facing ball", cameras, {"train": (0, 1, 2, 3, 4, 5, 7, 8, 9), "test": (6,)})
 
 
 @pytest.fixture(scope="session")

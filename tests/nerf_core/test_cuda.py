@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from desk import PATIENCE, Desk, view_of
+from fitting_scenes import fitting
 from pretended_cuda import Graph, Rules, pretended_cuda, recorded
 
 from nerf_core.geometry.cameras import camera_rays
@@ -28,6 +29,7 @@ SMALLER = {"chunk_rays": "512", "coarse_samples": "6", "fine_samples": "6", "dep
 SMALL = {
     "hash": {"samples": "2000", "levels": "4", "log2_rows": "10", "cells": "16", "hidden": "16", "pixels": "4"},
     "nerf": NETWORK | {"chunk_rays": "512", "coarse_samples": "8", "fine_samples": "8"},
+    "mpi": {"references": "2", "planes": "8", "rays": "512"},
     "nerf-guided": NETWORK | {"guide_steps": "5", "precision": "bfloat16"},
     "srn": {"rays": "64", "march_steps": "4", "width": "32", "learning_rate": "0.003"},
 }
@@ -48,6 +50,12 @@ def cuda(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(PackedOnTriton, "obstacle", lambda: "pretended")  # test_fixed_step.py has the interpreted ones
     with pretended_cuda():
         yield
+
+
+@pytest.fixture
+def scene(request: pytest.FixtureRequest, scene: Scene, facing: Scene) -> Scene:
+    """The ball seen from all around, or from one side for a method that refuses that."""
+    return fitting(request, scene, facing)
 
 
 @pytest.mark.parametrize("name", METHODS.names())

@@ -11,8 +11,9 @@ from nerf_core.common.errors import UserError
 from nerf_core.datasets import Capture, LoadOptions, Photo, load_scene
 from nerf_core.datasets.depths import known_depths
 from nerf_core.datasets.geometry import Normalised, normalise
-from nerf_core.datasets.rig import common_focus, mean_camera, up_direction, upright
+from nerf_core.datasets.rig import common_focus, up_direction, upright
 from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.forward_facing import mean_camera
 from nerf_core.geometry.lens import Lens
 
 AUTO, ON = LoadOptions(), LoadOptions(ndc="on")

@@ -9,6 +9,7 @@ from typing import Protocol, cast
 import numpy as np
 import pytest
 import torch
+from fitting_scenes import fitting
 
 from nerf_core.common.errors import UserError
 from nerf_core.geometry.cameras import camera_rays
@@ -33,6 +34,7 @@ SMALL: dict[str, dict[str, str]] = {
     "voxels": {"start": "6", "level_steps": "1", "pixels": "0.5"},
     "rgba-grid": {"side": "10", "coarsest": "6", "level_steps": "2", "update_every": "2"},
     "srn": {"march_steps": "3", "layers": "2", "generator_layers": "2", "width": "16", "hidden": "4", "tile": "32"},
+    "mpi": {"references": "3", "planes": "6", "blended": "2"},
 }
 # Batches of about 77 rays, so that a step calls the yield callback only a few times.
 FEW_RAYS = {
@@ -42,6 +44,7 @@ FEW_RAYS = {
     "voxels": {"first_rays": "77", "rays": "77"},
     "rgba-grid": {"rays": "77"},
     "srn": {"rays": "77", "chunk_rays": "32"},
+    "mpi": {"rays": "77", "references": "2"},
 }
 # State that an abandoned step may change: it notes which samples have weight, and notes the same when it is repeated.
 NOTED_AGAIN = {"method.seen", "method.guide.seen"}
@@ -52,6 +55,12 @@ class Whole(Method, Traceable, Radiant, Dense, Explainable, Protocol):
 
 
 MakeMethod = Callable[..., Whole]
+
+
+@pytest.fixture
+def scene(request: pytest.FixtureRequest, scene: Scene, facing: Scene) -> Scene:
+    """The ball seen from all around, or from one side for a method that refuses that."""
+    return fitting(request, scene, facing)
 
 
 @pytest.fixture(params=METHODS.names())

@@ -1,0 +1,1 @@
+"""Optimised multiplane images with LLFF-style blending, for forward-facing captures."""
