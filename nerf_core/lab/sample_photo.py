@@ -85,21 +85,27 @@ def _land(canvas: _Canvas) -> None:
 
 # --- balloons ------------------------------------------------------------------------------------------------------
 
-STRIPES = np.stack([linear(color) for color in ("c8371f", "f1e3c4", "e29a21", "f1e3c4")])
-NAVY, GOLD, CRIMSON, ROPE, WICKER = (linear(color) for color in ("153e63", "f0b43c", "8d2415", "3a2a1e", "8a5a30"))
+# x, y, radius, and the colours of the stripes, the belt, the zigzag in it, and the mouth
+BALLOONS = (
+    (0.245, 0.37, 0.118, "c8371f f1e3c4 e29a21 f1e3c4", "153e63", "f0b43c", "8d2415"),
+    (-0.395, 0.50, 0.060, "1f7a74 f1e3c4", "f0b43c", "b8361f", "14504d"),
+    (0.030, 0.535, 0.043, "e8a728 b8361f", "f1e3c4", "5a2a5e", "5a2a5e"),
+    (0.415, 0.57, 0.024, "35508f f1e3c4 c8371f f1e3c4", "f1e3c4", "35508f", "243a6b"),
+)  # fmt: skip
+ROPE, WICKER = linear("3a2a1e"), linear("8a5a30")
 
 
 def _balloons(canvas: _Canvas) -> None:
-    for x, y, radius in ((0.235, 0.43, 0.088), (0.035, 0.585, 0.022)):
+    for x, y, radius, stripes, *trim in BALLOONS:
         near = (np.abs(canvas.x - x) < 1.1 * radius) & (np.abs(canvas.y - y) < 1.8 * radius)
         u, v = (canvas.x[near] - x) / radius, (canvas.y[near] - y) / radius
         color = canvas.color[near]
-        _envelope(color, u, v)
+        _envelope(color, u, v, [linear(one) for one in stripes.split()], [linear(one) for one in trim])
         _basket(color, u, v)
         canvas.color[near] = color
 
 
-def _envelope(color: Array, u: Array, v: Array) -> None:
+def _envelope(color: Array, u: Array, v: Array, stripes: list[Array], trim: list[Array]) -> None:
     """Draw a balloon of radius 1 around (0, 0) over colours (P, 3) at (u, v), v upwards."""
     low = np.clip(-(v + 0.05) / 1.3, 0, 1)  # from the widest place, 0, to the mouth, 1
     dome = np.sqrt(np.clip(1 - ((v + 0.05) / 1.02) ** 2, 0, 1))
@@ -108,10 +114,11 @@ def _envelope(color: Array, u: Array, v: Array) -> None:
     u, v, radius = u[inside], v[inside], radius[inside]
     side = np.clip(u / np.maximum(radius, 1e-3), -1, 1)  # the top of the dome has no width
     gore, across = np.divmod((np.arcsin(side) + 0.22) * 16 / np.pi, 1)
-    cloth = STRIPES[gore.astype(int) % len(STRIPES)]
+    cloth = np.stack(stripes)[gore.astype(int) % len(stripes)]
+    belt, line, mouth = trim
     zigzag = np.abs(v + 0.10 - 0.24 * np.abs(across - 0.5))
-    cloth[zigzag < 0.20], cloth[zigzag < 0.055] = NAVY, GOLD
-    cloth[v > 0.80], cloth[v < -1.02] = NAVY, CRIMSON
+    cloth[zigzag < 0.20], cloth[zigzag < 0.055] = belt, line
+    cloth[v > 0.80], cloth[v < -1.02] = belt, mouth
 
     up = 0.85 * np.clip(v + 0.15, -1, 1)
     level = np.sqrt(1 - up**2)

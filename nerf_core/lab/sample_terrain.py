@@ -88,7 +88,7 @@ def ground(x: Array, z: Array, octaves: int) -> tuple[Array, Array, Array]:
         slope_x += share * to_x
         slope_z += share * to_z
         u, v = turned(u, v)
-        turn, strength = TURN @ turn, 0.44 * strength
+        turn, strength = TURN @ turn, 0.41 * strength
     coarse, shape = _envelope(x, z), F(0.34) + F(0.46) * ridges
     d = F(SLOPE_STEP)
     coarse_x, coarse_z = (_envelope(x + d, z) - coarse) / d, (_envelope(x, z + d) - coarse) / d
@@ -117,13 +117,13 @@ def _normals(slope_x: Array, slope_z: Array) -> Array:
 def _materials(x: Array, z: Array, height: Array, level: Array) -> Array:
     """Return albedos (P, 3): rock, snow where it is high and level, forest and meadows below; level is normal y."""
     patches, grain = fractal(x * 3.5, height * 9 + z * 2, 4, 31), fractal(x * 16, z * 16, 4, 41)
-    rock = mix(linear("5c5048"), linear("9a826b"), smooth(0.5 + 0.9 * patches)) * (1 + 0.5 * grain[:, None])
-    clings = smooth((level - 0.53 + 0.22 * grain + 0.05 * np.clip(height - 1.6, 0, 2.2)) / 0.16)
+    rock = mix(linear("5c5048"), linear("9a826b"), smooth(0.5 + 0.9 * patches)) * (1 + 0.35 * grain[:, None])
+    clings = smooth((level - 0.53 + 0.12 * grain + 0.05 * np.clip(height - 1.6, 0, 2.2)) / 0.16)
     color = mix(rock, np.array([0.90, 0.93, 0.98], F), clings * smooth((height - 1.15 + 0.5 * patches) / 0.5))
 
     crowns, stands = fractal(x * 30, z * 30 + height * 26, 3, 51), fractal(x * 1.3, z * 1.3, 3, 59)
-    forest = mix(linear("0e1b17"), linear("55602f"), smooth(0.36 + crowns + 0.8 * stands))
-    forest = mix(forest, linear("8a6a2c"), 0.6 * smooth((0.8 * crowns + 1.2 * stands - 0.3) / 0.25))  # larches
+    forest = mix(linear("0e1b17"), linear("55602f"), smooth(0.36 + 0.75 * crowns + 0.9 * stands))
+    forest = mix(forest, linear("8a6a2c"), 0.6 * smooth((0.5 * crowns + 1.3 * stands - 0.26) / 0.25))  # larches
     meadow = mix(linear("6d7434"), linear("93843f"), smooth(0.5 + patches))
     clearing = smooth((fractal(x * 1.6 + 9, z * 0.8 + height * 2, 4, 57) + 0.25 * grain - 0.22) / 0.06)
     forest = mix(forest, meadow, 0.8 * clearing * smooth((0.55 - height) / 0.15))
