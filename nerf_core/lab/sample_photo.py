@@ -198,7 +198,10 @@ def _pines(canvas: _Canvas) -> None:
     for x, foot, height, width, salt in PINES:
         down, side = (foot + height - canvas.y) / height, (canvas.x - x) / (width / 2)
         near = (down > 0) & (down < 1) & (np.abs(side) < 1.3)
-        down, side = down[near], side[near] - 0.008 / width * np.sin(down[near] * 5 + salt)  # no trunk is quite straight
+        down, side = (
+            down[near],
+            side[near] - 0.008 / width * np.sin(down[near] * 5 + salt),
+        )  # no trunk is quite straight
         out, left = np.abs(side), np.sign(side)
         # whorls of branches that hang; those of one side are not those of the other
         uneven = 0.9 * noise(down * 9, left * 3.3 + salt, salt)

@@ -29,12 +29,14 @@ class Subject(NamedTuple):
     load: how a capture is loaded.
     scene: the loaded capture; None for studies of a photo.
     device: "auto", "cpu", "cuda" or "cuda:N".
+    threads: of a CPU for training; 0: all usable cores.
     """
 
     data: Path | None
     load: LoadOptions
     scene: Scene | None
     device: str = "auto"
+    threads: int = 0
 
     def capture(self) -> Scene:
         """Return the scene of a study that needs one."""

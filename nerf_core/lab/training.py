@@ -48,7 +48,7 @@ def trained(
         UserError: the settings do not fit the scene, the loss diverged, or the folder cannot be written.
     """
     run, scene = RunFolder(bench.run), subject.capture()
-    settings = replace(settings, load=subject.load, device=subject.device)
+    settings = replace(settings, load=subject.load, device=subject.device, threads=subject.threads)
     with run.claimed():
         if run.checkpoints():
             path, description, state, _ = checkpoint.newest(run.path)
@@ -92,8 +92,8 @@ def measured(
     """Compare a trained row with held-out photos, and keep its pictures. Yields after every tile.
 
     Returns:
-        psnr, ssim and lpips (None: not computed), averaged over the views; `seconds` and `steps` of training; `bytes`
-        of the model's parameters; and `images` with the same for each view, and with its picture's file.
+        psnr, ssim and lpips (None: not computed), averaged over the views; `seconds`, `steps` and `threads` of
+        training; `bytes` of the model's parameters; and `images` with the same for each view, and its picture's file.
     """
     newest: list[Look] = []
 
@@ -117,6 +117,7 @@ def measured(
         **metrics["mean"],
         "seconds": trainer.seconds,
         "steps": trainer.step_count,
+        "threads": trainer.threads,
         "bytes": sum(p.numel() * p.element_size() for p in trainer.method.parameters()),
         "images": images,
     }

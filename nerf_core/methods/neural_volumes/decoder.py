@@ -67,8 +67,10 @@ def initialise(module: nn.Module, generator: torch.Generator, gain: float) -> No
     A transposed convolution with stride 2 adds up only 2³ of its 4³ taps in each voxel, which its fan counts.
     """
     assert isinstance(module, nn.Linear | nn.ConvTranspose3d) and module.bias is not None
-    into, out = (8 * module.in_channels, 8 * module.out_channels) if isinstance(module, nn.ConvTranspose3d) else (
-        module.in_features, module.out_features
+    into, out = (
+        (8 * module.in_channels, 8 * module.out_channels)
+        if isinstance(module, nn.ConvTranspose3d)
+        else (module.in_features, module.out_features)
     )
     with torch.no_grad():
         module.weight.normal_(0, gain * math.sqrt(2 / (into + out)), generator=generator)

@@ -132,9 +132,7 @@ class NeuralVolumesModel(Defaults):
         empty = transmittance <= 0
         alpha = torch.where(empty, 0, weights / torch.where(empty, 1, transmittance))
         sigma = opacity / torch.where(march.real, delta, 1)
-        samples = Samples(
-            "volume", t, delta, sigma, alpha, transmittance, weights, rgb, march.real.sum(-1)
-        )
+        samples = Samples("volume", t, delta, sigma, alpha, transmittance, weights, rgb, march.real.sum(-1))
         return Trace(Rendering(color.clamp(0, 1), total, expected_depth(weights, t)), (samples,))
 
     def render(self, rays: Rays, quality: str = "fine") -> Rendering:

@@ -78,7 +78,9 @@ def test_the_samples_of_a_trace_follow_the_additive_law(scene: Scene) -> None:
     samples = model.trace(some_rays(scene)[0]).passes[0]
     total = (samples.sigma * samples.delta).cumsum(-1).clamp(max=1)
     assert (total[:, -1] == 1).any()
-    torch.testing.assert_close(samples.transmittance + samples.weights + total, 1 + 2 * samples.weights, atol=1e-5, rtol=0)
+    torch.testing.assert_close(
+        samples.transmittance + samples.weights + total, 1 + 2 * samples.weights, atol=1e-5, rtol=0
+    )
     torch.testing.assert_close(samples.alpha * samples.transmittance, samples.weights)
     assert (samples.alpha > 1 - torch.exp(-samples.sigma * samples.delta) + 0.01).any()  # the exponential law's
 
