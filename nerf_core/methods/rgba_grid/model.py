@@ -237,8 +237,9 @@ class GridModel(Defaults):
         if not 0 <= level < len(self.sides) or updates < 0 or not 1 <= per_ray < 1e9:
             raise ValueError(f"level {level} of {len(self.sides)}, {updates} updates, {per_ray} samples a ray")
         n = self.sides[level]
-        shapes = dict.fromkeys(("logits", "mean", "square"), ((n, n, n, CHANNELS), torch.float32))
-        shapes["occupied"] = ((n - 1, n - 1, n - 1), torch.bool)
+        vertex = (n, n, n, CHANNELS), torch.float32
+        cell = (n - 1, n - 1, n - 1), torch.bool
+        shapes = {"logits": vertex, "mean": vertex, "square": vertex, "occupied": cell}
         for name, (shape, kind) in shapes.items():
             if state[name].shape != shape or state[name].dtype != kind:
                 raise ValueError(f"{name} does not fit a grid of {n}³ vertices")
