@@ -42,9 +42,7 @@ class NeuralVolumesConfig:
                 raise UserError(f"--set {name}={value}: must be a power of two, because every layer doubles it")
 
     @staticmethod
-    def configure(
-        scene: Scene, preset: str, changes: Mapping[str, str], device: torch.device
-    ) -> NeuralVolumesConfig:
+    def configure(scene: Scene, preset: str, changes: Mapping[str, str], device: torch.device) -> NeuralVolumesConfig:
         """Return the paper's constants on CUDA; on a CPU, an eighth of the voxels and a quarter of the channels."""
         if preset != "auto":
             raise UserError(

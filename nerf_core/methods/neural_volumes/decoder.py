@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 LEAK = 0.2  # slope of the leaky ReLU below 0 (the published code)
-FOG = -5.0  # softplus(−5) = 0.007 of a voxel's opacity: a ray through 64 of them sees thin fog, and all that is behind
+FOG = -7.0  # softplus(−7) = 0.001 of a voxel's opacity: a ray through 64 of them meets thin fog, and sees all behind it
 
 
 class Chain:
@@ -67,8 +67,10 @@ def initialise(module: nn.Module, generator: torch.Generator, gain: float) -> No
     A transposed convolution with stride 2 adds up only 2³ of its 4³ taps in each voxel, which its fan counts.
     """
     assert isinstance(module, nn.Linear | nn.ConvTranspose3d) and module.bias is not None
-    into, out = (8 * module.in_channels, 8 * module.out_channels) if isinstance(module, nn.ConvTranspose3d) else (
-        module.in_features, module.out_features
+    into, out = (
+        (8 * module.in_channels, 8 * module.out_channels)
+        if isinstance(module, nn.ConvTranspose3d)
+        else (module.in_features, module.out_features)
     )
     with torch.no_grad():
         module.weight.normal_(0, gain * math.sqrt(2 / (into + out)), generator=generator)

@@ -25,6 +25,9 @@ from nerf_core.volume.compositing import composite, expected_depth
 TILE = 2**16  # samples drawn at once on a CPU: about 10 ms
 CUDA_TILE = 2**21
 SLAB = 2**16  # voxels between two yields while the total variation is computed: a few ms
+AVERAGE_EVERY = 4  # steps between updates of the EMA of the weights: neighbouring steps differ little
+FOLLOW = 0.1  # rate of the EMA per update: it spans about 40 steps
+YOUNG = 4.0  # at its update k the EMA spans only the last k/YOUNG updates: older weights are outdated
 FEWEST = 2**10  # samples per chunk below which `halve` refuses
 
 
@@ -41,6 +44,7 @@ class NeuralVolumesModel(Defaults):
         self.net = Net(config)
         self.net.initialise(torch.Generator().manual_seed(seed))
         self.net.to(device)
+        self.shown = deepcopy(self.net).requires_grad_(False)  # the EMA of the weights, which pictures show
         self.optimizer = torch.optim.Adam(self.parameters(), lr=config.learning_rate, fused=True)
         for parameter in self.parameters():
             parameter.grad = torch.zeros_like(parameter)
@@ -75,7 +79,8 @@ class NeuralVolumesModel(Defaults):
         for chain in chains:
             self.net.latent.grad += chain.backward(yield_callback)
         self.optimizer.step()
-        self._volume = None
+        if (step + 1) % AVERAGE_EVERY == 0:
+            self._average((step + 1) // AVERAGE_EVERY)
         return error / truth.numel()
 
     def _rays(
@@ -98,6 +103,14 @@ class NeuralVolumesModel(Defaults):
             yield_callback()
         return float(error)
 
+    @torch.no_grad()
+    def _average(self, move: int) -> None:
+        """Move the EMA towards the weights, for the time number `move` (from 1)."""
+        share = max(FOLLOW, YOUNG / (YOUNG + move - 1))
+        for mean, now in zip(self.shown.parameters(), self.net.parameters(), strict=True):
+            mean.lerp_(now, share)
+        self._volume = None
+
     def halve(self) -> bool:
         if self.config.chunk <= FEWEST:
             return False
@@ -113,10 +126,10 @@ class NeuralVolumesModel(Defaults):
 
     @property
     def volume(self) -> Volume:
-        """The decoded volume. It is kept until the weights change."""
+        """The volume that the EMA of the weights decodes to. It is kept until they change."""
         if self._volume is None:
             with torch.no_grad():
-                self._volume = self.net.volume()
+                self._volume = self.shown.volume()
         return self._volume
 
     @torch.no_grad()
@@ -132,9 +145,7 @@ class NeuralVolumesModel(Defaults):
         empty = transmittance <= 0
         alpha = torch.where(empty, 0, weights / torch.where(empty, 1, transmittance))
         sigma = opacity / torch.where(march.real, delta, 1)
-        samples = Samples(
-            "volume", t, delta, sigma, alpha, transmittance, weights, rgb, march.real.sum(-1)
-        )
+        samples = Samples("volume", t, delta, sigma, alpha, transmittance, weights, rgb, march.real.sum(-1))
         return Trace(Rendering(color.clamp(0, 1), total, expected_depth(weights, t)), (samples,))
 
     def render(self, rays: Rays, quality: str = "fine") -> Rendering:
@@ -163,19 +174,20 @@ class NeuralVolumesModel(Defaults):
     def frozen(self) -> Self:
         copy = object.__new__(type(self))
         copy.__dict__ |= self.__dict__
-        copy.net = deepcopy(self.net).requires_grad_(False)
+        copy.net = copy.shown = deepcopy(self.shown)
         return copy
 
     def parameters(self) -> list[Tensor]:
         return list(self.net.parameters())
 
     def state(self) -> dict[str, Tensor]:
-        return {f"net.{name}": value for name, value in self.net.state_dict().items()} | adam_state(self.optimizer) | {
-            "generator": self.generator.get_state()
-        }  # fmt: skip
+        parts = {"net": self.net, "shown": self.shown}
+        state = {f"{part}.{name}": value for part, net in parts.items() for name, value in net.state_dict().items()}
+        return state | adam_state(self.optimizer) | {"generator": self.generator.get_state()}
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
-        self.net.load_state_dict({name: state[f"net.{name}"] for name in self.net.state_dict()})
+        for part, net in (("net", self.net), ("shown", self.shown)):
+            net.load_state_dict({name: state[f"{part}.{name}"] for name in net.state_dict()})
         load_adam(self.optimizer, self.parameters(), state)
         self.generator.set_state(state["generator"].cpu())
         self._volume = None

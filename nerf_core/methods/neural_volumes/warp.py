@@ -8,6 +8,7 @@ from torch.nn import functional
 
 from nerf_core.methods.neural_volumes.decoder import GAIN, Callable, initialise, leaky, upsampling
 
+POSE = 0.1  # a raw number of 1 scales, turns or moves by a tenth: a warp moves all of the scene, so it shall be slow
 SMALLEST = 1e-3  # floor under the weights' sum, which is about K; a product of exponentials can come near 0
 
 
@@ -57,7 +58,7 @@ class AffineWarp(nn.Module):
     def affine(self, code: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return scales (K, 3), rotations (K, 3, 3) and translations (K, 3)."""
         first, last = self.poses
-        raw = last(leaky(first(code))).view(self.warps, 10)
+        raw = POSE * last(leaky(first(code))).view(self.warps, 10)
         identity = torch.tensor([1.0, 0.0, 0.0, 0.0]).to(raw)
         return torch.exp(raw[:, :3]), rotations(raw[:, 3:7] + identity), raw[:, 7:]
 

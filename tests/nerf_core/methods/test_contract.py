@@ -30,6 +30,7 @@ SMALL: dict[str, dict[str, str]] = {
     "nerf-guided": {"guide_steps": "1", "depth": "6", "width": "32"},
     "hash": {"samples": "2000", "levels": "4", "log2_rows": "10", "cells": "16", "update_every": "2", "hidden": "16"},
     "voxels": {"start": "6", "level_steps": "1", "pixels": "0.5"},
+    "neural-volumes": {"template": "8", "width": "16", "latent": "4", "warps": "2", "warp_cells": "4", "step": "0.5"},
 }
 # Batches of about 77 rays, so that a step calls the yield callback only a few times.
 FEW_RAYS = {
@@ -37,7 +38,10 @@ FEW_RAYS = {
     "nerf-guided": {"rays": "77", "guide.first_rays": "77", "guide.rays": "77"},
     "hash": {"most_rays": "77"},
     "voxels": {"first_rays": "77", "rays": "77"},
+    "neural-volumes": {"rays": "77", "template": "4"},
 }
+# Methods whose samples do not absorb exponentially: α is not 1 − exp(−σδ), but T and w follow from it as they always do.
+OTHER_LAWS = {"neural-volumes"}
 # State that an abandoned step may change: it notes which samples have weight, and notes the same when it is repeated.
 NOTED_AGAIN = {"method.seen", "method.guide.seen"}
 
@@ -138,7 +142,8 @@ def test_a_trace_is_the_rendering_opened_up(make: MakeMethod, scene: Scene) -> N
     torch.testing.assert_close(color, drawn.color, atol=1e-5, rtol=0)
     for samples in trace.passes:
         assert (samples.t.diff(dim=-1) >= 0).all()
-        torch.testing.assert_close(samples.alpha, 1 - torch.exp(-samples.sigma * samples.delta), atol=1e-5, rtol=0)
+        if METHODS.name_of(type(method)) not in OTHER_LAWS:
+            torch.testing.assert_close(samples.alpha, 1 - torch.exp(-samples.sigma * samples.delta), atol=1e-5, rtol=0)
         torch.testing.assert_close(samples.weights, samples.alpha * samples.transmittance)
         behind = torch.cumprod(1 - samples.alpha.double(), -1)[:, :-1].float()
         torch.testing.assert_close(samples.transmittance[:, 1:], behind, atol=1e-5, rtol=0)
