@@ -43,7 +43,7 @@ def explain(model: NeuralVolumesModel, rays: Rays) -> tuple[Stage, ...]:
 
 def _code_stage(model: NeuralVolumesModel) -> Stage:
     code = model.shown.latent.detach().cpu().numpy()
-    side, layers = model.config.template, len(model.shown.decoder.ups)
+    side, layers = model.config.template, len(model.shown.decoder.layers)
     return Stage(
         "Latent code",
         "All of the volume is decoded from these numbers. The paper's encoder reads them from photos of a moment; here "
@@ -100,7 +100,7 @@ def _template_stage(volume: Volume, u: Tensor) -> Stage:
     seen = np.clip(template[3] * 2 / (side - 1), 0, 1)  # opacity of one voxel
     rgba = np.concatenate([template[:3], seen[None]])
     images, marks = [], []
-    for axis, (name, (up, across)) in enumerate(PLANES):
+    for axis, (_, (up, across)) in enumerate(PLANES):
         cut = np.take(rgba, nearest[axis], axis=3 - axis)  # (4, height, width): the axes left are in the order z, y, x
         images.append((cut[:, ::-1].transpose(1, 2, 0) * 255 + 0.5).astype(np.uint8))
         inside = 0 <= place[axis] <= side - 1

@@ -16,7 +16,7 @@ from nerf_core.geometry.spaces import Space
 from nerf_core.methods import Defaults, Draw
 from nerf_core.methods.adam_state import adam_state, load_adam
 from nerf_core.methods.neural_volumes.config import NeuralVolumesConfig
-from nerf_core.methods.neural_volumes.decoder import Chain, Decoder, Volume, sampled
+from nerf_core.methods.neural_volumes.decoder import Chain, Decoder, Volume, applied, sampled
 from nerf_core.methods.neural_volumes.march import Box, March, add_up
 from nerf_core.methods.neural_volumes.priors import undecided, variation
 from nerf_core.methods.neural_volumes.warp import AffineWarp, FieldWarp
@@ -77,7 +77,9 @@ class NeuralVolumesModel(Defaults):
                 (self.config.tv_weight * part).backward()
                 yield_callback()
         for chain in chains:
-            self.net.latent.grad += chain.backward(yield_callback)
+            gradient = chain.backward(yield_callback)
+            assert self.net.latent.grad is not None
+            self.net.latent.grad += gradient
         self.optimizer.step()
         if (step + 1) % AVERAGE_EVERY == 0:
             self._average((step + 1) // AVERAGE_EVERY)
@@ -240,11 +242,6 @@ class Net(nn.Module):
         return [Chain(self.latent, half.parts(), yield_callback) for half in halves]
 
     def volume(self) -> Volume:
-        """Decode without gradients."""
-        found = []
-        for half in (self.decoder, self.warp):
-            value = None if half is None else self.latent
-            for part in () if half is None else half.parts():
-                value = part(value)
-            found.append(value)
-        return Volume(*found)
+        """Decode at once."""
+        warp = None if self.warp is None else applied(self.warp.parts(), self.latent)
+        return Volume(applied(self.decoder.parts(), self.latent), warp)

@@ -40,7 +40,7 @@ FEW_RAYS = {
     "voxels": {"first_rays": "77", "rays": "77"},
     "neural-volumes": {"rays": "77", "template": "4"},
 }
-# Methods whose samples do not absorb exponentially: α is not 1 − exp(−σδ), but T and w follow from it as they always do.
+# Methods whose samples do not absorb exponentially: α is not 1 − exp(−σδ), but T and w follow from it all the same.
 OTHER_LAWS = {"neural-volumes"}
 # State that an abandoned step may change: it notes which samples have weight, and notes the same when it is repeated.
 NOTED_AGAIN = {"method.seen", "method.guide.seen"}
