@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 import tempfile
 from pathlib import Path
@@ -55,7 +56,7 @@ def _on_cluster(address: str, job: StudyJob, rows: tuple[Row, ...]) -> Rows:
     host, _, port = address.removeprefix(SCHEME).rpartition(":")
     try:
         socket.create_connection((host, int(port)), CONNECT_SECONDS).close()  # Ray itself waits half a minute
-        client: Any = ray.init(address, logging_level="ERROR", log_to_driver=False)
+        client: Any = ray.init(address, logging_level=logging.ERROR, log_to_driver=False)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
         reason = shorten(" ".join(str(error).split()), 120)
         raise UserError(f"--workers {address}: no cluster answers ({reason}): start one with `ray start`") from None
@@ -80,10 +81,11 @@ def _on_cluster(address: str, job: StudyJob, rows: tuple[Row, ...]) -> Rows:
 def _fetched(reference: Any, bench: Bench) -> Result:
     """Return the result of a row that is done, and write its files."""
     import ray
+    from ray.exceptions import RayError
 
     try:
         result, pictures, run = ray.get(reference)
-    except ray.exceptions.RayError as error:  # the worker was lost again and again, or the row has a fault
+    except RayError as error:  # the worker was lost again and again, or the row has a fault
         reason = shorten(" ".join(str(error).split()[-40:]), 200)
         return {"failed": f"the worker failed: {reason}"}
     for folder, files in ((bench.pictures, pictures), (bench.run, run)):

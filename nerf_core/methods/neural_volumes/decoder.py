@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import pairwise
 from typing import NamedTuple
 
 import torch
@@ -11,7 +13,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 LEAK = 0.2  # slope of the leaky ReLU below 0 (the published code)
-FOG = -5.0  # softplus(−5) = 0.007 of a voxel's opacity: a ray through 64 of them sees thin fog, and all that is behind
+FOG = -7.0  # softplus(−7) = 0.001 of a voxel's opacity: a ray through 64 of them meets thin fog, and sees all behind it
 
 
 class Chain:
@@ -50,30 +52,25 @@ class Chain:
         return gradient
 
 
-def upsampling(width: int, side: int, channels: int) -> list[nn.ConvTranspose3d]:
-    """Return the transposed convolutions (4³ kernels, stride 2) that make 1 voxel with `width` channels side³ voxels.
-
-    The channels halve at every second layer (Sec. "Volume decoder" and the published code); the last layer has
-    `channels`.
-    """
-    count = int(math.log2(side))
-    widths = [max(width >> (k + 1) // 2, 1) for k in range(count)] + [channels]
-    return [nn.ConvTranspose3d(a, b, 4, 2, 1) for a, b in zip(widths[:-1], widths[1:], strict=True)]
+def applied(parts: Sequence[Callable[[Tensor], Tensor]], x: Tensor) -> Tensor:
+    """Apply functions one after the other."""
+    for part in parts:
+        x = part(x)
+    return x
 
 
-def initialise(module: nn.Module, generator: torch.Generator, gain: float) -> None:
+def initialise(module: nn.Linear | nn.ConvTranspose3d, generator: torch.Generator, gain: float) -> None:
     """Draw weights from Glorot's normal distribution times `gain`, and set biases to 0.
 
     A transposed convolution with stride 2 adds up only 2³ of its 4³ taps in each voxel, which its fan counts.
     """
-    assert isinstance(module, nn.Linear | nn.ConvTranspose3d) and module.bias is not None
-    into, out = (
-        (8 * module.in_channels, 8 * module.out_channels)
-        if isinstance(module, nn.ConvTranspose3d)
-        else (module.in_features, module.out_features)
-    )
+    if isinstance(module, nn.Linear):
+        fan = module.in_features + module.out_features
+    else:
+        fan = 8 * (module.in_channels + module.out_channels)
+    assert module.bias is not None
     with torch.no_grad():
-        module.weight.normal_(0, gain * math.sqrt(2 / (into + out)), generator=generator)
+        module.weight.normal_(0, gain * math.sqrt(2 / fan), generator=generator)
         module.bias.zero_()
 
 
@@ -114,35 +111,58 @@ def sampled(grid: Tensor, u: Tensor, outside: str) -> Tensor:
     return found[0, :, 0, 0].T
 
 
-class Decoder(nn.Module):
-    """The template's half of the decoder: latent code → fully connected layer → transposed convolutions → RGBα."""
+class Upsampler(nn.Module):
+    """Latent code → fully connected layer → transposed convolutions (4³ kernels, stride 2) → side³ voxels.
 
-    def __init__(self, latent: int, width: int, side: int) -> None:
+    The channels begin with `width` and halve at every second layer (the published code); the last layer has `channels`.
+    """
+
+    def __init__(self, latent: int, width: int, side: int, channels: int) -> None:
         super().__init__()
-        self.first = nn.Linear(latent, width)
-        self.ups = nn.ModuleList(upsampling(width, side, 4))
         self.side = side
+        self.first = nn.Linear(latent, width)
+        widths = [max(width >> (k + 1) // 2, 1) for k in range(side.bit_length() - 1)]
+        self.ups = nn.ModuleList(nn.ConvTranspose3d(a, b, 4, 2, 1) for a, b in pairwise([*widths, channels]))
 
-    def initialise(self, generator: torch.Generator) -> None:
+    @property
+    def layers(self) -> list[nn.ConvTranspose3d]:
+        """The transposed convolutions."""
+        return [up for up in self.ups if isinstance(up, nn.ConvTranspose3d)]
+
+    def initialise(self, generator: torch.Generator, last: float = 1.0) -> None:
+        """Draw all weights; last: the gain of the last layer."""
         initialise(self.first, generator, GAIN)
-        for k, up in enumerate(self.ups):
-            initialise(up, generator, GAIN if k + 1 < len(self.ups) else 1.0)
+        for up in self.layers[:-1]:
+            initialise(up, generator, GAIN)
+        initialise(self.layers[-1], generator, last)
 
     def parts(self) -> list[Callable[[Tensor], Tensor]]:
-        """The functions that turn a latent code (L,) into the template (1, 4, N, N, N), to be applied in turn."""
-        ups = list(self.ups)
-        return [
-            lambda code: leaky(self.first(code)).view(1, -1, 1, 1, 1),
-            *(lambda x, up=up: leaky(up(x)) for up in ups[:-1]),
-            ups[-1],
-            self.activated,
-        ]
+        """The functions that turn a latent code (L,) into voxels (1, channels, N, N, N), to be applied in turn."""
+        *ups, last = self.layers
+        return [self._begin, *(partial(_up, up) for up in ups), last]
+
+    def _begin(self, code: Tensor) -> Tensor:
+        return leaky(self.first(code)).view(1, -1, 1, 1, 1)
+
+
+def _up(up: nn.ConvTranspose3d, x: Tensor) -> Tensor:
+    return leaky(up(x))
+
+
+class Decoder(Upsampler):
+    """The decoder of the template."""
+
+    def __init__(self, latent: int, width: int, side: int) -> None:
+        super().__init__(latent, width, side, 4)
+
+    def parts(self) -> list[Callable[[Tensor], Tensor]]:
+        return [*super().parts(), self.activated]
 
     def activated(self, raw: Tensor) -> Tensor:
         """Turn raw values (1, 4, N, N, N) into colours in [0, 1] and opacities ≥ 0.
 
         V_α = softplus(raw + FOG) / voxel. So 1 is the opacity of a voxel that fills a pixel alone, whatever the
-        template's resolution.
+        template's resolution. The paper has softplus for colours too, which then need not end at white.
         """
         opacity = functional.softplus(raw[:, 3:] + FOG) * ((self.side - 1) / 2)
         return torch.cat([torch.sigmoid(raw[:, :3]), opacity], 1)

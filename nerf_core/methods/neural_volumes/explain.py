@@ -42,8 +42,8 @@ def explain(model: NeuralVolumesModel, rays: Rays) -> tuple[Stage, ...]:
 
 
 def _code_stage(model: NeuralVolumesModel) -> Stage:
-    code = model.net.latent.detach().cpu().numpy()
-    side, layers = model.config.template, len(model.net.decoder.ups)
+    code = model.shown.latent.detach().cpu().numpy()
+    side, layers = model.config.template, len(model.shown.decoder.layers)
     return Stage(
         "Latent code",
         "All of the volume is decoded from these numbers. The paper's encoder reads them from photos of a moment; here "
@@ -61,8 +61,8 @@ def _warp_stage(model: NeuralVolumesModel, u: Tensor) -> Stage:
     here, there = u[0].cpu().numpy(), moved[0].cpu().numpy()
     charts = [BarCode(("x", "W⁻¹(x)"), (here, there), max(1.0, float(np.abs(there).max())))]
     what = "A field of displacements, decoded as a small volume of its own, is interpolated at the sample."
-    if isinstance(model.net.warp, AffineWarp):
-        shares = model.net.warp.shares(model.net.latent, u)[0].cpu().numpy()
+    if isinstance(model.shown.warp, AffineWarp):
+        shares = model.shown.warp.shares(model.shown.latent, u)[0].cpu().numpy()
         what = (
             f"{len(shares)} affine warps each scale, rotate and move the sample; the shares are how much each of them "
             "counts here."
@@ -100,7 +100,7 @@ def _template_stage(volume: Volume, u: Tensor) -> Stage:
     seen = np.clip(template[3] * 2 / (side - 1), 0, 1)  # opacity of one voxel
     rgba = np.concatenate([template[:3], seen[None]])
     images, marks = [], []
-    for axis, (name, (up, across)) in enumerate(PLANES):
+    for axis, (_, (up, across)) in enumerate(PLANES):
         cut = np.take(rgba, nearest[axis], axis=3 - axis)  # (4, height, width): the axes left are in the order z, y, x
         images.append((cut[:, ::-1].transpose(1, 2, 0) * 255 + 0.5).astype(np.uint8))
         inside = 0 <= place[axis] <= side - 1

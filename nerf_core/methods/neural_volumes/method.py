@@ -16,9 +16,7 @@ from nerf_core.methods.stages import Stage
 class NeuralVolumes(NeuralVolumesModel):
     """Neural Volumes of a static scene; see `NeuralVolumesModel`."""
 
-    summary: ClassVar[str] = (
-        "Neural Volumes, static scene (2019): a decoder draws a volume, a warp lends it resolution."
-    )
+    summary: ClassVar[str] = "Neural Volumes (2019), static scene: decodes a volume and a warp into it."
     constants: ClassVar[type[NeuralVolumesConfig]] = NeuralVolumesConfig
     configure = staticmethod(NeuralVolumesConfig.configure)
     restore = staticmethod(NeuralVolumesConfig.restore)

@@ -16,7 +16,7 @@ from nerf_core.geometry.spaces import Space
 from nerf_core.methods import Defaults, Draw
 from nerf_core.methods.adam_state import adam_state, load_adam
 from nerf_core.methods.neural_volumes.config import NeuralVolumesConfig
-from nerf_core.methods.neural_volumes.decoder import Chain, Decoder, Volume, sampled
+from nerf_core.methods.neural_volumes.decoder import Chain, Decoder, Volume, applied, sampled
 from nerf_core.methods.neural_volumes.march import Box, March, add_up
 from nerf_core.methods.neural_volumes.priors import undecided, variation
 from nerf_core.methods.neural_volumes.warp import AffineWarp, FieldWarp
@@ -25,6 +25,9 @@ from nerf_core.volume.compositing import composite, expected_depth
 TILE = 2**16  # samples drawn at once on a CPU: about 10 ms
 CUDA_TILE = 2**21
 SLAB = 2**16  # voxels between two yields while the total variation is computed: a few ms
+AVERAGE_EVERY = 4  # steps between updates of the EMA of the weights: neighbouring steps differ little
+FOLLOW = 0.1  # rate of the EMA per update: it spans about 40 steps
+YOUNG = 4.0  # at its update k the EMA spans only the last k/YOUNG updates: older weights are outdated
 FEWEST = 2**10  # samples per chunk below which `halve` refuses
 
 
@@ -41,6 +44,7 @@ class NeuralVolumesModel(Defaults):
         self.net = Net(config)
         self.net.initialise(torch.Generator().manual_seed(seed))
         self.net.to(device)
+        self.shown = deepcopy(self.net).requires_grad_(False)  # the EMA of the weights, which pictures show
         self.optimizer = torch.optim.Adam(self.parameters(), lr=config.learning_rate, fused=True)
         for parameter in self.parameters():
             parameter.grad = torch.zeros_like(parameter)
@@ -73,9 +77,12 @@ class NeuralVolumesModel(Defaults):
                 (self.config.tv_weight * part).backward()
                 yield_callback()
         for chain in chains:
-            self.net.latent.grad += chain.backward(yield_callback)
+            gradient = chain.backward(yield_callback)
+            assert self.net.latent.grad is not None
+            self.net.latent.grad += gradient
         self.optimizer.step()
-        self._volume = None
+        if (step + 1) % AVERAGE_EVERY == 0:
+            self._average((step + 1) // AVERAGE_EVERY)
         return error / truth.numel()
 
     def _rays(
@@ -98,6 +105,14 @@ class NeuralVolumesModel(Defaults):
             yield_callback()
         return float(error)
 
+    @torch.no_grad()
+    def _average(self, move: int) -> None:
+        """Move the EMA towards the weights, for the time number `move` (from 1)."""
+        share = max(FOLLOW, YOUNG / (YOUNG + move - 1))
+        for mean, now in zip(self.shown.parameters(), self.net.parameters(), strict=True):
+            mean.lerp_(now, share)
+        self._volume = None
+
     def halve(self) -> bool:
         if self.config.chunk <= FEWEST:
             return False
@@ -113,10 +128,10 @@ class NeuralVolumesModel(Defaults):
 
     @property
     def volume(self) -> Volume:
-        """The decoded volume. It is kept until the weights change."""
+        """The volume that the EMA of the weights decodes to. It is kept until they change."""
         if self._volume is None:
             with torch.no_grad():
-                self._volume = self.net.volume()
+                self._volume = self.shown.volume()
         return self._volume
 
     @torch.no_grad()
@@ -161,19 +176,20 @@ class NeuralVolumesModel(Defaults):
     def frozen(self) -> Self:
         copy = object.__new__(type(self))
         copy.__dict__ |= self.__dict__
-        copy.net = deepcopy(self.net).requires_grad_(False)
+        copy.net = copy.shown = deepcopy(self.shown)
         return copy
 
     def parameters(self) -> list[Tensor]:
         return list(self.net.parameters())
 
     def state(self) -> dict[str, Tensor]:
-        return {f"net.{name}": value for name, value in self.net.state_dict().items()} | adam_state(self.optimizer) | {
-            "generator": self.generator.get_state()
-        }  # fmt: skip
+        parts = {"net": self.net, "shown": self.shown}
+        state = {f"{part}.{name}": value for part, net in parts.items() for name, value in net.state_dict().items()}
+        return state | adam_state(self.optimizer) | {"generator": self.generator.get_state()}
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
-        self.net.load_state_dict({name: state[f"net.{name}"] for name in self.net.state_dict()})
+        for part, net in (("net", self.net), ("shown", self.shown)):
+            net.load_state_dict({name: state[f"{part}.{name}"] for name in net.state_dict()})
         load_adam(self.optimizer, self.parameters(), state)
         self.generator.set_state(state["generator"].cpu())
         self._volume = None
@@ -226,11 +242,6 @@ class Net(nn.Module):
         return [Chain(self.latent, half.parts(), yield_callback) for half in halves]
 
     def volume(self) -> Volume:
-        """Decode without gradients."""
-        found = []
-        for half in (self.decoder, self.warp):
-            value = None if half is None else self.latent
-            for part in () if half is None else half.parts():
-                value = part(value)
-            found.append(value)
-        return Volume(*found)
+        """Decode at once."""
+        warp = None if self.warp is None else applied(self.warp.parts(), self.latent)
+        return Volume(applied(self.decoder.parts(), self.latent), warp)

@@ -33,8 +33,9 @@ def variation(opacity: Tensor, slab: int) -> Iterator[Tensor]:
 
 
 def undecided(opacity: Tensor) -> Tensor:
-    """Return how far pixels' opacities A (R,) are from 0 and 1, (R,): log(0.1 + A) + log(1.1 − A), less its least value.
+    """Return how far pixels' opacities A (R,) are from 0 and 1: (R,), at least 0.
 
-    It is the negative logarithm of a beta distribution with most of its mass at 0 and 1 (Sec. "Reconstruction priors").
+    It is log(0.1 + A) + log(1.1 − A), less its least value: up to a factor, the negative logarithm of the beta
+    distribution with both parameters ½, whose mass is near 0 and 1 (Sec. "Reconstruction priors").
     """
     return torch.log(SOFT + opacity) + torch.log(1 + SOFT - opacity) - SURE

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from nerf_core.methods.neural_volumes.decoder import GAIN, Callable, initialise, leaky, upsampling
+from nerf_core.methods.neural_volumes.decoder import GAIN, Upsampler, initialise, leaky
 
+POSE = 0.1  # a raw number of 1 scales, turns or moves by a tenth: a warp moves all of the scene, so it shall be slow
 SMALLEST = 1e-3  # floor under the weights' sum, which is about K; a product of exponentials can come near 0
 
 
@@ -41,14 +44,14 @@ class AffineWarp(nn.Module):
     def __init__(self, latent: int, warps: int, side: int) -> None:
         super().__init__()
         self.warps, self.side = warps, side
-        self.poses = nn.ModuleList([nn.Linear(latent, 128), nn.Linear(128, 10 * warps)])
-        self.weights = nn.ModuleList([nn.Linear(latent, 64), nn.Linear(64, warps * side**3)])
-        self.register_buffer("points", lattice(side), persistent=False)
+        self.pose_hidden, self.pose = nn.Linear(latent, 128), nn.Linear(128, 10 * warps)
+        self.weight_hidden, self.weight = nn.Linear(latent, 64), nn.Linear(64, warps * side**3)
+        self.points: Tensor
+        self.register_buffer("points", lattice(side).view(-1, 3), persistent=False)
 
     def initialise(self, generator: torch.Generator) -> None:
-        for first, last, gain in ((*self.poses, 0.0), (*self.weights, 1.0)):
-            initialise(first, generator, GAIN)
-            initialise(last, generator, gain)
+        for layer, gain in ((self.pose_hidden, GAIN), (self.pose, 0), (self.weight_hidden, GAIN), (self.weight, 1)):
+            initialise(layer, generator, gain)
 
     def parts(self) -> list[Callable[[Tensor], Tensor]]:
         """The functions that turn a latent code (L,) into the warp (1, 3, D, D, D), to be applied in turn."""
@@ -56,22 +59,20 @@ class AffineWarp(nn.Module):
 
     def affine(self, code: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return scales (K, 3), rotations (K, 3, 3) and translations (K, 3)."""
-        first, last = self.poses
-        raw = last(leaky(first(code))).view(self.warps, 10)
+        raw = POSE * self.pose(leaky(self.pose_hidden(code))).view(self.warps, 10)
         identity = torch.tensor([1.0, 0.0, 0.0, 0.0]).to(raw)
         return torch.exp(raw[:, :3]), rotations(raw[:, 3:7] + identity), raw[:, 7:]
 
     def _warped(self, code: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
         """Return the points' places A_i(x) (K, P, 3) under each warp, and their weights there (K, P, 1)."""
         scale, rotation, translation = self.affine(code)
-        first, last = self.weights
-        weights = torch.exp(last(leaky(first(code)))).view(self.warps, 1, *[self.side] * 3)
+        weights = torch.exp(self.weight(leaky(self.weight_hidden(code)))).view(self.warps, 1, *[self.side] * 3)
         places = torch.einsum("kab,kpb->kpa", rotation, points - translation[:, None]) * scale[:, None]
         w = functional.grid_sample(weights, places[:, None, None], padding_mode="border", align_corners=True)
         return places, w.view(self.warps, -1, 1)
 
     def warp(self, code: Tensor) -> Tensor:
-        places, w = self._warped(code, self.points.view(-1, 3))
+        places, w = self._warped(code, self.points)
         warped = (w * places).sum(0) / w.sum(0).clamp(min=SMALLEST)
         return warped.T.reshape(1, 3, *[self.side] * 3)
 
@@ -81,26 +82,19 @@ class AffineWarp(nn.Module):
         return w / w.sum(-1, keepdim=True).clamp(min=SMALLEST)
 
 
-class FieldWarp(nn.Module):
+class FieldWarp(Upsampler):
     """A warp that transposed convolutions decode directly, as the points' displacements. It begins as the identity."""
 
     def __init__(self, latent: int, width: int, side: int) -> None:
-        super().__init__()
-        self.side = side
-        self.first = nn.Linear(latent, width)
-        self.ups = nn.ModuleList(upsampling(width, side, 3))
-        self.register_buffer("points", lattice(side), persistent=False)
+        super().__init__(latent, width, side, 3)
+        self.points: Tensor
+        self.register_buffer("points", lattice(side).permute(3, 0, 1, 2)[None], persistent=False)
 
-    def initialise(self, generator: torch.Generator) -> None:
-        initialise(self.first, generator, GAIN)
-        for k, up in enumerate(self.ups):
-            initialise(up, generator, GAIN if k + 1 < len(self.ups) else 0.0)
+    def initialise(self, generator: torch.Generator, last: float = 0.0) -> None:
+        super().initialise(generator, last)
 
     def parts(self) -> list[Callable[[Tensor], Tensor]]:
-        """The functions that turn a latent code (L,) into the warp (1, 3, D, D, D), to be applied in turn."""
-        ups = list(self.ups)
-        return [
-            lambda code: leaky(self.first(code)).view(1, -1, 1, 1, 1),
-            *(lambda x, up=up: leaky(up(x)) for up in ups[:-1]),
-            lambda x: ups[-1](x) * (2 / self.side) + self.points.permute(3, 0, 1, 2),  # 1 is a voxel of the warp
-        ]
+        return [*super().parts(), self._displaced]
+
+    def _displaced(self, raw: Tensor) -> Tensor:
+        return self.points + raw * (2 / self.side)  # a raw number of 1 moves by a voxel of the warp

@@ -35,6 +35,7 @@ SMALL: dict[str, dict[str, str]] = {
     "rgba-grid": {"side": "10", "coarsest": "6", "level_steps": "2", "update_every": "2"},
     "srn": {"march_steps": "3", "layers": "2", "generator_layers": "2", "width": "16", "hidden": "4", "tile": "32"},
     "mpi": {"references": "3", "planes": "6", "blended": "2"},
+    "neural-volumes": {"template": "8", "width": "16", "latent": "4", "warps": "2", "warp_cells": "4", "step": "0.5"},
 }
 # Batches of about 77 rays, so that a step calls the yield callback only a few times.
 FEW_RAYS = {
@@ -45,7 +46,10 @@ FEW_RAYS = {
     "rgba-grid": {"rays": "77"},
     "srn": {"rays": "77", "chunk_rays": "32"},
     "mpi": {"rays": "77", "references": "2"},
+    "neural-volumes": {"rays": "77", "template": "4"},
 }
+# Methods whose samples do not absorb exponentially: α is not 1 − exp(−σδ), but T and w follow from it all the same.
+OTHER_LAWS = {"neural-volumes"}
 # State that an abandoned step may change: it notes which samples have weight, and notes the same when it is repeated.
 NOTED_AGAIN = {"method.seen", "method.guide.seen"}
 
@@ -152,7 +156,8 @@ def test_a_trace_is_the_rendering_opened_up(make: MakeMethod, scene: Scene) -> N
     torch.testing.assert_close(color, drawn.color, atol=1e-5, rtol=0)
     for samples in trace.passes:
         assert (samples.t.diff(dim=-1) >= 0).all()
-        torch.testing.assert_close(samples.alpha, 1 - torch.exp(-samples.sigma * samples.delta), atol=1e-5, rtol=0)
+        if METHODS.name_of(type(method)) not in OTHER_LAWS:
+            torch.testing.assert_close(samples.alpha, 1 - torch.exp(-samples.sigma * samples.delta), atol=1e-5, rtol=0)
         torch.testing.assert_close(samples.weights, samples.alpha * samples.transmittance)
         behind = torch.cumprod(1 - samples.alpha.double(), -1)[:, :-1].float()
         torch.testing.assert_close(samples.transmittance[:, 1:], behind, atol=1e-5, rtol=0)
