@@ -14,6 +14,7 @@ from nerf_core.common.errors import UserError
 from nerf_core.common.output import say
 from nerf_core.common.signals import Signals
 from nerf_core.geometry.camera_files import picked_camera
+from nerf_core.probe.records import WITHOUT_SAMPLES, Opened
 from nerf_core.training.run_folder import RunFolder
 
 
@@ -53,13 +54,21 @@ class Probe:
             opened = open_pixel(trainer.method, trainer.scene, camera, self.pixel, trainer.step_count, self.t)
         except UserError as error:  # it begins with the name of what is wrong: pixel, t
             raise UserError(f"--{error}") from None
-        ray, verdict = opened.ray, opened.verdict
-        assert verdict is not None
-        say(f"{verdict.kind}: {'; '.join(verdict.reasons)}")
-        depth = "none" if ray.depth_median is None else f"{ray.depth_median:.4g}"
-        color = ", ".join(f"{v:.3f}" for v in ray.color)
-        say(f"colour {color}; opacity {ray.opacity:.3f}; median depth {depth}; step {ray.step:,}")
+        for line in _lines(opened):
+            say(line)
         for file in self.write:
             write_inspection([opened], file, self.axis)
             say(f"wrote {file}")
         return 0
+
+
+def _lines(opened: Opened) -> list[str]:
+    ray, verdict = opened.ray, opened.verdict
+    what = WITHOUT_SAMPLES if verdict is None else f"{verdict.kind}: {'; '.join(verdict.reasons)}"
+    name, t = ("median depth", ray.depth_median) if ray.passes else ("depth", ray.depth_expected)
+    color = ", ".join(f"{v:.3f}" for v in ray.color)
+    depth = "none" if t is None else f"{t:.4g}"
+    lines = [what, f"colour {color}; opacity {ray.opacity:.3f}; {name} {depth}; step {ray.step:,}"]
+    if len(ray.visited):
+        lines.append(f"visited, one after another, t = {', '.join(f'{place:.4g}' for place in ray.visited)}")
+    return lines

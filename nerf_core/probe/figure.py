@@ -14,8 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nerf_core.probe.axis import MET, PLAIN, Axis, AxisChoice, chosen_axis, contracted_axis, weighty_part
+from nerf_core.probe.bare_figure import draw_color, draw_visits
 from nerf_core.probe.disc_figure import draw_disc
-from nerf_core.probe.records import Opened, PassProbe
+from nerf_core.probe.records import WITHOUT_SAMPLES, Opened, PassProbe
 from nerf_core.probe.verdicts import NOTHING
 
 FINE, COARSE, LIGHT, ALPHA, DENSITY = "#0072b2", "#e69f00", "#cc79a7", "#d55e00", "#009e73"  # Okabe and Ito's
@@ -125,6 +126,11 @@ class _Axes(NamedTuple):
 
 def _draw(row: _Row, one: Opened, choice: AxisChoice) -> None:
     """Draw an opened ray into its row."""
+    if not one.ray.passes:
+        row.title(*_words(one))
+        draw_visits(row.axes(0.125, 0.145, 0.555, 0.545), one.ray)
+        draw_color(row.axes(0.73, 0.215, 0.25, 0.5), one.ray)
+        return
     weights = row.axes(0.125, 0.44, 0.555, 0.25)
     marks, density, strip = (row.axes(0.125, at, 0.555, height, sharex=weights)
                              for at, height in ((0.7, 0.085), (0.21, 0.2), (0.145, 0.038)))  # fmt: skip
@@ -273,6 +279,8 @@ def _words(one: Opened) -> tuple[str, str]:
     about = ", ".join(filter(None, (what, one.scene.name, one.method, f"step {one.ray.step:,}", begins)))
     title = ": ".join(filter(None, (one.name, verdict.kind if verdict is not None else ""))) or "a ray"
     reasons = _sentence("; ".join(verdict.reasons)) if verdict is not None else ""
+    if not one.ray.passes:
+        reasons = _sentence(WITHOUT_SAMPLES)
     return title if one.name else _sentence(title), ". ".join(filter(None, (about, reasons)))
 
 

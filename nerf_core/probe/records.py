@@ -40,7 +40,10 @@ class PassProbe:
     rgb: np.ndarray
 
 
-NO_SAMPLES = PassProbe("", *(np.zeros(0, np.float32) for _ in range(7)), rgb=np.zeros((0, 3), np.float32))
+NO_PASS = PassProbe("", *(np.zeros(0, np.float32) for _ in range(7)), rgb=np.zeros((0, 3), np.float32))
+
+
+WITHOUT_SAMPLES = "the method keeps no samples along a ray: there is no σ, no w and no T, and no verdict"
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,7 @@ class RayProbe:
     @property
     def last(self) -> PassProbe:
         """The pass that makes the pixel; one without samples if the method keeps none."""
-        return self.passes[-1] if self.passes else NO_SAMPLES
+        return self.passes[-1] if self.passes else NO_PASS
 
     def point_t(self) -> float:
         """Return the default distance of the ray's point.

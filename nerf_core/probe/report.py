@@ -17,7 +17,7 @@ from nerf_core.common.files import write_atomically
 from nerf_core.common.json_files import finite
 from nerf_core.geometry.camera_files import camera_values
 from nerf_core.probe.axis import AxisChoice
-from nerf_core.probe.records import Opened, PassProbe, RayProbe
+from nerf_core.probe.records import WITHOUT_SAMPLES, Opened, PassProbe, RayProbe
 from nerf_core.probe.standing import Verdict
 
 SAMPLE = ("t", "until", "delta", "sigma", "alpha", "transmittance", "weights")
@@ -38,7 +38,8 @@ def inspection(opened: Opened) -> dict[str, Any]:
 def arrays(opened: Opened) -> dict[str, Any]:
     """Return everything about an opened pixel as nested dicts and lists of arrays and numbers.
 
-    Parts that are not computed yet are left out. The names are those of the records in `nerf_core.probe`, except that
+    Parts that are not computed yet are left out. Of a ray without samples, "lacks" says so and "visited" has the places
+    that the method looked at. The names are those of the records in `nerf_core.probe`, except that
     `Standing.training_views` is called "witnesses", as in files of earlier versions.
     """
     found = {
@@ -48,6 +49,8 @@ def arrays(opened: Opened) -> dict[str, Any]:
         "camera": camera_values(opened.camera),
         **_ray_values(opened.ray),
     }
+    if not opened.ray.passes:
+        found |= {"lacks": WITHOUT_SAMPLES, "visited": opened.ray.visited}
     if opened.scene.ndc is not None:
         found["ndc"] = asdict(opened.scene.ndc)
     if opened.verdict is not None:
@@ -119,7 +122,7 @@ def write_inspection(opened: Sequence[Opened], file: Path, axis: AxisChoice = "a
 
     - .json: the object of `inspection`; {"rays": [...]} for several pixels.
     - .npz: the arrays of `arrays`, with nested names joined by "/"; several pixels begin with "rays/0/", "rays/1/", ….
-    - .csv: one line for each sample.
+    - .csv: one line for each sample, or for each place that a method without samples looked at.
     - .png, .svg: a figure with one row for each pixel.
 
     Args:
@@ -179,6 +182,8 @@ def _csv(opened: Sequence[Opened], _: AxisChoice) -> bytes:
     for k, one in enumerate(opened):
         for p in one.ray.passes:
             writer.writerows([k, p.name, i, *row] for i, row in enumerate(_rows(p)))
+        blank = [""] * (len(SAMPLE) + 2)  # of a place that a method without samples looks at, only t is known
+        writer.writerows([k, "visited", i, t, *blank] for i, t in enumerate(one.ray.visited.tolist()))
     return text.getvalue().encode()
 
 

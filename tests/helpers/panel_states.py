@@ -13,7 +13,7 @@ from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene, View
 from nerf_core.live.messages import Export, History, Inspect, Notice, Pin, Preview, Snapshot, Status
-from nerf_core.methods.stages import BarCode, Colors, Marks, Stage, Stems, Transfer
+from nerf_core.methods.stages import BarCode, Colors, Marks, Pictures, Stage, Stems, Transfer
 from nerf_core.probe import (
     SPHERE_COLUMNS,
     SPHERE_ROWS,
@@ -139,6 +139,7 @@ def make_opened(ray: RayProbe) -> Opened:
         Stage("Samples", "Another sentence.", (Marks(t, t[:4]), Stems("w", t, t / 10))),
         Stage("Encoding", "A third.", (BarCode(("γ(x)", "γ(d)"), (np.sin(t), np.cos(t)), 1.0),)),
         Stage("Resampling", "A fourth.", (Transfer(t, np.linspace(0, 1, 9), np.linspace(0, 1, 5), t[::2]),)),
+        Stage("Planes", "A fifth.", (make_pictures(4),), (("planes", "4"),)),
         Stage("Pixel", "The last.", (Colors(("model", "photo"), np.array([[1, 0, 0], [0.9, 0.1, 0]])),)),
     )
     return Opened(make_camera(np.array([3.2, 0, 2.4])), scene, "nerf", ray, verdict, radiance, evidence, walk)
@@ -208,8 +209,40 @@ def odd_opened() -> Opened:
     evidence = make_evidence(make_scene(), radiance).at(np.zeros(0, np.int64))
     nan = np.full(3, np.nan)
     charts = (Stems("w", nan, nan), Marks(nan, nan[:0]), BarCode(("γ",), (nan,), np.nan), Transfer(nan, nan, nan, nan))
+    pictures = make_pictures(3)
+    charts += pictures._replace(marks=np.full((3, 2), np.nan)), Pictures((), (), np.zeros((0, 2)))
     walk = (Stage("Odd", "Nothing but holes.", (*charts, Stems("w", nan[:0], nan[:0]))),)
     return Opened(make_camera(np.array([3.2, 0, 2.4])), make_scene(), "nerf", ray, None, radiance, evidence, walk)
+
+
+def make_pictures(count: int) -> Pictures:
+    """Pictures of 40 × 30 pixels, transparent at the left, the first opaque; the ray meets each farther right."""
+    images = np.full((count, 30, 40, 4), 120, np.uint8)
+    images[1:, :, :20, 3] = 0
+    images[0, ..., 3] = 255
+    marks = np.stack([np.linspace(5, 35, count), np.full(count, 15.0)], -1)
+    return Pictures(tuple(f"plane {k}" for k in range(count)), tuple(images), marks)
+
+
+def bare_ray(visits: int = 10, depth: float | None = 3.8) -> RayProbe:
+    """A ray of a method without samples, which jumped to and fro until it found a surface."""
+    k = np.arange(visits)
+    return replace(
+        make_ray(), passes=(), visited=(3.8 - 1.7 * (-0.6) ** k).astype(np.float32), depth_expected=depth,
+        depth_median=None, depth_strongest=None, opacity=1.0,
+    )  # fmt: skip
+
+
+def bare_snapshot(ray: RayProbe, method: str = "nearest-view") -> Snapshot:
+    """What a window shows of a method without samples, with a pinned ray."""
+    full = make_snapshot()
+    opened = replace(
+        make_opened(make_ray()), ray=ray, method=method, verdict=None, radiance=None, evidence=None
+    )  # fmt: skip
+    history = make_ray_history()
+    history = replace(history, weights=np.full_like(history.weights, np.nan))
+    pin = replace(full.pins[0], ray=ray, history=history)
+    return replace(full, method=method, opened=opened, pins=(pin,))
 
 
 def states() -> dict[str, AppState]:
@@ -226,6 +259,16 @@ def states() -> dict[str, AppState]:
         ),
         "asked": make_state(replace(full, opened=None)),
     }
+    found["visits"] = make_state(bare_snapshot(bare_ray()))
+    found["many visits"] = make_state(bare_snapshot(bare_ray(300)))
+    found["no visits"] = make_state(bare_snapshot(bare_ray(0, None)))
+    found["visits in holes"] = make_state(bare_snapshot(replace(bare_ray(), visited=np.full(3, np.nan, np.float32))))
+    untrained = replace(
+        full.history, step=full.history.step[:0], loss=full.history.loss[:0], psnr=full.history.psnr[:0]
+    )
+    found["nothing to train"] = make_state(
+        replace(bare_snapshot(bare_ray(0, None)), status="finished", step=0, total_steps=0, history=untrained)
+    )
     for status in get_args(Status):
         found.setdefault(status, make_state(replace(full, status=status)))
     found["asked"].inspect = Inspect(make_camera(np.array([3.2, 0, 2.4])), (4, 5))

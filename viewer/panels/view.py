@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Literal
 
+import numpy as np
 from imgui_bundle import ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
@@ -27,7 +28,7 @@ class ViewPanel:
     order = 2
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
-        control, radiance = state.camera, state.snapshot.radiance
+        control, point = state.camera, _point(state)
         text, color = _preview_state(ui, state)
         hint(ui, text, color)
         rows: list[Row] = [
@@ -48,8 +49,8 @@ class ViewPanel:
             yield from run("camera.reset", state)
         same_line_if_fits(FOCUS)
         tip = "orbit the point of the opened ray; in the viewport: double click"
-        if button(ui, FOCUS, "view.focus", enabled=radiance is not None, tip=tip) and radiance is not None:
-            yield FocusOn(radiance.point)
+        if button(ui, FOCUS, "view.focus", enabled=point is not None, tip=tip) and point is not None:
+            yield FocusOn(point)
         _modes(ui, state)
         rays, cameras = USER_COMMANDS.get("show.ray").title, USER_COMMANDS.get("show.cameras").title
         _, state.show_samples = imgui.checkbox(rays, state.show_samples)
@@ -61,6 +62,16 @@ class ViewPanel:
         same_line_if_fits(help_)
         if button(ui, help_, "view.help", tip=with_keys("what mouse and keys do", "show.help")):
             yield from run("show.help", state)
+
+
+def _point(state: AppState) -> np.ndarray | None:
+    """The opened ray's point (3,): that of the radiance, or where a ray without samples ends; None: there is none."""
+    radiance, ray = state.snapshot.radiance, state.snapshot.ray
+    if radiance is not None:
+        return radiance.point
+    if ray is None or ray.passes or ray.depth_expected is None:
+        return None
+    return ray.origin.astype(np.float64) + ray.depth_expected * ray.direction.astype(np.float64)
 
 
 def _titled(icon: str, command: str) -> str:

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from imgui_bundle import ImVec2, imgui, implot
 from panel_states import (
+    bare_ray,
+    bare_snapshot,
     make_camera,
     make_opened,
     make_radiance,
@@ -59,6 +61,7 @@ from nerf_core.probe.axis import contracted_axis
 from nerf_core.rendering.export.models import EXPORTS
 from nerf_core.training.settings import RunSettings
 from viewer.commands.registry import USER_COMMANDS
+from viewer.draw.picture_stack import cards
 from viewer.model.state import (
     Action,
     AppState,
@@ -486,7 +489,7 @@ def test_the_export_shows_its_duration_before_it_starts() -> None:
     assert estimate(replace(form, frames=5), own, speed=0.0, share=0.2).startswith("5 frames")
 
 
-@pytest.mark.parametrize("name", ["ray", "samples", "evidence", "walk", "radiance", "slice", "rays", "ray_history"])
+@pytest.mark.parametrize("name", ["samples", "evidence", "radiance", "slice"])
 def test_a_panel_says_that_the_method_keeps_no_samples_along_a_ray(
     screen: Screen, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -498,6 +501,124 @@ def test_a_panel_says_that_the_method_keeps_no_samples_along_a_ray(
     state.inspect = Inspect(make_camera(np.array([3.2, 0, 2.4])), (4, 5))
     screen.frame(PANELS.get(name)(), state)
     assert texts == ["There is nothing to show here: method flat keeps no samples along a ray."]
+
+
+# ---- a ray without samples --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def texts(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The hints that panels draw."""
+    found: list[str] = []
+    monkeypatch.setattr(imgui, "text_wrapped", found.append)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        (
+            "ray",
+            "Click a pixel: here you will see what is known of its ray. Method nearest-view keeps no samples along",
+        ),
+        ("walk", "Click a pixel: here you will see it go through the whole method"),
+        ("rays", "Up to 8 rays stay where they are"),
+        ("ray_history", "Pin a ray (Ctrl+click)"),
+    ],
+)
+def test_without_samples_rays_can_be_opened_and_pinned(screen: Screen, texts: list[str], name: str, words: str) -> None:
+    state = make_state(replace(make_snapshot(), method="nearest-view", opened=None, pins=()))
+    screen.frame(PANELS.get(name)(), state)
+    assert texts[0].startswith(words)
+
+
+@pytest.mark.parametrize(("visits", "plotted"), [(10, True), (300, True), (0, False)])
+def test_a_ray_without_samples_says_what_it_lacks(screen: Screen, texts: list[str], visits: int, plotted: bool) -> None:
+    panel, state = PANELS.get("ray")(), make_state(bare_snapshot(bare_ray(visits)))
+    screen.size = (900, 260)
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    lacks = "Method nearest-view keeps no samples along a ray: there is no σ, no w and no T, and no verdict."
+    assert texts[-1] == lacks
+    assert not any("Asking" in text for text in texts)
+    assert ("ray.visits" in screen.widgets) == plotted
+
+
+def test_a_visit_can_be_pointed_at(screen: Screen, monkeypatch: pytest.MonkeyPatch) -> None:
+    panel, ray = PANELS.get("ray")(), bare_ray()
+    state = make_state(bare_snapshot(ray))
+    screen.size = (900, 260)
+    placed: list[list[ImVec2]] = []
+    monkeypatch.setattr("viewer.draw.bare_ray.discs", lambda draw, centres, *_: placed.append(list(centres)))
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    assert state.pointed_at is None
+    x = [at.x for at in placed[-1]]
+    np.testing.assert_allclose(np.corrcoef(x, ray.visited)[0, 1], 1)  # they lie at their t
+    assert all(above.y < below.y for above, below in pairwise(placed[-1]))
+    imgui.get_io().add_mouse_pos_event(placed[-1][3].x, placed[-1][3].y + 1)
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    assert state.pointed_at == SampleRef(0, 3)
+
+
+def test_the_view_can_orbit_what_a_ray_without_samples_found(screen: Screen) -> None:
+    panel, ray = PANELS.get("view")(), bare_ray()
+    (focus,) = screen.click(panel, make_state(bare_snapshot(ray)), "view.focus")
+    assert isinstance(focus, FocusOn)
+    np.testing.assert_allclose(focus.point, ray.origin + 3.8 * ray.direction)
+    assert screen.click(panel, make_state(bare_snapshot(bare_ray(0, None))), "view.focus") == []
+
+
+def test_a_history_without_weights_shows_colour_and_depth(screen: Screen, texts: list[str]) -> None:
+    panel, state = PANELS.get("ray_history")(), make_state(bare_snapshot(bare_ray()))
+    screen.size = (900, 260)
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    assert texts[-1] == (
+        "Method nearest-view keeps no samples along a ray: there are no weights to show, but colour and depth."
+    )
+    assert "ray_history.map" in screen.widgets
+    assert "ray colours" in screen.pictures
+    assert "ray history" not in screen.pictures  # the map
+
+
+def test_a_render_mode_that_the_method_cannot_draw_is_no_choice(screen: Screen) -> None:
+    panel = PANELS.get("view")()
+    for method, chosen in (("nerf", "view-dependence"), ("nearest-view", "colour")):
+        state = make_state(replace(make_snapshot(), method=method))
+        screen.click(panel, state, "view.mode")
+        screen.click(panel, state, "view.mode.view-dependence")
+        assert state.mode == chosen
+
+
+def test_a_method_with_nothing_to_train_says_so(screen: Screen, texts: list[str]) -> None:
+    panel, state = PANELS.get("training")(), states()["nothing to train"]
+    for widget in ("training.start", "training.step"):
+        assert screen.click(panel, state, widget) == []
+    assert texts[0] == "Nothing to train: method nearest-view has no parameters."
+    assert "training.loss" not in screen.widgets  # of which there is none
+    assert screen.click(panel, state, "training.save") == [SaveCheckpoint(Path("run/last.safetensors"))]
+
+
+def test_the_picture_under_the_mouse_comes_to_the_front(screen: Screen, monkeypatch: pytest.MonkeyPatch) -> None:
+    panel, state = PANELS.get("walk")(), make_state(make_snapshot())
+    screen.size = (2600, 300)
+    imgui.get_io().display_size = ImVec2(2700, 800)
+    names: list[str] = []
+    monkeypatch.setattr(imgui, "text_colored", lambda color, text: names.append(text))
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    assert "4 pictures, front to back" in names
+    left, top, right, bottom = screen.widgets["walk.pictures 5 0"]
+    boxes = cards([(40, 30)] * 4, (right - left, bottom - top))
+    for box, name in ((boxes[0], "1 of 4: plane 0"), (boxes[3], "4 of 4: plane 3")):
+        names.clear()
+        imgui.get_io().add_mouse_pos_event(left + box[2] - 2, top + box[1] + 2)  # its upper right corner
+        screen.frame(panel, state)
+        screen.frame(panel, state)
+        assert name in names
+    assert {f"##5 0 {k}" for k in range(4)} <= set(screen.pictures)
 
 
 # ---- the ray and its point --------------------------------------------------------------------------------------
