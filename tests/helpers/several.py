@@ -22,7 +22,7 @@ import torch
 
 from nerf_core.cli import main
 from nerf_core.common.errors import UserError
-from nerf_core.training import distributed, loop
+from nerf_core.training import loop
 from nerf_core.training.trainer import Report, Trainer, nothing
 
 SHORT_PATIENCE = 4.0  # seconds
@@ -69,12 +69,14 @@ TROUBLES: dict[str, Callable[[Trainer], None]] = {f.__name__: f for f in (stoppe
 
 def run(scenario: Scenario, rank: int) -> Outcome:
     """Run the command line in this process."""
+    from nerf_core.training import distributed
+
     step, out, err = Trainer.step, io.StringIO(), io.StringIO()
 
-    def troubled(trainer: Trainer, yield_callback: Callable[[], None] = nothing) -> Report:
-        if scenario.trouble and rank == 1 and trainer.step_count == scenario.step:
-            TROUBLES[scenario.trouble](trainer)
-        return step(trainer, yield_callback)
+    def troubled(self: Trainer, yield_callback: Callable[[], None] = nothing) -> Report:
+        if scenario.trouble and rank == 1 and self.step_count == scenario.step:
+            TROUBLES[scenario.trouble](self)
+        return step(self, yield_callback)
 
     distributed.PATIENCE = SHORT_PATIENCE if scenario.trouble == "hung" else 300.0
     Trainer.step = troubled

@@ -16,7 +16,6 @@ import torch
 from several import TROUBLES, Outcome, Scenario
 
 from nerf_core.cli import main
-from nerf_core.methods.group import Group
 from nerf_core.training import checkpoint
 
 ROOT = Path(__file__).parents[3]
@@ -24,7 +23,8 @@ STEPS = 20
 # Two of these processes share the second of three chunks, 24 + 24 rays of 16 + 16 + 16.
 NERF = [
     "--method", "nerf", "--set", "coarse_samples=8", "--set", "fine_samples=8", "--set", "depth=2",
-    "--set", "width=32", "--set", "learning_rate=2e-3", "--set", "chunk_rays=16", "--set", "precision=float32", "--set", "density_noise=0.5",
+    "--set", "width=32", "--set", "learning_rate=2e-3", "--set", "chunk_rays=16", "--set", "precision=float32",
+    "--set", "density_noise=0.5",
 ]  # fmt: skip
 # The occupancy is updated every 5 steps, after the first time in cells drawn at random: there are 36³, above FEW.
 HASH = [
@@ -108,6 +108,7 @@ def test_two_processes_learn_like_one_with_the_double_batch(
     assert f"finished: step {STEPS} after" in first.out
     assert (first.err, second.out, second.err) == ("", "", "")
     assert main(train(capture, tmp_path / "one", method, 2)) == 0
+    assert "nerf_core.training.distributed" not in sys.modules  # only torchrun's processes need it
     one, two = losses(tmp_path / "one"), losses(ran.folder / method)
     assert len(one) == STEPS
     torch.testing.assert_close(two, one, rtol=1e-5, atol=0)
@@ -161,15 +162,3 @@ def test_a_method_that_trains_in_one_process_is_refused(capture: Path, tmp_path:
     told = [line for line in done.stderr.splitlines() if line.startswith("nerf-core: ")]
     assert told == ["nerf-core: method voxels trains in one process: torchrun works with hash and nerf"]
     assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.parametrize("size", [1, 2, 3, 7])
-def test_the_parts_of_a_batch_are_all_of_it(size: int) -> None:
-    for count in (7, 8, 64):
-        parts = []
-        for rank in range(size):
-            group = Group()
-            group.rank, group.size = rank, size
-            parts.append(group.part(count))
-        assert [ray for part in parts for ray in part] == list(range(count))
-        assert max(map(len, parts)) - min(map(len, parts)) <= 1
