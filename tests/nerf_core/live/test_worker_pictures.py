@@ -110,7 +110,7 @@ def test_the_windows_frames_do_not_count_as_training(tiny: RunSettings) -> None:
     assert worker._prepare()
     worker.painted(0.25)
     worker._accounted = time.perf_counter() - 1.0
-    worker._account_for_training(worker._runs[1], 100)
+    worker._account_for_training(1, 100)
     assert worker._scheduler.budget.train_share() == pytest.approx(0.75, abs=0.01)
 
 
