@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from nerf_core.datasets import LoadOptions
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene, View
+from nerf_core.lab.records import Curve, Knob, Look, RowState, StudyState, Table
 from nerf_core.live.messages import Export, History, Inspect, Notice, Pin, Preview, Snapshot, Status
 from nerf_core.methods.stages import BarCode, Colors, Marks, Pictures, Stage, Stems, Transfer
 from nerf_core.probe import (
@@ -245,6 +246,21 @@ def bare_snapshot(ray: RayProbe, method: str = "nearest-view") -> Snapshot:
     return replace(full, method=method, opened=opened, pins=(pin,))
 
 
+def make_study(state: Literal["running", "done", "cancelled", "failed"], name: str = "compare") -> StudyState:
+    """A study with two rows, pictures, curves, a table, knobs and a figure."""
+    image = np.full((6, 8, 3), 120, np.uint8)
+    rows = RowState("voxels", "done"), RowState("srn", "failed", "no"), RowState("nerf", "running", "step 12")
+    return StudyState(
+        name, Path("lab/x"), state, rows, 0.4, "nerf: step 12", 70.0,
+        looks=(Look("voxels", image, "30.1 dB"), Look("nerf", image[:, :3])),
+        curves=(Curve("none", np.arange(3), np.array([1.0, np.nan, 3.0])), Curve("basic", np.zeros(0), np.zeros(0))),
+        tables=(Table("Results", ("method", "PSNR"), (("voxels", "30.1"), ("nerf | x", "–")), ("A note.",)),),
+        knobs=(Knob("L", 1, 12, 6), Knob("σ", 0.5, 64.0, 10.0)),
+        files=(Path("lab/x/report.md"),) if state == "done" else (),
+        figures=(Look("compare", image),) if state == "done" else (),
+    )  # fmt: skip
+
+
 def states() -> dict[str, AppState]:
     """The states in which every panel must draw, by name."""
     full, alone = make_snapshot(), Snapshot()
@@ -275,6 +291,8 @@ def states() -> dict[str, AppState]:
     for kind in ("running", "done", "cancelled", "failed"):
         export = Export(Path("orbit.mp4"), 12, 60, 70.0 if kind == "running" else None, kind)
         found[f"export {kind}"] = make_state(replace(full, export=export))
+    for kind in ("running", "done", "cancelled", "failed"):
+        found[f"study {kind}"] = make_state(replace(full, study=make_study(kind)))
     failed = found["failed"]
     failed.notices += [
         ShownNotice(Notice("info", "saved step 12,400 to run/last.safetensors", Path("run/last.safetensors")), 99),

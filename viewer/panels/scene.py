@@ -96,7 +96,7 @@ class ScenePanel:
         snapshot, unsaved = state.snapshot, unsaved_steps(state.snapshot)
         wanted = ""
         field_width(ui, "method")
-        if imgui.begin_combo("method", snapshot.method):
+        if imgui.begin_combo("method", snapshot.method, imgui.ComboFlags_.height_largest):
             for name, sentence in method_sentences().items():
                 chosen, _ = imgui.selectable(f"{name}##method", name == snapshot.method)
                 ui.mark(f"scene.method.{name}")
@@ -182,13 +182,21 @@ def _known_constants(method: str) -> dict[str, tuple[Any, Constant]]:
 
 
 def _offer_methods(ui: Ui, state: AppState) -> None:
-    """The methods with a sentence each, for the next capture."""
-    offers = {"auto": "The one that is fast on this device."} | method_sentences()
-    for name, sentence in offers.items():
-        if imgui.radio_button(f"{name}##start", state.settings.method == name):
-            state.settings = replace(state.settings, method=name, preset="auto", changes={})
-        ui.mark(f"scene.start.{name}")
-        hint(ui, sentence)
+    """The method for the next capture: a box with a sentence on each."""
+    offers, chosen = {"auto": "The one that is fast on this device."} | method_sentences(), state.settings.method
+    field_width(ui, "method")
+    if imgui.begin_combo("method##start", chosen, imgui.ComboFlags_.height_largest):
+        column = max(imgui.calc_text_size(name).x for name in offers) + 1.5 * ui.em
+        for name, sentence in offers.items():
+            pressed, _ = imgui.selectable(f"{name}##start", name == chosen)
+            ui.mark(f"scene.start.{name}")
+            imgui.same_line(column)
+            imgui.text_colored(ui.theme.muted, sentence)
+            if pressed:
+                state.settings = replace(state.settings, method=name, preset="auto", changes={})
+        imgui.end_combo()
+    ui.mark("scene.start")
+    hint(ui, offers.get(chosen, ""))
 
 
 def _downscale(ui: Ui, state: AppState) -> None:

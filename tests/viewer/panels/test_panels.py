@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import ClassVar, Literal
 import numpy as np
 import pytest
 from imgui_bundle import ImVec2, imgui, implot
+from panel_screen import Screen
 from panel_states import (
     bare_ray,
     bare_snapshot,
@@ -64,7 +65,6 @@ from viewer.commands.registry import USER_COMMANDS
 from viewer.draw.picture_stack import cards
 from viewer.model.state import (
     Action,
-    AppState,
     FilmForm,
     FocusOn,
     FrameScene,
@@ -77,102 +77,7 @@ from viewer.model.state import (
     StartFilmExport,
 )
 from viewer.panels.walk import Space
-from viewer.ui.contract import PANELS, Panel
-from viewer.ui.theme import DarkTheme
-
-SCREEN = (1280, 800)
-
-# ---- a screen without GL ----------------------------------------------------------------------------------------
-
-
-class Screen:
-    """A `Ui` (viewer/ui/contract.py) for one panel, with the real theme and fonts. Textures are not uploaded."""
-
-    def __init__(self) -> None:
-        self.theme = DarkTheme()
-        self.theme.load_fonts()
-        self.theme.apply(1.0)
-        self.widgets: dict[str, tuple[float, float, float, float]] = {}
-        self.pictures: dict[str, np.ndarray] = {}
-        self.size = (420.0, 700.0)
-
-    @property
-    def em(self) -> float:
-        return self.theme.em
-
-    @property
-    def mono(self) -> imgui.ImFont:
-        return self.theme.mono
-
-    def texture(self, key: str, rgba: np.ndarray, smooth: bool = True) -> imgui.ImTextureRef:
-        assert rgba.dtype == np.uint8
-        assert rgba.ndim == 3
-        assert rgba.shape[2] == 4
-        self.pictures[key] = rgba
-        return imgui.ImTextureRef(7)
-
-    def mark(self, name: str) -> None:
-        low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
-        self.widgets[name] = (low.x, low.y, high.x, high.y)
-
-    def frame(self, panel: Panel, state: AppState) -> list[Action]:
-        self.widgets.clear()
-        imgui.new_frame()
-        imgui.set_next_window_pos(ImVec2(10, 10))
-        imgui.set_next_window_size(ImVec2(*self.size))
-        actions: list[Action] = []
-        if panel.dock == "overlay":
-            actions += panel.draw(self, state)
-        else:
-            imgui.begin(panel.title)
-            actions += panel.draw(self, state)
-            imgui.end()
-        imgui.render()
-        return actions
-
-    def click(self, panel: Panel, state: AppState, name: str, button: int = 0) -> list[Action]:
-        self.frame(panel, state)
-        self.frame(panel, state)
-        left, top, right, bottom = self.widgets[name]
-        return self.drag(panel, state, ((left + right) / 2, (top + bottom) / 2), button=button)
-
-    def type(self, panel: Panel, state: AppState, name: str, text: str) -> None:
-        """Type a number into a field that can be dragged. A click with Ctrl edits it."""
-        io = imgui.get_io()
-        io.add_key_event(imgui.Key.mod_ctrl, True)
-        self.click(panel, state, name)
-        io.add_key_event(imgui.Key.mod_ctrl, False)
-        self.frame(panel, state)
-        io.add_input_characters_utf8(text)
-        self.frame(panel, state)
-        for down in (True, False):
-            io.add_key_event(imgui.Key.enter, down)
-            self.frame(panel, state)
-
-    def drag(self, panel: Panel, state: AppState, *places: tuple[float, float], button: int = 0) -> list[Action]:
-        """Press at the first place, move through the others, release at the last."""
-        io, actions = imgui.get_io(), []
-        io.add_mouse_pos_event(*places[0])
-        actions += self.frame(panel, state)
-        io.add_mouse_button_event(button, True)
-        actions += self.frame(panel, state)
-        for place in places[1:]:
-            io.add_mouse_pos_event(*place)
-            actions += self.frame(panel, state)
-        io.add_mouse_button_event(button, False)
-        return actions + self.frame(panel, state) + self.frame(panel, state)
-
-
-@pytest.fixture
-def screen(imgui_context: None) -> Iterator[Screen]:
-    implot.create_context()
-    io = imgui.get_io()
-    io.display_size = ImVec2(*SCREEN)
-    io.delta_time = 0.2  # so slow that two clicks are no double click
-    io.backend_flags |= imgui.BackendFlags_.renderer_has_textures
-    yield Screen()
-    implot.destroy_context()
-
+from viewer.ui.contract import PANELS
 
 # ---- the contract -----------------------------------------------------------------------------------------------
 
@@ -297,7 +202,9 @@ def test_the_next_capture_is_opened_at_the_size_that_was_chosen(screen: Screen) 
 def test_the_start_panel_offers_every_method(screen: Screen, name: str) -> None:
     state = make_state(Snapshot())
     state.settings = RunSettings(method="nerf" if name == "auto" else "auto", changes={"rays": "9"})
-    screen.click(PANELS.get("scene")(), state, f"scene.start.{name}")
+    panel = PANELS.get("scene")()
+    screen.click(panel, state, "scene.start")
+    screen.click(panel, state, f"scene.start.{name}")
     assert (state.settings.method, state.settings.changes) == (name, {})
 
 
