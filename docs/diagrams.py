@@ -21,6 +21,7 @@ CORE = (
     ("cli", "the nerf-core command"),
     ("commands", "its subcommands, one file each"),
     ("live", "the worker thread behind a window"),
+    ("lab", "studies: rows trained, measured and compared"),
     ("probe", "one pixel opened: ray, verdict, radiance, evidence"),
     ("training", "trainer, runs, checkpoints, evaluation"),
     ("rendering", "pictures, videos, render modes, exports"),

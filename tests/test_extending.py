@@ -18,6 +18,7 @@ from PIL import Image
 
 from nerf_core.cli import main
 from nerf_core.commands import COMMANDS
+from nerf_core.common.configs import changed
 from nerf_core.common.errors import UserError
 from nerf_core.common.registry import Registry
 from nerf_core.datasets import LoadOptions, load_scene
@@ -28,6 +29,8 @@ from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels.choice import VOXEL_KERNELS, voxel_kernels
 from nerf_core.kernels.implementations import on_numba
 from nerf_core.kernels.voxel_kernels import March
+from nerf_core.lab.job import StudyJob
+from nerf_core.lab.study import STUDIES, Subject
 from nerf_core.live.scheduler import Scheduler
 from nerf_core.live.shares import SHARES, Situation
 from nerf_core.methods import Traceable
@@ -176,3 +179,16 @@ def test_a_rule_for_the_share_of_time(load: Load) -> None:
     assert scheduler.budget.share == 0.3
     scheduler.adapt(Situation(moving=False, exporting=False))
     assert scheduler.budget.share == 0.6
+
+
+def test_a_study(load: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    load("nerf_core/lab/studies/photos.py", STUDIES)
+    scene = load_scene(None, LoadOptions(downscale=10))
+    kind: Any = STUDIES.get("photos")
+    study = changed(kind(), {"budget": "1steps"}, "photos")
+    job = StudyJob(study, Subject(None, LoadOptions(), scene, "cpu"), tmp_path)
+    while job.advance():
+        pass
+    (table,) = job.progress.tables
+    assert [row[0] for row in table.rows] == ["36", "72"]
+    assert (tmp_path / "report.md").is_file()
