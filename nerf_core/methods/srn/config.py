@@ -29,14 +29,14 @@ class SrnConfig:
     width: int = constant(256, "units of a layer, and features of a point", least=2, most=2**13)
     hidden: int = constant(16, "hidden units of the marcher's LSTM", least=1, most=2**13)
     depth_weight: float = constant(0.0125, "weight of the depth regulariser beside the squared error of the colours")
-    rays: int = constant(1024, "rays per step", least=1, most=2**22)
-    learning_rate: float = constant(5e-4, "Adam's learning rate at the first step")
+    rays: int = constant(256, "rays per step", least=1, most=2**22)
+    learning_rate: float = constant(1e-3, "Adam's learning rate at the first step")
     decay: float = constant(0.1, "the learning rate falls to this share of itself over the run", share="(0, 1]")
-    total_steps: int = constant(5_000, "steps of the schedule, unless --steps says otherwise", least=1, most=10**9)
+    total_steps: int = constant(12_000, "steps of the schedule, unless --steps says otherwise", least=1, most=10**9)
     adam_epsilon: float = constant(1e-8, "Adam's epsilon")
     train_images: int = constant(0, "training photos that are used, evenly spread; 0: all", most=10**9)
     chunk_rays: int = constant(
-        128, "rays whose gradient is computed at once; part of what a seed fixes", least=1, most=2**22
+        256, "rays whose gradient is computed at once; part of what a seed fixes", least=1, most=2**22
     )
     precision: str = constant(
         "float32", "of matrix products; by default bfloat16 where the device is fast at it; part of what a seed fixes",

@@ -19,7 +19,7 @@ from nerf_core.methods.adam_state import adam_state, load_adam
 from nerf_core.methods.srn.config import SrnConfig
 from nerf_core.methods.srn.network import March, SrnNetwork
 
-TILE_PRODUCTS = 1.2e9  # multiplications of one tile on a CPU: about 10 ms on two cores that are fast at bfloat16
+TILE_PRODUCTS = 1.5e9  # multiplications of one tile on a CPU: about 10 ms on two cores that are fast at bfloat16
 
 
 class Found(NamedTuple):
