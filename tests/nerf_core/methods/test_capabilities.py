@@ -15,7 +15,7 @@ from nerf_core.probe import open_pixel, open_ray
 from nerf_core.probe.ray import FARTHEST
 from nerf_core.probe.walkthrough import walk
 from nerf_core.rendering.images import render_camera
-from nerf_core.rendering.modes import MODES, shaded
+from nerf_core.rendering.modes import MODES, obstacle, shaded
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
 
@@ -71,6 +71,20 @@ def test_a_mode_of_samples_is_refused_for_a_method_that_keeps_none(scene: Scene)
     rays = Rays(torch.zeros(2, 3), torch.eye(3)[:2], torch.zeros(2), torch.ones(2))
     with pytest.raises(UserError, match="method plain keeps no samples along a ray: it can draw colours alone"):
         traced(trained(scene, "plain").method, rays)
+
+
+@pytest.mark.parametrize(
+    ("method", "mode", "words"),
+    [
+        ("plain", "colour", ""),
+        ("plain", "view-dependence", "method plain keeps no samples along a ray"),
+        ("sampled", "view-dependence", "method sampled has no radiance at a point"),
+        ("nerf", "view-dependence", ""),
+        ("", "view-dependence", ""),
+    ],
+)
+def test_what_keeps_a_method_from_drawing_a_mode_is_known_before(method: str, mode: str, words: str) -> None:
+    assert obstacle(method, mode) == words
 
 
 def test_what_an_opened_pixel_lacks_is_reported(scene: Scene) -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from panel_states import make_ray
+from panel_states import bare_ray, make_ray
 
 from nerf_core.probe.history import BINS, HistoryRecorder, binned
 
@@ -85,3 +85,15 @@ def test_records_past_the_schedule_become_rarer(first: int, last: int) -> None:
     assert due[-1] > first + 90_000
     assert len(due) < 500
     assert due[-1] - due[-2] > 1000
+
+
+def test_without_samples_a_record_has_colour_and_depth_but_no_weights() -> None:
+    recorder, ray = HistoryRecorder(0, 100), bare_ray()
+    recorder.add(replace(ray, step=0))
+    recorder.add(replace(ray, step=1, depth_expected=None))
+    history = recorder.view()
+    assert history is not None
+    assert history.weights.shape == (2, BINS)
+    assert np.isnan(history.weights).all()
+    np.testing.assert_array_equal(history.depth, [3.8, np.nan])
+    np.testing.assert_array_equal(history.color[0], ray.color)

@@ -16,17 +16,18 @@ import torch
 from balls import Ball, looking, model_of, ring_scene
 from hypothesis import given
 from hypothesis import strategies as st
-from panel_states import make_opened, make_ray, odd_opened
+from panel_states import bare_ray, bare_snapshot, make_opened, make_ray, odd_opened
 
 from nerf_core.common.errors import UserError
 from nerf_core.geometry.camera_files import camera_of, camera_values, picked_camera
 from nerf_core.geometry.cameras import Cameras
 from nerf_core.geometry.lens import Lens
 from nerf_core.geometry.scene import Scene, View
-from nerf_core.probe import FAR_DEGREES, Opened, PassProbe, RayHistory, open_pixel, write_inspection
+from nerf_core.probe import FAR_DEGREES, Opened, PassProbe, RayHistory, inspection, open_pixel, write_inspection
 from nerf_core.probe.axis import FEWEST
 from nerf_core.probe.figure import page
 from nerf_core.probe.layers import grain_at
+from nerf_core.probe.records import WITHOUT_SAMPLES
 
 RED = Ball((0.0, 0.0, 0.0), 0.7, (0.8, 0.2, 0.15))
 
@@ -296,6 +297,47 @@ def test_a_file_names_the_scene_the_method_and_the_ray(opened: Opened, tmp_path:
     text = (tmp_path / "a.svg").read_text()
     assert "the ball $^$: surface" in text
     assert "balls, nerf, step 7" in text
+
+
+def bare(visits: int, depth: float | None) -> Opened:
+    """An opened pixel of a method without samples."""
+    opened = bare_snapshot(bare_ray(visits, depth)).opened
+    assert opened is not None
+    return opened
+
+
+@pytest.mark.parametrize(("visits", "depth"), [(10, 3.8), (300, 3.8), (3, None), (0, None)])
+def test_files_of_a_ray_without_samples_say_so_and_have_its_visits(
+    visits: int, depth: float | None, tmp_path: Path
+) -> None:
+    one = bare(visits, depth)
+    for kind in ("json", "npz", "csv", "png", "svg"):
+        write_inspection([one], tmp_path / f"a.{kind}")
+    text, arrays = json.loads((tmp_path / "a.json").read_text()), np.load(tmp_path / "a.npz", allow_pickle=False)
+    assert text["lacks"] == str(arrays["lacks"]) == WITHOUT_SAMPLES
+    assert text["passes"] == []
+    np.testing.assert_allclose(text["visited"], one.ray.visited)
+    np.testing.assert_array_equal(arrays["visited"], one.ray.visited)
+    rows = list(csv.DictReader(io.StringIO((tmp_path / "a.csv").read_text())))
+    np.testing.assert_allclose([float(row["t"]) for row in rows], one.ray.visited)
+    assert {(row["pass"], row["sigma"], row["weights"], row["blue"]) for row in rows} <= {("visited", "", "", "")}
+    svg = (tmp_path / "a.svg").read_text()
+    assert "keeps no samples along a ray" in svg
+    assert ("no samples along the ray" in svg) == (visits == 0)
+    assert "lacks" not in json.dumps(inspection(make_opened(make_ray())))
+
+
+def test_the_figure_of_visits_goes_down_from_the_first_to_the_last() -> None:
+    axes, color = page([bare(10, 3.8)]).axes
+    (way, discs, depth) = axes.lines
+    np.testing.assert_allclose(discs.get_xdata(), bare_ray().visited)
+    np.testing.assert_array_equal(discs.get_ydata(), np.arange(1, 11))
+    assert way.get_xydata().tolist() == discs.get_xydata().tolist()
+    assert set(depth.get_xdata()) == {3.8}
+    assert axes.get_ylim()[0] > axes.get_ylim()[1]
+    assert [text.get_text() for text in axes.texts] == [f"{k}" for k in range(1, 11)]
+    assert color.patches[0].get_facecolor()[:3] == pytest.approx(np.clip(bare_ray().color, 0, 1))
+    assert len(page([bare(10, 3.8), make_opened(make_ray())]).axes) > 2  # beside a ray with samples
 
 
 def test_an_unknown_suffix_and_an_empty_list_are_refused(opened: Opened, tmp_path: Path) -> None:
