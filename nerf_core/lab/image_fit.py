@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -28,9 +29,14 @@ from torch.nn import functional
 from nerf_core.common.configs import check_ranges, constant
 from nerf_core.datasets.resample import average_rows
 from nerf_core.methods.adam_state import adam_state, load_adam
+from nerf_core.training.metrics import psnr
 
 MAPPINGS = ("none", "basic", "positional", "gaussian")
 CHANGEABLE = {"positional": "frequencies", "gaussian": "sigma"}  # the constant that `ImageFit.replace` may change
+# Rows and columns of the training pixels are even, counted from 0, and those of the test pixels are odd: a test pixel
+# lies in the middle of four training pixels. These are the paper's two grids (appendix E.1). The pixels of the other
+# half, with one even and one odd number, are in neither.
+TRAINING, TEST = (slice(0, None, 2), slice(0, None, 2)), (slice(1, None, 2), slice(1, None, 2))
 HIDDEN = 3  # layers, as in the paper
 BIAS = 0.01  # standard deviation of the first biases, as in the paper's code
 TILES = {"cpu": 1024, "cuda": 65536}  # pixels of a picture that are computed at once
@@ -74,17 +80,6 @@ def fitted(photo: np.ndarray, size: int) -> np.ndarray:
     return average_rows(small.transpose(1, 0, 2), columns, lambda block: block).transpose(1, 0, 2).copy()
 
 
-def split(height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the masks (H, W) of the training and of the test pixels.
-
-    Rows and columns are counted from 0. A training pixel has an even row and an even column, a test pixel an odd row
-    and an odd column: it lies in the middle of four training pixels. These are the paper's two grids (appendix E.1).
-    The other half of the pixels is in neither.
-    """
-    row, column = np.arange(height)[:, None] % 2, np.arange(width)[None] % 2
-    return (row == 0) & (column == 0), (row == 1) & (column == 1)
-
-
 def coordinates(height: int, width: int) -> Tensor:
     """Return v = (column, row) / max(H, W) of all pixels, (H·W, 2) in [0, 1)², row by row; pixels are square."""
     v = torch.stack(torch.meshgrid(torch.arange(width), torch.arange(height), indexing="xy"), -1)
@@ -123,7 +118,7 @@ def network(inputs: int, width: int, generator: torch.Generator) -> nn.Sequentia
     """
     sizes = [inputs, *[width] * HIDDEN, 3]
     layers: list[nn.Module] = []
-    for i, o in zip(sizes[:-1], sizes[1:], strict=True):
+    for i, o in pairwise(sizes):
         layer = nn.Linear(i, o)
         with torch.no_grad():
             layer.weight.normal_(0, (2 / (i + o)) ** 0.5, generator=generator)
@@ -180,10 +175,9 @@ class ImageFit:
         self.config, self.seed, self.device = config, seed, device
         self.photo = fitted(photo, config.size)
         height, width = self.photo.shape[:2]
-        self._masks = split(height, width)
         self._v = coordinates(height, width).to(device)
         self._colors = torch.from_numpy(self.photo).reshape(-1, 3).to(device)
-        self._training = torch.from_numpy(self._masks[0].ravel().nonzero()[0])
+        self._training = torch.arange(height * width).reshape(height, width)[TRAINING].flatten()
         self._learners = {name: _Learner(name, config, seed, device) for name in MAPPINGS}
 
     @property
@@ -232,15 +226,14 @@ class ImageFit:
         return torch.cat(tiles).reshape(self.photo.shape).numpy()
 
     def psnr(self, name: str, picture: np.ndarray | None = None) -> tuple[float, float]:
-        """Return the PSNR in dB over the training pixels and over the test pixels; see `split`.
+        """Return the PSNR in dB over the training pixels and over the test pixels; see TRAINING.
 
         Args:
             name: the mapping.
             picture: what `picture(name)` returned, to save drawing it again.
         """
-        squared = ((self.picture(name) if picture is None else picture).astype(np.float64) - self.photo) ** 2
-        errors = [float(squared[mask].mean()) for mask in self._masks]
-        return tuple(-10 * math.log10(error) if error else math.inf for error in errors)  # pyright: ignore
+        shown = self.picture(name) if picture is None else picture
+        return psnr(shown[TRAINING], self.photo[TRAINING]), psnr(shown[TEST], self.photo[TEST])
 
     def replace(self, name: str, value: float) -> None:
         """Start a mapping again with another value of its constant: L of "positional", σ of "gaussian"."""
@@ -254,7 +247,11 @@ class ImageFit:
         return state | {c: torch.tensor(getattr(self.config, c), dtype=torch.float64) for c in CHANGEABLE.values()}
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
-        """Continue from `state`. Raises KeyError, RuntimeError or ValueError if it does not fit; nothing changes then."""
+        """Continue from `state`.
+
+        Raises:
+            KeyError, RuntimeError, ValueError: it does not fit. The networks stay as they are.
+        """
         config = replace(self.config, frequencies=int(state["frequencies"]), sigma=float(state["sigma"]))
         learners = {name: _Learner(name, config, self.seed, self.device) for name in MAPPINGS}
         for name, learner in learners.items():

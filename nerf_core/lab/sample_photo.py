@@ -1,6 +1,6 @@
 """The photo that the study shows if none is given: balloons over a mountain lake, drawn by this script.
 
-It has what natural photos have: detail of all sizes whose power falls with the frequency, sharp edges, and smooth areas.
+It has what natural photos have: detail of all sizes whose power falls with the frequency, sharp edges, smooth areas.
 """
 
 from __future__ import annotations
