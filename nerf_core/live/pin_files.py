@@ -18,6 +18,7 @@ from nerf_core.common.names import printable
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.camera_files import camera_of, camera_values
 from nerf_core.live.messages import MOST_PINS, PIN_NAME_LENGTH, Inspect, Pin, PinRay
+from nerf_core.methods import lacking
 from nerf_core.probe import RayHistory
 from nerf_core.probe.history import BINS
 
@@ -117,11 +118,15 @@ def _histories(description: Mapping[str, Any], state: Mapping[str, Tensor]) -> I
     for k, values in enumerate(rays):
         camera, (column, row) = camera_of(values["camera"]), (int(v) for v in values["pixel"])
         arrays = {name: state[f"{FIELD}.{k}.{name}"].numpy() for name in SHAPES}
-        yield _place(camera, (column, row)), _history(arrays, description["step"])
+        weightless = bool(lacking(description["method"], "trace"))
+        yield _place(camera, (column, row)), _history(arrays, description["step"], weightless)
 
 
-def _history(arrays: Mapping[str, np.ndarray], last: int) -> RayHistory:
-    """Return a history of steps until `last`. Raises ValueError if the arrays are not those of a history."""
+def _history(arrays: Mapping[str, np.ndarray], last: int, weightless: bool) -> RayHistory:
+    """Return a history of steps until `last`. Raises ValueError if the arrays are not those of a history.
+
+    weightless: whether it is of a method without samples, whose weights are NaN.
+    """
     count = len(arrays["steps"])
     shapes = {name: tuple(count if n == N else n for n in shape) for name, shape in SHAPES.items()}
     if {name: value.shape for name, value in arrays.items()} != shapes or not 0 < count <= MOST_RECORDS:
@@ -129,7 +134,7 @@ def _history(arrays: Mapping[str, np.ndarray], last: int) -> RayHistory:
     if any(value.dtype.kind != ("i" if name == "steps" else "f") for name, value in arrays.items()):
         raise ValueError("not the types of a history")
     numbers = all(np.isfinite(arrays[name]).all() for name in ("edges", "color", "opacity"))
-    numbers = numbers and (np.isfinite(arrays["weights"]).all() or np.isnan(arrays["weights"]).all())  # no samples
+    numbers &= (np.isnan if weightless else np.isfinite)(arrays["weights"]).all()
     steps = np.concatenate([[-1], arrays["steps"], [last + 1]])
     if not (numbers and (np.diff(arrays["edges"]) > 0).all() and (np.diff(steps) > 0).all()):
         raise ValueError("not the numbers of a history")

@@ -191,6 +191,7 @@ BROKEN = {
     "another length": bad("0.depth", lambda v: v[1:]),
     "no records": bad("1.steps", lambda v: v[:0]),
     "weights that are NaN": bad("0.weights", lambda v: v * torch.nan),
+    "weights of a method without samples": lambda description, state: description.update(method="nearest-view"),
     "weights that are integers": bad("0.weights", lambda v: v.long()),
     "more bins": bad("0.weights", lambda v: torch.cat([v, v], 1)),
     "edges that do not rise": bad("1.edges", lambda v: v.flip(0)),

@@ -306,7 +306,7 @@ def bare(visits: int, depth: float | None) -> Opened:
     return opened
 
 
-@pytest.mark.parametrize(("visits", "depth"), [(10, 3.8), (300, 3.8), (3, None), (0, None)])
+@pytest.mark.parametrize(("visits", "depth"), [(10, 3.8), (0, None)])
 def test_files_of_a_ray_without_samples_say_so_and_have_its_visits(
     visits: int, depth: float | None, tmp_path: Path
 ) -> None:

@@ -892,3 +892,70 @@ def test_a_render_mode_is_asked_for_with_a_key(start: Start) -> None:
     app.injector.key(imgui.Key._1)
     app.settle()
     assert worker.views[-1].mode == "colour"
+
+
+# ---- methods without samples, and of whole cameras ------------------------------------------------------------------
+
+
+def test_a_mode_that_the_method_cannot_draw_is_refused_with_the_reason(start: Start) -> None:
+    app, worker = start()
+    worker.current = replace(worker.current, method="nearest-view")
+    app.injector.key(imgui.Key._2)
+    app.settle()
+    assert app.state.mode == "colour"
+    assert {view.mode for view in worker.views} == {"colour"}  # the viewport keeps its picture
+    told = [shown.notice for shown in app.state.notices]
+    assert [notice.text for notice in told] == [
+        "method nearest-view keeps no samples along a ray: it cannot show view-dependence"
+    ]
+    worker.current = replace(worker.current, method="nerf")
+    app.injector.key(imgui.Key._2)
+    app.settle()
+    worker.current = replace(worker.current, method="nearest-view")  # another method, while the mode is shown
+    app.settle()
+    assert worker.views[-1].mode == app.state.mode == "colour"
+
+
+def test_the_status_bar_says_what_the_picture_shows(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    app, worker = start()
+    app.settle()
+    assert "status.caption" not in app.widgets
+    texts: list[str] = []
+    draw_text = imgui.text_colored
+    monkeypatch.setattr(imgui, "text_colored", lambda color, text: [texts.append(text), draw_text(color, text)])
+    caption = "the nearest training photo: view 3 (12° aside, 0.3 units away)"
+    for words, ends in ((caption, caption), (caption * 9, "…")):
+        preview = worker.current.preview
+        assert preview is not None
+        worker.current = replace(worker.current, preview=replace(preview, caption=words))
+        worker.answering = False
+        app.settle()
+        assert "status.caption" in app.widgets
+        assert app.widgets["status.caption"][2] <= app.window.size()[0]
+        assert any(caption[:20] in text and text.endswith(ends) for text in texts)
+
+
+def test_a_picture_without_depth_is_nothing_only_if_the_method_has_samples(start: Start) -> None:
+    _, worker = start()
+    preview = worker.current.preview
+    assert preview is not None
+    blank = replace(worker.current, preview=replace(preview, depth=np.full_like(preview.depth, np.nan)))
+    assert viewport_panel._sees_nothing(blank)
+    assert not viewport_panel._sees_nothing(replace(blank, method="nearest-view"))
+    assert not viewport_panel._sees_nothing(worker.current)
+
+
+def test_nothing_to_train_is_said_in_the_bars(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    app, worker = start()
+    worker.current = replace(worker.current, method="nearest-view", status="finished", step=0, total_steps=0)
+    texts: list[str] = []
+    draw_text = imgui.text_colored
+    monkeypatch.setattr(imgui, "text_colored", lambda color, text: [texts.append(text), draw_text(color, text)])
+    app.settle()
+    assert "nothing to train" in texts
+    assert not {"step 0", "finished"} & set(texts)
+    for button in ("bar.train", "bar.step"):
+        left, top, right, bottom = app.widgets[button]
+        app.injector.click((left + right) / 2, (top + bottom) / 2)
+        app.settle()
+    assert worker.sent == []

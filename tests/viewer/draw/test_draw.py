@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scripted
 from imgui_bundle import ImVec2, ImVec4, imgui
-from panel_states import make_camera, make_ray
+from panel_states import bare_ray, make_camera, make_ray
 
 from nerf_core.geometry.camera import Camera
 from nerf_core.live.messages import Preview, ViewRequest
@@ -17,6 +17,7 @@ from viewer.draw.imgui_renderer import ImguiRenderer
 from viewer.draw.overlays import Box, Overlay, axis_directions, clear_of, clip_segments, frusta, uncovered
 from viewer.draw.textures import TextureCache
 from viewer.draw.viewport import ViewportPicture
+from viewer.draw.visits import Ink
 from viewer.draw.warp import Layer
 from viewer.draw.warp_mesh import SMOOTH, SOFT, warp_mesh
 from viewer.window import Window
@@ -439,6 +440,46 @@ def test_the_sample_under_the_mouse_is_the_one_that_is_drawn_there(canvas: tuple
     shown = paint(canvas, draw)
     x, y = np.floor(places[heavy[-1]]).astype(int)
     np.testing.assert_allclose(shown[y, x] / 255, last.rgb[heavy[-1]], atol=0.15)  # neighbours differ little in colour
+
+
+def test_the_visits_of_a_ray_without_samples_are_drawn_at_their_places(canvas: tuple[Window, ImguiRenderer]) -> None:
+    ray, camera, corner, em = bare_ray(), make_camera(np.array([0.5, 3.2, 1.0])), np.array([30.0, 20.0]), 8.0
+    places = camera.project(ray.origin + ray.visited[:, None] * ray.direction)[0] + corner
+    red, green = ImVec4(1, 0, 0, 1), ImVec4(0, 1, 0, 1)
+
+    def draw(lists: imgui.ImDrawList) -> None:
+        overlay = Overlay(lists, camera, (30.0, 20.0), 1e-3)
+        overlay.visits(ray, em, Ink(red, green, green), numbered=False)
+        assert overlay.visit_at(ray, em, *places[0]) == 0
+        assert overlay.visit_at(ray, em, *places[1]) == 1
+        assert overlay.visit_at(ray, em, places[0][0], places[0][1] + 40) is None
+        eye = make_camera(ray.origin)
+        x, y = eye.project(ray.origin[None] + 3.8 * ray.direction[None])[0][0]
+        along = Overlay(lists, eye, (0.0, 0.0), 1e-3)
+        assert along.visit_at(ray, em, x, y) is None  # all lie behind each other
+        Overlay(lists, camera, (0.0, 0.0), 1e-3).visits(bare_ray(0, None), em, Ink(red, green, green))
+
+    shown = paint(canvas, draw)
+    for x, y in np.floor(places[[0, 1, 2, -1]]).astype(int):
+        np.testing.assert_array_equal(shown[y, x], [255, 0, 0])
+
+
+def test_of_visits_behind_each_other_only_the_last_is_drawn(
+    canvas: tuple[Window, ImguiRenderer], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[list[int]] = []
+    monkeypatch.setattr(
+        "viewer.draw.overlays.discs", lambda _, at, *__: drawn.append([k for k, p in enumerate(at) if p is not None])
+    )
+    ray, red = bare_ray(), ImVec4(1, 0, 0, 1)
+
+    def draw(lists: imgui.ImDrawList) -> None:
+        for eye in (ray.origin, np.array([0.5, 3.2, 1.0])):
+            Overlay(lists, make_camera(eye), (0.0, 0.0), 1e-3).visits(ray, 1.0, Ink(red, red, red))
+
+    paint(canvas, draw)
+    assert drawn[0] == [9]
+    assert {0, 1, 2, 3, 9} <= set(drawn[1])
 
 
 def test_rims_lie_around_the_samples_and_over_none_of_them(canvas: tuple[Window, ImguiRenderer]) -> None:

@@ -528,3 +528,34 @@ def _numbers(value: object, name: str = "") -> dict[str, np.ndarray]:
         return {k: v for i, inner in enumerate(value) for k, v in _numbers(inner, f"{name}/{i}").items()}
     array = np.array(value)
     return {name: array} if array.dtype.kind in "if" else {}
+
+
+def test_a_method_with_nothing_to_train_goes_on_at_once(tmp_path: Path) -> None:
+    """--steps would be waited for in vain."""
+    options = [
+        "--downscale",
+        "8",
+        "--method",
+        "nearest-view",
+        "--device",
+        "cpu",
+        "--threads",
+        "1",
+        "--size",
+        "640x400",
+        "--headless",
+    ]
+    done = viewer(
+        *options, "--steps", "5", "--click", "0.5", "0.5", "--render",
+        str(tmp_path / "a.npy"), "--inspect", str(tmp_path / "ray.json"), "--screenshot", str(tmp_path / "a.png"),
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "nothing to train: method nearest-view has no parameters" in done.stdout
+    ray, picture = json.loads((tmp_path / "ray.json").read_text()), np.load(tmp_path / "a.npy")
+    column, row = ray["pixel"]
+    np.testing.assert_allclose(picture[row, column], ray["color"], atol=1e-6)
+    assert (ray["passes"], ray["visited"]) == ([], [])
+    assert "failed" not in done.stderr  # a panel
+    refused = viewer(*options, "--mode", "view-dependence", "--render", str(tmp_path / "b.npy"))
+    assert refused.returncode == 2
+    assert "method nearest-view keeps no samples along a ray: it cannot show view-dependence" in refused.stderr
