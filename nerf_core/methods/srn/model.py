@@ -42,7 +42,8 @@ def unit_of(scene: Scene) -> float:
 
 def reach_of(scene: Scene) -> float:
     """Return the median distance of the training cameras from the scene's centre, in world units."""
-    places = scene.poses[list(scene.split("train")), :, 3]
+    views = scene.split("train") or range(len(scene.views))  # the trainer refuses a scene without training photos
+    places = scene.poses[list(views), :, 3]
     return float(np.median(np.linalg.norm(places - scene.center, axis=-1)))
 
 

@@ -258,6 +258,11 @@ def test_it_has_no_samples_and_says_what_it_does_instead(scene: Scene) -> None:
     assert len(code.values[0]) == 6
 
 
+def test_a_scene_without_training_photos_is_refused(scene: Scene) -> None:
+    with pytest.raises(UserError, match="no training photos"):
+        Trainer(replace(scene, splits={"test": (0, 1)}), RunSettings(method="srn", device="cpu", threads=1))
+
+
 def test_another_preset_is_refused(scene: Scene) -> None:
     with pytest.raises(UserError, match="method srn has none but auto"):
         SrnConfig.configure(scene, "quick", {}, CPU)
