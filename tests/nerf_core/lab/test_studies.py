@@ -27,6 +27,7 @@ SMALL: dict[str, dict[str, str]] = {
     "compare": {"methods": "voxels", "budget": "2steps", "views": "1"},
     "ablate": {"rows": "1,3,9", "budget": "1steps", "views": "1"},
     "memory": {"sides": "4,8", "budget": "2steps", "views": "1"},
+    "image": {"size": "16", "steps": "6"},
     "sampling": {"calls": "12", "budget": "1steps", "views": "1"},
 }
 
