@@ -8,7 +8,7 @@ R rays, S samples per ray, N images, H × W pixels; no trailing singleton axes.
 | near, far | (R,) | world distances along the ray; all samples lie between them |
 | t, delta | (R, S) | world distance along the ray; length of the sample's interval (in NDC under NDC) |
 | sigma, rgb | (R, S), (R, S, 3) | density ≥ 0 per unit of delta; radiance in [0, 1], sRGB-encoded as in the photos |
-| alpha, transmittance, weights | (R, S) | 1 − exp(−σδ), or as a method says; share of light left before the sample; their product, Σ ≤ 1 |
+| alpha, transmittance, weights | (R, S) | 1 − exp(−σδ), or the method's law; light left before it; product, Σ ≤ 1 |
 | color, opacity, depth | (R, 3), (R,), (R,) | over the background; Σ weights; expected t, NaN where nothing was hit |
 | c2w | (3, 4) | camera to world, OpenGL axes: x right, y up, looking along −z |
 """

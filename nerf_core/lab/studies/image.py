@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import ClassVar
 
@@ -97,13 +98,19 @@ class _Progress:
             raise UserError(f"{file}: cannot be continued ({reason}): delete it, to begin again") from None
 
 
+@cache
+def _drawn(size: int) -> np.ndarray:
+    """Draw the photo once: it takes seconds."""
+    return sample_photo(size)
+
+
 def photo_of(path: Path | None, size: int) -> np.ndarray:
     """Read a photo (H, W, 3) float32 in [0, 1], averaged so that its longest side has `size` pixels at most.
 
     None: the photo that the program draws. Raises UserError if the file is no photo.
     """
     if path is None:
-        return sample_photo(max(size, SAMPLE_SIDE))
+        return _drawn(max(size, SAMPLE_SIDE))
     try:
         header = measure(path)
         wide, high = (header.width, header.height) if header.orientation < 5 else (header.height, header.width)

@@ -179,6 +179,45 @@ def test_cancelling_between_the_pieces_of_a_step_ends_after_it(
     assert (tmp_path / "runs" / "row-0" / "count").read_text(encoding="utf-8") == "1"
 
 
+def test_a_row_that_was_cancelled_ends_as_if_it_had_not_been(scene: Scene, tmp_path: Path) -> None:
+    whole = through(made("image", scene, tmp_path / "whole"))
+    job = made("image", scene, tmp_path / "parts")
+    for _ in range(12):
+        job.advance()
+    job.cancel()
+    assert (tmp_path / "parts" / "runs" / "seed-0" / "networks.safetensors").is_file()
+    parts = through(made("image", scene, tmp_path / "parts"))
+    assert parts.progress.tables == whole.progress.tables
+    first, second = (
+        (tmp_path / name / "rows" / "seed-0.json").read_text(encoding="utf-8") for name in ("whole", "parts")
+    )
+    assert first == second
+    (tmp_path / "parts" / "runs" / "seed-0" / "networks.safetensors").write_bytes(b"damaged")
+    (tmp_path / "parts" / "rows" / "seed-0.json").unlink()
+    again = through(made("image", scene, tmp_path / "parts"))
+    assert "networks.safetensors: cannot be continued" in again.progress.rows[0].text
+
+
+def test_a_trained_row_that_was_cancelled_goes_on_from_its_step(scene: Scene, tmp_path: Path) -> None:
+    job = made("sampling", scene, tmp_path, budget="4steps")
+    while "step 2" not in job.progress.text:
+        job.advance()
+    job.cancel()
+    (stored,) = (tmp_path / "runs" / "uniform-12-0" / "checkpoints").glob("*.safetensors")
+    assert stored.name == "step_00000002.safetensors"
+    whole = through(made("sampling", scene, tmp_path / "whole", budget="4steps"))
+    parts = through(made("sampling", scene, tmp_path, budget="4steps"))
+    assert [row[:5] for row in parts.progress.tables[0].rows] == [row[:5] for row in whole.progress.tables[0].rows]
+
+
+def test_a_photo_is_asked_for_where_there_is_none(tmp_path: Path) -> None:
+    file = tmp_path / "photo.png"
+    file.write_text("no photo", encoding="utf-8")
+    for wrong in (file, tmp_path / "nowhere.png"):
+        with pytest.raises(UserError, match=wrong.name):
+            StudyJob(STUDIES.get("image")(), Subject(wrong, LoadOptions(), None, "cpu"), tmp_path / "out")
+
+
 def test_a_row_that_is_impossible_leaves_the_others_and_is_tried_again(
     scene: Scene, tmp_path: Path, counting: type[Counting]
 ) -> None:
