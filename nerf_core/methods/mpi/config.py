@@ -21,9 +21,7 @@ class MpiConfig:
 
     references: int = constant(6, "reference views: each has a multiplane image (MPI) of its own", least=1, most=64)
     planes: int = constant(32, "planes of an MPI, evenly spaced in disparity", least=2, most=256)
-    shared: int = constant(
-        1, "neighbouring planes that share one colour image; it must divide planes", least=1, most=256
-    )
+    shared: int = constant(4, "neighbouring planes that share one picture of colours", least=1, most=256)
     resolution: int = constant(
         640, "most texels along the longer side of a photo: an MPI of a larger photo is shrunk", least=8, most=4096
     )
@@ -41,9 +39,7 @@ class MpiConfig:
     rate_alpha: float = constant(0.01, "Adam's learning rate of opacity")
     rate_color: float = constant(0.01, "Adam's learning rate of colour")
     decay: float = constant(0.1, "what both rates fall to over the run, exponentially", share="(0, 1]")
-    own: float = constant(1.0, "x", most=1)
-    smooth: float = constant(0.0, "x")
-    smooth_color: float = constant(0.0, "x")
+    smooth: float = constant(0.02, "weight of the planes' smoothness in opacity, against the squared error of a ray")
     keep: float = constant(0.9, "Adam's beta1", share="[0, 1)")
     keep_square: float = constant(0.99, "Adam's beta2", share="[0, 1)")
     total_steps: int = constant(6000, "steps of the schedule, unless --steps says otherwise", least=1, most=10**9)
@@ -51,8 +47,6 @@ class MpiConfig:
 
     def __post_init__(self) -> None:
         check_ranges(self)
-        if self.planes % self.shared:
-            raise UserError(f"--set shared={self.shared}: must divide the number of planes, {self.planes}")
 
     @staticmethod
     def configure(scene: Scene, preset: str, changes: Mapping[str, str], device: torch.device) -> MpiConfig:

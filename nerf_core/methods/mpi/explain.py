@@ -8,7 +8,7 @@ import torch
 from nerf_core.common.text import number, triple
 from nerf_core.geometry.rays import Rays, Samples
 from nerf_core.methods.mpi.model import Blend, MpiModel
-from nerf_core.methods.mpi.planes import BORDER
+from nerf_core.methods.mpi.planes import BORDER, sharing
 from nerf_core.methods.stages import Colors, Pictures, Stage, Stems, nothing_stage
 
 HALF = 20  # texels on each side of the crossing that the picture of a plane shows
@@ -58,7 +58,8 @@ def _planes_stage(model: MpiModel, blend: Blend, i: int, samples: Samples) -> St
 
 def _crop(model: MpiModel, k: int, plane: int, at: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
     """Return a plane's picture around a place as uint8 RGBA, and the place in it."""
-    alpha, color = model.alpha[k][plane], model.color[k][plane // model.config.shared]
+    own = model.planes[k]
+    alpha, color = own.alpha[plane], own.color[plane // sharing(len(own.alpha), len(own.color))]
     column, row = (int(v) for v in (at + BORDER).floor().tolist())
     left, top = max(0, column - HALF), max(0, row - HALF)
     part = slice(top, row + HALF + 1), slice(left, column + HALF + 1)

@@ -25,17 +25,16 @@ from nerf_core.geometry.rays import Rays, Rendering, Trace
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Defaults, Draw
 from nerf_core.methods.mpi.config import MpiConfig
-from nerf_core.methods.mpi.planes import BORDER, Crossings, Seen, Spread, Stack, alpha_gradient, look
+from nerf_core.methods.mpi.optimizer import Gradient, Planes, descend
+from nerf_core.methods.mpi.planes import Crossings, Seen, Stack, alpha_gradient, look
 from nerf_core.methods.mpi.references import blending, spread_out
 from nerf_core.methods.mpi.sweep import sweep
 from nerf_core.methods.mpi.tracing import plane_samples
 from nerf_core.volume.compositing import expected_depth
 
-OPAQUE = 1 - 1 / 256  # the largest α: half a step of 8 bits below 1, so that what lies behind keeps a gradient
 COVERED = 1 / 16  # accumulated opacity below which a pixel fades to the background, instead of showing noise as colour
 PIECE = 4096  # rays of a step between two calls of the yield callback, and of a picture: about 10 ms on two cores
 MEASURED = 1024  # rays of a step whose blended colour is compared with the photo, for the error that is reported
-EPSILON = 1e-8  # Adam's: far below the gradient of a texel that one ray of a batch has touched
 
 
 class Blend(NamedTuple):
@@ -78,14 +77,11 @@ class MpiModel(Defaults):
         first = self.stacks[0]
         self.falloff = config.falloff * float(first.focal.mean()) / (config.planes * scene.near)
         self.swept = 0  # MPIs that are filled
-        self.alpha, self.color = [], []
-        for stack in self.stacks:
-            side = stack.height + 2 * BORDER, stack.width + 2 * BORDER
-            self.alpha.append(torch.zeros(config.planes, *side, device=device))
-            self.color.append(torch.zeros(config.planes // config.shared, 3, *side, device=device))
-        self.moments = [(torch.zeros_like(v), torch.zeros_like(v)) for v in self.parameters()]
+        pictures = -(-config.planes // config.shared)
+        self.planes = [Planes.zeros(stack, pictures) for stack in self.stacks]
         self.updates = [0] * len(self.stacks)  # of Adam
-        self._lent: set[int] = set()  # MPIs whose planes a frozen copy shares
+        self._spare: Planes | None = None  # where the next update goes; the planes that it replaces are spare then
+        self._lent: set[int] = set()  # MPIs whose planes a frozen copy shows too
 
     @property
     def stage(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]  only read
@@ -105,7 +101,7 @@ class MpiModel(Defaults):
 
     def look(self, k: int, crossings: Crossings) -> Seen:
         """Return what rays see of MPI k alone."""
-        return look(self.alpha[k], self.color[k], crossings.at)
+        return look(self.planes[k].alpha, self.planes[k].color, crossings.at)
 
     def blend(self, rays: Rays) -> Blend:
         """Return what rays see of their nearest MPIs, blended as the module says."""
@@ -143,7 +139,7 @@ class MpiModel(Defaults):
         blend = self.blend(rays)
         passes, merged = [], []
         for k, share, seen, crossed in zip(blend.views, blend.shares, blend.seen, blend.crossings, strict=True):
-            rgb = seen.rgb.permute(0, 2, 3, 1).reshape(*seen.alpha.shape, 3)
+            rgb = seen.colors()
             real = self.stacks[k].covers(crossed.at) & (share > 0)
             passes.append(plane_samples(self.name(k), self.scene.ndc, rays, crossed.t, seen.weights, rgb, real))
             merged.append((crossed.t, share * seen.weights, rgb, real))
@@ -184,7 +180,8 @@ class MpiModel(Defaults):
             yield_callback()
         error = self._error(rays, truth)
         yield_callback()
-        self._update(k, *(torch.cat(values, 1) for values in zip(*done, strict=True)), rate=self._rate(step, steps))
+        found = Gradient(*(torch.cat(values, 1) for values in zip(*done, strict=True)))
+        self._update(k, found, self._rate(step, steps), yield_callback)
         return error
 
     def _rate(self, step: int, steps: int | None) -> float:
@@ -201,9 +198,9 @@ class MpiModel(Defaults):
         stack = self.stacks[k]
         others = self._by_distance(stack)[: c.sweep_views]
         alpha, color = sweep(
-            self.scene, others, stack, c.planes // c.shared, c.sweep_window, c.sweep_softness, OPAQUE, yield_callback
+            self.scene, others, stack, len(self.planes[k].color), c.sweep_window, c.sweep_softness, yield_callback
         )
-        self.alpha[k], self.color[k] = alpha, color
+        self.planes[k] = self.planes[k]._replace(alpha=alpha, color=color)
         self._lent.discard(k)
         self.swept += 1
         return self._error(rays, truth)
@@ -220,76 +217,45 @@ class MpiModel(Defaults):
         order = (at[:, 1].floor() * (self.stacks[k].width + 64) + at[:, 0]).argsort(stable=True)
         return rays[order], truth[order]
 
-    def _update(self, k: int, at: Tensor, alphas: Tensor, weights: Tensor, colors: Tensor, rate: float) -> None:
-        """Add gradients up on the texels of MPI k, plane by plane, and make Adam's step."""
-        c = self.config
-        stack = self.stacks[k]
-        if k in self._lent:  # a frozen copy goes on showing the planes as they are
-            self.alpha[k], self.color[k] = self.alpha[k].clone(), self.color[k].clone()
-            self._lent.remove(k)
+    def _update(self, k: int, found: Gradient, rate: float, yield_callback: Callable[[], None]) -> None:
+        """Make an optimiser step on MPI k. Its new planes replace the old ones at the end, when nothing can fail."""
+        old, new = self.planes[k], self._spare
+        if new is None or new.alpha.shape != old.alpha.shape:
+            new = Planes(*(torch.empty_like(value) for value in old))
+        self._spare = new
+        descend(old, new, self.stacks[k], found, self.config, self.updates[k] + 1, rate, yield_callback)
         self.updates[k] += 1
-        alpha, color, shared = self.alpha[k], self.color[k], c.shared
-        on_alpha, on_color = torch.zeros_like(alpha[0]), torch.zeros_like(color[0])
-        for picture in range(len(color)):
-            on_color.zero_()
-            for plane in range(picture * shared, (picture + 1) * shared):
-                spread = Spread.of(at[plane], stack.width, stack.height)
-                on_alpha.zero_()
-                spread.onto(alphas[plane], on_alpha)
-                if c.smooth > 0:
-                    tv(alpha[plane], on_alpha, c.smooth)
-                self._adam(k, plane, alpha, on_alpha, 2 * k, c.rate_alpha * rate, OPAQUE)
-                for edge in (alpha[plane, 0], alpha[plane, -1], alpha[plane, :, 0], alpha[plane, :, -1]):
-                    edge.zero_()
-                for channel in range(3):
-                    spread.onto(weights[plane] * colors[channel], on_color[channel])
-            if c.smooth_color > 0:
-                tv(color[picture], on_color, c.smooth_color)
-            self._adam(k, picture, color, on_color, 2 * k + 1, c.rate_color * rate, 1.0)
-
-    def _adam(self, k: int, index: int, values: Tensor, gradient: Tensor, slot: int, rate: float, most: float) -> None:
-        """Make Adam's step (Kingma and Ba, arXiv:1412.6980, algorithm 1) on values[index], which stay in [0, most]."""
-        c, t = self.config, self.updates[k]
-        mean, square = (moment[index] for moment in self.moments[slot])
-        mean.lerp_(gradient, 1 - c.keep)
-        square.mul_(c.keep_square).addcmul_(gradient, gradient, value=1 - c.keep_square)
-        correction = (1 - c.keep_square**t) ** 0.5
-        spread = square.sqrt().add_(EPSILON * correction)
-        values[index].addcdiv_(mean, spread, value=-rate * correction / (1 - c.keep**t)).clamp_(0, most)
+        self.planes[k], self._spare = new, None if k in self._lent else old
+        self._lent.discard(k)
 
     # ---- state ----------------------------------------------------------------------------------------------------
 
     def frozen(self) -> Self:
         other = copy(self)
-        other.alpha, other.color = list(self.alpha), list(self.color)
+        other.planes = list(self.planes)
         self._lent = set(range(len(self.stacks)))
         return other
 
     def parameters(self) -> list[Tensor]:
-        return [v for pair in zip(self.alpha, self.color, strict=True) for v in pair]
+        return [value for planes in self.planes for value in (planes.alpha, planes.color)]
 
     def state(self) -> dict[str, Tensor]:
-        state = {"swept": torch.tensor(self.swept), "generator": self.generator.get_state()}
-        for k in range(len(self.stacks)):
-            state |= {f"alpha.{k}": self.alpha[k], f"color.{k}": self.color[k]}
-            state[f"updates.{k}"] = torch.tensor(self.updates[k])
-        for i, (mean, square) in enumerate(self.moments):
-            state |= {f"mean.{i}": mean, f"square.{i}": square}
-        return state
+        state = {f"planes.{k}.{name}": value for k, planes in enumerate(self.planes)
+                 for name, value in planes._asdict().items()}  # fmt: skip
+        counts = {"swept": torch.tensor(self.swept), "updates": torch.tensor(self.updates)}
+        return state | counts | {"generator": self.generator.get_state()}
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         """Continue from `state`. Nothing changes if it does not fit."""
-        swept, updates = int(state["swept"]), [int(state[f"updates.{k}"]) for k in range(len(self.stacks))]
-        if not 0 <= swept <= len(self.stacks) or min(updates) < 0:
+        swept, updates = int(state["swept"]), [int(count) for count in state["updates"]]
+        if not 0 <= swept <= len(self.stacks) or len(updates) != len(self.stacks) or min(updates) < 0:
             raise ValueError(f"{swept} of {len(self.stacks)} MPIs filled, updates {updates}")
-        alpha = [_fitting(state[f"alpha.{k}"], v) for k, v in enumerate(self.alpha)]
-        color = [_fitting(state[f"color.{k}"], v) for k, v in enumerate(self.color)]
-        moments = [
-            (_fitting(state[f"mean.{i}"], mean), _fitting(state[f"square.{i}"], square))
-            for i, (mean, square) in enumerate(self.moments)
+        planes = [
+            Planes(*(_fitting(state[f"planes.{k}.{name}"], value) for name, value in own._asdict().items()))
+            for k, own in enumerate(self.planes)
         ]
         self.generator.set_state(state["generator"].cpu())
-        self.alpha, self.color, self.moments, self.swept, self.updates = alpha, color, moments, swept, updates
+        self.planes, self.swept, self.updates = planes, swept, updates
         self._lent = set()
 
 
@@ -298,14 +264,3 @@ def _fitting(value: Tensor, like: Tensor) -> Tensor:
     if (value.shape, value.dtype) != (like.shape, like.dtype):
         raise ValueError(f"planes of {tuple(value.shape)} {value.dtype}, not {tuple(like.shape)} {like.dtype}")
     return torch.empty_like(like).copy_(value)
-
-
-def tv(p, g, lam):
-    dx = p[..., 1:] - p[..., :-1]
-    s = lam * dx / (dx.abs() + 1e-2)
-    g[..., 1:] += s
-    g[..., :-1] -= s
-    dy = p[..., 1:, :] - p[..., :-1, :]
-    s = lam * dy / (dy.abs() + 1e-2)
-    g[..., 1:, :] += s
-    g[..., :-1, :] -= s

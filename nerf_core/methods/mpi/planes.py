@@ -38,10 +38,10 @@ class Crossings(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What R rays see of the D planes of an MPI, whose colours come from G pictures with P = D / G planes each.
+    """What R rays see of the D planes of an MPI, whose colours come from G pictures; see `sharing`.
 
     alpha, transmittance, weights: (D, R) α_i, T_i = Π_{j<i} (1 − α_j) and w_i = T_i α_i, front to back.
-    rgb: (G, 3, P, R) colours.
+    rgb: (G, 3, P, R) colours; where G · P > D, the last ones are of no plane.
     color: (3, R) Σ w_i c_i, not divided by the opacity.
     opacity: (R,) Σ w_i.
     """
@@ -52,6 +52,10 @@ class Seen(NamedTuple):
     rgb: Tensor
     color: Tensor
     opacity: Tensor
+
+    def colors(self) -> Tensor:
+        """Return the colours of the planes, (D, R, 3)."""
+        return self.rgb.permute(0, 2, 3, 1).flatten(0, 1)[: len(self.alpha)]
 
 
 @dataclass(frozen=True)
@@ -150,19 +154,26 @@ def look(alpha: Tensor, color: Tensor, at: Tensor) -> Seen:
 
     Args:
         alpha: (D, H + 2, W + 2) opacities with their border.
-        color: (G, 3, H + 2, W + 2) colours with their border; each picture serves D / G neighbouring planes.
+        color: (G, 3, H + 2, W + 2) colours with their border.
         at: (D, R, 2) where the rays cross the planes, in texels.
     """
     planes, rays = at.shape[:2]
+    pictures, padding = len(color), len(color) * sharing(planes, len(color)) - planes
     size = torch.tensor([alpha.shape[2], alpha.shape[1]], device=at.device)
     place = (at + BORDER - 0.5) * (2 / (size - 1)) - 1  # texel centres at the corners of [−1, 1]²
     a = functional.grid_sample(alpha[:, None], place[:, None], align_corners=True)[:, 0, 0]
-    rgb = functional.grid_sample(color, place.view(len(color), -1, rays, 2), align_corners=True)
+    place = functional.pad(place, (0, 0, 0, 0, 0, padding)).view(pictures, -1, rays, 2)
+    rgb = functional.grid_sample(color, place, align_corners=True)
     left = torch.cumprod(1 - a, 0)
     transmittance = torch.cat([torch.ones_like(a[:1]), left[:-1]])
     weights = transmittance * a
-    seen = (weights.view(len(color), 1, planes // len(color), rays) * rgb).sum((0, 2))
+    seen = (functional.pad(weights, (0, 0, 0, padding)).view(pictures, 1, -1, rays) * rgb).sum((0, 2))
     return Seen(a, transmittance, weights, rgb, seen, weights.sum(0))
+
+
+def sharing(planes: int, pictures: int) -> int:
+    """Return how many neighbouring planes share a picture: P = ⌈D / G⌉. Plane i has the colours of picture i // P."""
+    return -(-planes // pictures)
 
 
 def alpha_gradient(seen: Seen, gradient: Tensor, behind: Tensor) -> Tensor:
@@ -170,14 +181,14 @@ def alpha_gradient(seen: Seen, gradient: Tensor, behind: Tensor) -> Tensor:
 
     With g = ∂L/∂(C + T_end b), where b lies behind the last plane:
     ∂L/∂α_i = T_i g·c_i − (Σ_{j>i} w_j g·c_j + T_end g·b) / (1 − α_i). The division is safe, because no stored α exceeds
-    `model.OPAQUE`.
+    `optimizer.OPAQUE`.
 
     Args:
         seen: what the rays see.
         gradient: (3, R) g.
         behind: (3, R) b.
     """
-    along = (seen.rgb * gradient[:, None]).sum(1).view_as(seen.alpha)  # g·c_i
+    along = (seen.rgb * gradient[:, None]).sum(1).flatten(0, 1)[: len(seen.alpha)]  # g·c_i
     carried = seen.weights * along
     end = (1 - seen.opacity) * (gradient * behind).sum(0)
     after = carried.flip(0).cumsum(0).flip(0) - carried + end

@@ -16,10 +16,12 @@ from torch.nn import functional
 
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
-from nerf_core.methods.mpi.planes import Stack
+from nerf_core.methods.mpi.optimizer import OPAQUE, clear_border
+from nerf_core.methods.mpi.planes import Stack, sharing
 
 UNSEEN = 1e-3  # weight of a photo's nearest pixel where it does not show a texel: counts only where no photo does
 ALONE = 0.2  # RMS difference that is assumed where fewer than two photos show a texel: worse than any good fit
+LEAST = 1e-4  # smaller opacities become 0: 1/40 of a step of 8 bits, and their squares would be denormal and slow
 ROWS = 32  # of texels whose probabilities are computed at once: about 5 ms
 
 
@@ -65,7 +67,7 @@ def _in_photo(plane: Tensor, camera: Camera) -> Tensor:
 
 def sweep(
     scene: Scene, views: Sequence[int], stack: Stack, pictures: int, window: int, softness: float,
-    opaque: float, yield_callback: Callable[[], None],
+    yield_callback: Callable[[], None],
 ) -> tuple[Tensor, Tensor]:  # fmt: skip
     """Return the opacities (D, H + 2, W + 2) and colours (G, 3, H + 2, W + 2) of a new MPI, with their border.
 
@@ -80,7 +82,6 @@ def sweep(
         pictures: how many colour pictures G the planes share.
         window: side of the window in texels.
         softness: see the equation.
-        opaque: the largest opacity.
         yield_callback: called between pieces of about 10 ms.
     """
     points = stack.points().float()
@@ -104,20 +105,21 @@ def sweep(
         yield_callback()
     spread, mean = torch.stack(spreads), torch.stack(means)
     alpha = torch.empty_like(spread)
+    shared = sharing(len(mean), pictures)
     color = torch.empty(pictures, *mean.shape[1:], device=mean.device)
     for row in range(0, len(points), ROWS):
         rows = slice(row, row + ROWS)
         share = torch.softmax(-spread[:, rows] / softness, 0)
         behind = share.flip(0).cumsum(0).flip(0)
         # the last plane has p_i / p_i; 1e-30 only keeps the division of two zeros finite
-        alpha[:, rows] = (share / behind.clamp(min=1e-30)).clamp(max=opaque)
-        weight = (share + 1e-6).view(pictures, -1, 1, *share.shape[1:])  # so that planes that nobody sees are averaged
-        color[:, :, rows] = (weight * mean[:, :, rows].view(pictures, weight.shape[1], 3, *share.shape[1:])).sum(
-            1
-        ) / weight.sum(1)
+        opacity = (share / behind.clamp(min=1e-30)).clamp(max=OPAQUE)
+        alpha[:, rows] = torch.where(opacity < LEAST, 0, opacity)
+        share += 1e-6  # so that planes that nobody sees are averaged
+        for picture in range(pictures):
+            own = slice(picture * shared, (picture + 1) * shared)
+            color[picture, :, rows] = (share[own, None] * mean[own, :, rows]).sum(0) / share[own].sum(0)
         yield_callback()
-    for edge in (alpha[:, 0], alpha[:, -1], alpha[:, :, 0], alpha[:, :, -1]):
-        edge.zero_()
+    clear_border(alpha)
     return alpha, color
 
 
