@@ -159,6 +159,15 @@ def test_constants_out_of_range_are_refused() -> None:
         ImageConfig(frequencies=17)
 
 
+def test_frequencies_suit_the_size_of_the_photo() -> None:
+    """The paper's constants at its size; half the frequencies where there are half the pixels."""
+    suited = {size: ImageConfig.suiting(size) for size in (8, 128, 256, 512, 1024)}
+    assert {size: c.frequencies for size, c in suited.items()} == {8: 1, 128: 4, 256: 5, 512: 6, 1024: 7}
+    assert {size: c.sigma for size, c in suited.items()} == {8: 0.3125, 128: 5, 256: 10, 512: 10, 1024: 10}
+    assert suited[128] == ImageConfig()
+    assert ImageConfig.suiting(64, sigma=7.0, steps=9) == ImageConfig(size=64, frequencies=3, sigma=7.0, steps=9)
+
+
 def test_a_picture_can_be_given_up(photo: np.ndarray) -> None:
     class Stopped(Exception): ...
 
