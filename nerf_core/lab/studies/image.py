@@ -133,16 +133,19 @@ class Image:
     of_scene: ClassVar[bool] = False
 
     size: int = constant(128, "longest side of the photo in pixels; a larger one is averaged", least=16, most=2048)
-    steps: int = constant(2000, "optimiser steps of each network", least=1, most=10**7)
-    frequencies: int = constant(6, "L, the number of frequencies of the positional encoding", least=1, most=16)
-    sigma: float = constant(10.0, "σ, the deviation of the Gaussian frequencies in cycles per picture", most=1000.0)
+    steps: int = constant(500, "optimiser steps of each network", least=1, most=10**7)
+    frequencies: int = constant(0, "L, the frequencies of the positional encoding; 0: as the size suits", most=16)
+    sigma: float = constant(
+        0.0, "σ, the deviation of the Gaussian frequencies in cycles per picture; 0: as the size suits", most=1000.0
+    )
     seeds: int = constant(1, "how many seeds the networks are trained with", least=1, most=100)
 
     def __post_init__(self) -> None:
         checked(self)
 
     def knobs(self) -> tuple[Knob, ...]:
-        return Knob(L, 1, 12, self.frequencies), Knob(SIGMA, 0.5, 64, self.sigma)
+        config = self._config()
+        return Knob(L, 1, 12, config.frequencies), Knob(SIGMA, 0.5, 64, config.sigma)
 
     def plan(self, subject: Subject) -> tuple[Row, ...]:
         if subject.data is not None:
@@ -150,8 +153,12 @@ class Image:
         return tuple(Row(f"seed-{seed}", f"seed {seed}", {"seed": seed}) for seed in range(self.seeds))
 
     def _fit(self, subject: Subject, seed: int) -> ImageFit:
-        config = ImageConfig(size=self.size, steps=self.steps, frequencies=self.frequencies, sigma=self.sigma)
-        return ImageFit(photo_of(subject.data, self.size), config, seed, pick_device(subject.device))
+        return ImageFit(photo_of(subject.data, self.size), self._config(), seed, pick_device(subject.device))
+
+    def _config(self) -> ImageConfig:
+        given = {"frequencies": self.frequencies, "sigma": self.sigma}
+        chosen = {name: value for name, value in given.items() if value}
+        return ImageConfig.suiting(self.size, steps=self.steps, **chosen)
 
     def work(self, subject: Subject, row: Row, bench: Bench) -> Work:
         fit, file = self._fit(subject, row.values["seed"]), bench.run / STATE
