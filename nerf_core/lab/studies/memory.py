@@ -9,7 +9,7 @@ from typing import ClassVar
 
 from nerf_core.common.configs import constant
 from nerf_core.common.errors import UserError
-from nerf_core.common.text import size
+from nerf_core.common.text import number, size
 from nerf_core.lab.figures import memory_plot
 from nerf_core.lab.records import Report, Result, Row, Table
 from nerf_core.lab.study import STUDIES, Bench, Subject, Work, budget, checked
@@ -68,12 +68,12 @@ class Memory:
              cell(r["seconds"], 0), f"{r['steps']:,}")
             for r in done
         )  # fmt: skip
-        notes = [f"The grid takes N³ × {VALUES_BYTES} bytes; Adam's two moments take twice that again."]
+        notes = [f"The grid takes N³ × {VALUES_BYTES} bytes; with gradient and Adam's moments, four times that."]
         if len(done) > 2:
             a, b = done[-2:]
             notes.append(
                 f"From N = {a['side']} to {b['side']}, memory grows by {(b['side'] / a['side']) ** 3:.1f} times and "
-                f"PSNR by {b['psnr'] - a['psnr']:+.2f} dB."
+                f"PSNR by {number(b['psnr'] - a['psnr'], 2)} dB."
             )
         notes += failures(results, {key: key.replace("side-", "N = ") for key in results})
         columns = ("N", "memory", "PSNR dB", "SSIM", "training s", "steps")
