@@ -13,6 +13,7 @@ import numpy as np
 from nerf_core.geometry.scene import Scene
 from nerf_core.lab.records import Result
 from nerf_core.rendering.images import to_bytes
+from nerf_core.training.evaluate import picture_path
 
 INK, GRID = "0.25", "0.9"
 BLUE, ORANGE, GREEN, RED = "#0072b2", "#e69f00", "#009e73", "#d55e00"  # Okabe and Ito's
@@ -138,7 +139,7 @@ def comparison(
     Args:
         scene: the scene.
         views: held-out views.
-        results: by method; `images` names the pictures' files.
+        results: by method; `images` has the PSNR of each view.
         names: the methods, in their order.
         pictures: the folder with a folder of pictures for each method.
     """
@@ -151,8 +152,8 @@ def comparison(
         grid = page.add_gridspec(2 * len(views), 2 + len(names), width_ratios=[2.1, *([1.0] * (len(names) + 1))])
         for k, index in enumerate(views):
             truth = to_bytes(scene.images[index].astype(np.float32) / 65535)
-            shown = {name: np.asarray(Image.open(pictures / name / results[name]["images"][k]["file"]).convert("RGB"))
-                     for name in names}  # fmt: skip
+            files = {name: picture_path(pictures / name, scene.views[index].name) for name in names}
+            shown = {name: np.asarray(Image.open(file).convert("RGB")) for name, file in files.items()}
             whole = page.add_subplot(grid[2 * k : 2 * k + 2, 0])
             whole.imshow(truth, interpolation="nearest")
             whole.set_axis_off()

@@ -64,6 +64,7 @@ class StudyJob:
         self._rows = study.plan(subject)
         self._watched, self._run_rows = watched, run_rows or one_by_one
         self._results: dict[str, Result] = {}
+        self._kept = False  # whether some of them are an earlier try's
         self._fractions = dict.fromkeys((row.key for row in self._rows), 0.0)
         self._began = 0.0
         self._at_work = self.cancelled = False
@@ -182,6 +183,7 @@ class StudyJob:
             result = self._stored(row)
             if result is not None:
                 self._results[row.key] = result
+        self._kept = bool(self._results)
 
     def _file(self, row: Row) -> Path:
         return self.folder / "rows" / f"{row.key}.json"
@@ -222,7 +224,7 @@ class StudyJob:
             yield
         self.progress = replace(self.progress, text="writing the report")
         yield
-        report = self.study.report(self.subject, self._results, self.folder / "pictures", True)
+        report = self._concluded(figures=True)
         files = self._write(report)
         drawn = tuple(Look(name, _decoded(data)) for name, data in report.figures.items()) if self._watched else ()
         self.progress = replace(self.progress, files=files, figures=drawn)
@@ -258,8 +260,19 @@ class StudyJob:
 
     def _tabulate(self) -> None:
         if self._results:
-            tables = self.study.report(self.subject, self._results, self.folder / "pictures", False).tables
-            self.progress = replace(self.progress, tables=tables)
+            self.progress = replace(self.progress, tables=self._concluded(figures=False).tables)
+
+    def _concluded(self, figures: bool) -> Report:
+        """Return the report of the rows so far. Raises UserError if what an earlier try left is damaged."""
+        try:
+            return self.study.report(self.subject, self._results, self.folder / "pictures", figures)
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError, OSError, OverflowError) as error:
+            if not self._kept:
+                raise
+            reason = shorten(f"{type(error).__name__} {error}", 80)
+            raise UserError(
+                f"{self.folder / 'rows'}: not as this version writes it ({reason}): delete it, or take another --out"
+            ) from None
 
     def _write(self, report: Report) -> tuple[Path, ...]:
         """Write report.md, results.json and the figures. Returns the report, then the figures."""

@@ -93,7 +93,7 @@ def measured(
 
     Returns:
         psnr, ssim and lpips (None: not computed), averaged over the views; `seconds`, `steps` and `threads` of
-        training; `bytes` of the model's parameters; and `images` with the same for each view, and its picture's file.
+        training; `bytes` of the model's parameters; and `images` with name and metrics of each view.
     """
     newest: list[Look] = []
 
@@ -109,17 +109,13 @@ def measured(
 
     metrics = yield from mapped(evaluating(trainer, selection, lpips, keep), advance)
     yield advance((len(selection.views), 1.0))  # with the last picture
-    images = [
-        image | {"file": picture_path(bench.pictures, image["name"]).relative_to(bench.pictures).as_posix()}
-        for image in metrics["images"]
-    ]
     kept: dict[str, Any] = {
         **metrics["mean"],
         "seconds": trainer.seconds,
         "steps": trainer.step_count,
         "threads": trainer.threads,
         "bytes": sum(p.numel() * p.element_size() for p in trainer.method.parameters()),
-        "images": images,
+        "images": metrics["images"],
     }
     return kept
 

@@ -83,9 +83,8 @@ class Compare:
         table = Table(title, columns, tuple(lines), notes)
         if not (figures and done):
             return Report((table,))
-        names = [key for key in done if any(image["file"] for image in done[key]["images"])]
         try:
-            drawn = comparison(subject.capture(), selection.views, done, names, pictures)
+            drawn = comparison(subject.capture(), selection.views, done, tuple(done), pictures)
         except OSError as error:
             raise UserError(f"{error.filename}: cannot be read ({error.strerror}): run the study again") from None
         return Report((table,), {"compare": drawn})

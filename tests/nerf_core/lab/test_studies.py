@@ -240,6 +240,20 @@ def test_a_folder_of_another_study_is_refused(scene: Scene, tmp_path: Path, coun
         counted(scene, tmp_path)
 
 
+@pytest.mark.parametrize("name", STUDIES.names())
+@pytest.mark.parametrize("forged", [{}, {"psnr": "high"}, {"psnr": None, "images": 3}, {"encodings": {}}])
+def test_forged_rows_are_refused_or_tabulated(name: str, forged: dict[str, Any], scene: Scene, tmp_path: Path) -> None:
+    """A file of a row may hold anything: the study then says so in a line, and nothing is run or written elsewhere."""
+    job = made(name, scene, tmp_path)
+    (tmp_path / "rows").mkdir()
+    for row in job.study.plan(job.subject):
+        text = json.dumps({"row": row.values, "result": forged | row.values})
+        (tmp_path / "rows" / f"{row.key}.json").write_text(text, encoding="utf-8")
+    job.cancel()
+    with pytest.raises(UserError, match="not as this version writes it"):
+        through(made(name, scene, tmp_path))
+
+
 def test_a_knob_is_turned_within_its_range(scene: Scene, tmp_path: Path, counting: type[Counting]) -> None:
     job = counted(scene, tmp_path)
     job.turn("k", 100.0)
