@@ -29,6 +29,7 @@ SMALL = {
     "hash": {"samples": "2000", "levels": "4", "log2_rows": "10", "cells": "16", "hidden": "16", "pixels": "4"},
     "nerf": NETWORK | {"chunk_rays": "512", "coarse_samples": "8", "fine_samples": "8"},
     "nerf-guided": NETWORK | {"guide_steps": "5", "precision": "bfloat16"},
+    "neural-volumes": {"rays": "64", "template": "8", "width": "16", "warps": "2", "warp_cells": "4"},
 }
 
 
