@@ -34,7 +34,7 @@ class Sampling:
     of_scene: ClassVar[bool] = True
 
     calls: str = constant("16,32,64,128", "network calls per ray, multiples of 4 from 12 up, with commas between")
-    budget: str = constant("60s", "of each row: training time such as 90s or 10m, or a number such as 200steps")
+    budget: str = constant("1500steps", "of each row: a number such as 200steps, or training time such as 90s or 10m")
     views: int = constant(3, "held-out views that are measured, evenly spread", least=1, most=10_000)
     seeds: int = constant(1, "how many seeds each row is trained with", least=1, most=100)
     preset: str = constant("auto", "of the method nerf, to which the numbers of samples are applied")

@@ -50,7 +50,7 @@ class NeuralVolumesConfig:
             )
         config = NeuralVolumesConfig()
         if device.type == "cpu":
-            config = replace(config, template=64, width=256, warp_cells=16, step=1.0, chunk=2**16)
+            config = replace(config, template=64, width=256, warp_cells=16, step=1.0, chunk=2**15)
         return changed(config, changes, "neural-volumes")
 
     @staticmethod

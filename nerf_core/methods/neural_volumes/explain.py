@@ -86,7 +86,7 @@ def magnification(volume: Volume, u: Tensor) -> float:
     if volume.warp is None:
         return 1.0
     h = 0.5 * 2 / (volume.warp.shape[-1] - 1)  # half a voxel of the warp, within which it is almost linear
-    steps = h * torch.eye(3).to(u)
+    steps = h * torch.eye(3, device=u.device)
     jacobian = (volume.moved(u + steps) - volume.moved(u - steps)) / (2 * h)
     return float(jacobian.double().det().abs() ** (1 / 3))
 

@@ -134,11 +134,17 @@ class NeuralVolumesModel(Defaults):
                 self._volume = self.shown.volume()
         return self._volume
 
-    @torch.no_grad()
     def trace(self, rays: Rays) -> Trace:
+        return self._tile(rays, hidden=True)
+
+    @torch.no_grad()
+    def _tile(self, rays: Rays, hidden: bool) -> Trace:
+        """Composite rays; hidden: whether samples that do not count show what the volume holds there."""
         rays = rays.to(self.device)
         march = self.box.march(rays, self.step_length, torch.full_like(rays.near, 0.5))
-        opacity, rgb = looked_up(self.volume, march)
+        opacity, rgb = (
+            laid_out(march, march.real, *self.volume.at(march.u)) if hidden else looked_up(self.volume, march)
+        )
         transmittance, weights = add_up(opacity)
         color, total = composite(weights, rgb, self.background)
         t, delta = self.space.world_t(rays, march.t), march.delta
@@ -152,7 +158,7 @@ class NeuralVolumesModel(Defaults):
 
     def render(self, rays: Rays, quality: str = "fine") -> Rendering:
         tiles = [rays[k : k + self.tile] for k in range(0, len(rays), self.tile)]
-        return Rendering.cat([self.trace(tile).rendering for tile in tiles])
+        return Rendering.cat([self._tile(tile, hidden=False).rendering for tile in tiles])
 
     def cube(self, points: Tensor) -> Tensor:
         """Map world points (P, 3) to the cube [−1, 1]³ of the volume; points outside the box lie outside."""
@@ -210,9 +216,13 @@ def looked_up(volume: Volume, march: March) -> tuple[Tensor, Tensor]:
         alpha = sampled(template[:, 3:], moved[inside], "zeros")[:, 0]
         opacity = torch.zeros_like(march.length).masked_scatter(counted, alpha) * march.length
         counted &= add_up(opacity)[0] > 0
-    alpha, rgb = volume.at(march.u[counted[real]])
-    opacity = torch.zeros_like(march.length).masked_scatter(counted, alpha) * march.length
-    return opacity, torch.zeros(*real.shape, 3).to(rgb).masked_scatter(counted[..., None], rgb)
+    return laid_out(march, counted, *volume.at(march.u[counted[real]]))
+
+
+def laid_out(march: March, where: Tensor, alpha: Tensor, rgb: Tensor) -> tuple[Tensor, Tensor]:
+    """Put opacities V_α (P,), times the samples' lengths, and colours (P, 3) into (R, S) and (R, S, 3); 0 elsewhere."""
+    opacity = torch.zeros_like(march.length).masked_scatter(where, alpha) * march.length
+    return opacity, rgb.new_zeros(*where.shape, 3).masked_scatter(where[..., None], rgb)
 
 
 class Net(nn.Module):

@@ -14,9 +14,12 @@ POSE = 0.1  # a raw number of 1 scales, turns or moves by a tenth: a warp moves 
 SMALLEST = 1e-3  # floor under the weights' sum, which is about K; a product of exponentials can come near 0
 
 
-def lattice(side: int) -> Tensor:
-    """The points (D, D, D, 3) of a grid over the cube [−1, 1]³, as x, y, z; the first axis runs along z."""
-    line = torch.linspace(-1, 1, side)
+def lattice(side: int, like: Tensor) -> Tensor:
+    """The points (D, D, D, 3) of a grid over the cube [−1, 1]³, as x, y, z; the first axis runs along z.
+
+    like: a tensor that has the wanted type and device.
+    """
+    line = torch.linspace(-1, 1, side, dtype=like.dtype, device=like.device)
     z, y, x = torch.meshgrid(line, line, line, indexing="ij")
     return torch.stack([x, y, z], -1)
 
@@ -46,8 +49,6 @@ class AffineWarp(nn.Module):
         self.warps, self.side = warps, side
         self.pose_hidden, self.pose = nn.Linear(latent, 128), nn.Linear(128, 10 * warps)
         self.weight_hidden, self.weight = nn.Linear(latent, 64), nn.Linear(64, warps * side**3)
-        self.points: Tensor
-        self.register_buffer("points", lattice(side).view(-1, 3), persistent=False)
 
     def initialise(self, generator: torch.Generator) -> None:
         for layer, gain in ((self.pose_hidden, GAIN), (self.pose, 0), (self.weight_hidden, GAIN), (self.weight, 1)):
@@ -60,8 +61,8 @@ class AffineWarp(nn.Module):
     def affine(self, code: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return scales (K, 3), rotations (K, 3, 3) and translations (K, 3)."""
         raw = POSE * self.pose(leaky(self.pose_hidden(code))).view(self.warps, 10)
-        identity = torch.tensor([1.0, 0.0, 0.0, 0.0]).to(raw)
-        return torch.exp(raw[:, :3]), rotations(raw[:, 3:7] + identity), raw[:, 7:]
+        quaternions = torch.cat([1 + raw[:, 3:4], raw[:, 4:7]], -1)  # about the identity
+        return torch.exp(raw[:, :3]), rotations(quaternions), raw[:, 7:]
 
     def _warped(self, code: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
         """Return the points' places A_i(x) (K, P, 3) under each warp, and their weights there (K, P, 1)."""
@@ -72,7 +73,7 @@ class AffineWarp(nn.Module):
         return places, w.view(self.warps, -1, 1)
 
     def warp(self, code: Tensor) -> Tensor:
-        places, w = self._warped(code, self.points)
+        places, w = self._warped(code, lattice(self.side, code).view(-1, 3))
         warped = (w * places).sum(0) / w.sum(0).clamp(min=SMALLEST)
         return warped.T.reshape(1, 3, *[self.side] * 3)
 
@@ -87,8 +88,6 @@ class FieldWarp(Upsampler):
 
     def __init__(self, latent: int, width: int, side: int) -> None:
         super().__init__(latent, width, side, 3)
-        self.points: Tensor
-        self.register_buffer("points", lattice(side).permute(3, 0, 1, 2)[None], persistent=False)
 
     def initialise(self, generator: torch.Generator, last: float = 0.0) -> None:
         super().initialise(generator, last)
@@ -97,4 +96,5 @@ class FieldWarp(Upsampler):
         return [*super().parts(), self._displaced]
 
     def _displaced(self, raw: Tensor) -> Tensor:
-        return self.points + raw * (2 / self.side)  # a raw number of 1 moves by a voxel of the warp
+        points = lattice(self.side, raw).permute(3, 0, 1, 2)[None]
+        return points + raw * (2 / self.side)  # a raw number of 1 moves by a voxel of the warp

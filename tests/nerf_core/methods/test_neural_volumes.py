@@ -159,7 +159,7 @@ def test_one_affine_warp_moves_rotates_and_scales() -> None:
     with torch.no_grad():
         warp.pose.bias.copy_(torch.tensor([math.log(2), 0, 0, half - 1, 0, 0, half, 0.25, 0, 0]) / POSE)
     found = warp.warp(torch.zeros(4))[0].permute(1, 2, 3, 0)
-    x, y, z = lattice(4).unbind(-1)
+    x, y, z = lattice(4, torch.zeros(())).unbind(-1)
     torch.testing.assert_close(found, torch.stack([2 * -y, x - 0.25, z], -1))
 
 
@@ -186,7 +186,7 @@ def test_a_scale_gives_a_region_more_voxels() -> None:
     """A template of 9 voxels, of which one is lit: with a scale of 2 it covers half the width."""
     template = torch.zeros(1, 4, 9, 9, 9)
     template[0, 3, :, :, 4] = 1.0
-    double = 2 * lattice(4).permute(3, 0, 1, 2)[None]
+    double = 2 * lattice(4, torch.zeros(())).permute(3, 0, 1, 2)[None]
     x = torch.tensor([[0.0, 0, 0], [0.0625, 0, 0], [0.125, 0, 0], [0.6, 0, 0]])
     np.testing.assert_allclose(Volume(template, None).at(x)[0], [1, 0.75, 0.5, 0], atol=1e-6)
     np.testing.assert_allclose(Volume(template, double).at(x)[0], [1, 0.5, 0, 0], atol=1e-6)
@@ -250,6 +250,9 @@ def test_samples_that_cannot_count_are_not_looked_up_and_change_nothing(scene: S
     every = torch.zeros_like(march.length).masked_scatter(march.real, alpha) * march.length
     assert ((found == 0) & (every > 0)).any()
     torch.testing.assert_close(add_up(found)[1], add_up(every)[1], rtol=0, atol=0)
+    samples = model.trace(rays).passes[0]  # shows what the hidden samples hold all the same
+    torch.testing.assert_close(samples.sigma * samples.delta, every)
+    assert torch.equal(model.trace(rays).rendering.color, model.render(rays).color)
 
 
 # ---- samples in the box -------------------------------------------------------------------------------------------
