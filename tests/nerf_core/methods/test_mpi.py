@@ -12,6 +12,7 @@ from torch import Tensor
 from nerf_core.common.errors import UserError
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.cameras import camera_rays
+from nerf_core.geometry.lens import PINHOLE, Lens
 from nerf_core.geometry.ndc import Ndc
 from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.rays import Rays
@@ -287,14 +288,16 @@ def test_opposite_cameras_without_a_mean_are_refused_too(facing: Scene) -> None:
         METHODS.get("mpi").configure(scene, "auto", {}, CPU)
 
 
-def test_a_projected_photo_agrees_with_projected_points(facing: Scene) -> None:
-    stack = stack_of(facing.views[0].camera)
+@pytest.mark.parametrize("lens", [PINHOLE, Lens(k1=0.2, p1=0.02)])
+def test_a_projected_photo_agrees_with_projected_points(facing: Scene, lens: Lens) -> None:
+    views = tuple(replace(v, camera=replace(v.camera, lens=lens)) for v in facing.views)
+    scene, stack = replace(facing, views=views), stack_of(views[0].camera)
     points = stack.points()
-    photo = Photo(facing, 4, stack, points.float())
+    photo = Photo(scene, 4, stack, points.float())
     colors, shown = photo.onto(3.2)
     for row, column in ((1, 1), (8, 9), (15, 4)):
         world = stack.rotation @ (3.2 * points[row, column].double()) + stack.position
-        (pixel,), _ = facing.views[4].camera.project(world.numpy()[None])
+        (pixel,), _ = views[4].camera.project(world.numpy()[None])
         inside = bool(((pixel >= 0) & (pixel <= 16)).all())
         assert bool(shown[row, column]) == inside
         if inside and ((pixel > 1) & (pixel < 15)).all():
