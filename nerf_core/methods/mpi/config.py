@@ -23,7 +23,7 @@ class MpiConfig:
     planes: int = constant(32, "planes of an MPI, evenly spaced in disparity", least=2, most=256)
     shared: int = constant(4, "neighbouring planes that share one picture of colours", least=1, most=256)
     resolution: int = constant(
-        640, "most texels along the longer side of a photo: an MPI of a larger photo is shrunk", least=8, most=4096
+        512, "most texels along the longer side of a photo: an MPI of a larger photo is shrunk", least=8, most=4096
     )
     margin: float = constant(0.05, "planes reach beyond their photo by this share of its side", most=1)
     blended: int = constant(4, "nearest MPIs that are blended in a pixel", least=1, most=64)

@@ -33,7 +33,9 @@ from nerf_core.methods.mpi.tracing import plane_samples
 from nerf_core.volume.compositing import expected_depth
 
 COVERED = 1 / 16  # accumulated opacity below which a pixel fades to the background, instead of showing noise as colour
-PIECE = 4096  # rays of a step between two calls of the yield callback, and of a picture: about 10 ms on two cores
+PIECE = 4096  # rays of a step between two calls of the yield callback: each sees one MPI, about 10 ms on a CPU
+TILE = 2048  # rays of a picture that are drawn at once on a CPU: each sees several MPIs, about 15 ms
+TILE_GPU = 1 << 16  # the same on a GPU: enough to keep it busy, about 200 MB for each MPI
 MEASURED = 1024  # rays of a step whose blended colour is compared with the photo, for the error that is reported
 
 
@@ -63,7 +65,7 @@ class MpiModel(Defaults):
         self.background = torch.tensor(scene.background, device=device)
         self.generator = torch.Generator().manual_seed(seed)
         self.generators = (self.generator,)
-        self.tile = PIECE if device.type == "cpu" else 16 * PIECE
+        self.tile = TILE if device.type == "cpu" else TILE_GPU
         self.views = scene.trained(config.train_images)
         cameras = [scene.views[view].camera for view in self.views]
         places = np.stack([camera.c2w[:, 3] for camera in cameras])
@@ -85,10 +87,12 @@ class MpiModel(Defaults):
 
     @property
     def stage(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]  only read
-        bytes = size(sum(4 * v.numel() for v in self.parameters()))
-        if self.swept < len(self.stacks):
-            return f"plane sweep: {self.swept} of {len(self.stacks)} MPIs filled ({bytes} of planes)"
-        return f"{len(self.stacks)} MPIs of {self.config.planes} planes, {bytes}"
+        count = len(self.stacks)
+        if self.swept < count:
+            return f"plane sweep: {self.swept} of {count} MPIs filled"
+        planes = sum(4 * value.numel() for value in self.parameters())
+        optimiser = 2 * planes + 3 * planes // count  # two moments, and a spare MPI with its own
+        return f"{count} MPIs of {self.config.planes} planes: {size(planes)}, and {size(optimiser)} to train them"
 
     # ---- rendering ------------------------------------------------------------------------------------------------
 
@@ -206,8 +210,7 @@ class MpiModel(Defaults):
         return self._error(rays, truth)
 
     def _by_distance(self, stack: Stack) -> list[int]:
-        """Return the training views, the nearest to a reference view first: the view itself, unless others share its
-        place."""
+        """Return the training views, the nearest to a reference view first."""
         place = stack.position.cpu().numpy()
         return sorted(self.views, key=lambda v: float(np.linalg.norm(self.scene.views[v].camera.c2w[:, 3] - place)))
 
@@ -232,7 +235,7 @@ class MpiModel(Defaults):
 
     def frozen(self) -> Self:
         other = copy(self)
-        other.planes = list(self.planes)
+        other.planes, other._spare = list(self.planes), None
         self._lent = set(range(len(self.stacks)))
         return other
 

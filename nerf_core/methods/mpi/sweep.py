@@ -26,13 +26,20 @@ ROWS = 32  # of texels whose probabilities are computed at once: about 5 ms
 
 
 class Photo:
-    """A photo as colours (1, 3, h, w) with its camera, ready to be projected onto the planes of a stack."""
+    """A photo as colours (1, 3, h, w) with its camera, ready to be projected onto the planes of a stack.
+
+    A photo with more pixels than the planes have texels is averaged over blocks first, so that it is not undersampled.
+    """
 
     def __init__(self, scene: Scene, view: int, stack: Stack, points: Tensor) -> None:
         """Prepare a photo of the scene. points: those of `Stack.points`."""
-        self.camera = scene.views[view].camera
-        pixels = scene.images[view].astype(np.float32) / 65535
-        self.pixels = torch.from_numpy(pixels).to(points.device).permute(2, 0, 1)[None].contiguous()
+        camera = scene.views[view].camera
+        factor = max(1, int(camera.fx / float(stack.focal[0])))  # pixels along a texel
+        self.camera = camera.shrunk(factor)
+        width, height, side = self.camera.width, self.camera.height, min(factor, camera.width, camera.height)
+        blocks = scene.images[view][: height * side, : width * side].reshape(height, side, width, side, 3)
+        pixels = torch.from_numpy(blocks.mean((1, 3), dtype=np.float32) / 65535)
+        self.pixels = pixels.to(points.device).permute(2, 0, 1)[None].contiguous()
         axes = torch.from_numpy(np.array(self.camera.c2w, np.float64)).to(points.device)
         self.turned = (points.double() @ (stack.rotation.T @ axes[:, :3])).float()
         self.moved = ((stack.position - axes[:, 3]) @ axes[:, :3]).float()
@@ -85,7 +92,10 @@ def sweep(
         yield_callback: called between pieces of about 10 ms.
     """
     points = stack.points().float()
-    photos = [Photo(scene, view, stack, points) for view in views]
+    photos = []
+    for view in views:
+        photos.append(Photo(scene, view, stack, points))
+        yield_callback()
     spreads, means = [], []
     for depth in stack.depths.tolist():
         count = torch.full(points.shape[:2], 0.0, device=points.device)
