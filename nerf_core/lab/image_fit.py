@@ -9,7 +9,8 @@ frequencies, in cycles per picture:
     none         γ(v) = v
     basic        B = the identity: one wave along each axis
     positional   B = 2ᵏ along each axis, k = 0 … L − 1. Up to signs this is Eq. 4 of NeRF (arXiv:2003.08934) for
-                 p = 2v − 1, and L = 1 is the basic encoding.
+                 p = 2v − 1, and L = 1 is the basic encoding. (Tancik et al. use 128 log-spaced frequencies for
+                 each axis; these are NeRF's and the lecture's octaves.)
     gaussian     B has random entries of N(0, σ²): waves of all directions
 """
 
@@ -76,8 +77,9 @@ class ImageConfig:
 
         For 512 pixels they are the paper's: L = 6 and σ = 10 cycles (appendix E.1). The training pixels, every second
         one, hold frequencies up to size / 4. Encodings whose frequencies come close to that limit fit the training
-        pixels perfectly and draw noise between them: at 128 pixels L = 6 tests 2 to 3 dB worse than one wave along each
-        axis. So L = log₂(size / 8), whose highest frequency is size / 16, and σ is at most size / 25.6.
+        pixels perfectly and draw noise between them: on the sample photo at 128 pixels, L = 6 tests 2.7 dB worse than
+        "basic" after 2000 steps. So L = log₂(size / 8), whose highest frequency is size / 16, and σ is at most
+        size / 25.6.
         """
         chosen = {"frequencies": max(1, round(math.log2(size / 8))), "sigma": min(10.0, size / 25.6)}
         return cls(**({"size": size} | chosen | changes))
