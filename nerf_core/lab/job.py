@@ -282,7 +282,8 @@ class StudyJob:
         device = describe(pick_device(self.subject.device))
         about = self.subject.scene
         text = [f"# {self.study.title}", "", f"{self.study.summary}", ""]
-        options = ", ".join(f"{name.replace('_', '-')} {value}" for name, value in described(self.study).items())
+        given = {name: value for name, value in described(self.study).items() if value != ""}
+        options = ", ".join(f"{name.replace('_', '-')} {value}" for name, value in given.items())
         scene = f"{about.name}: {about.summary()}. " if about is not None else ""
         text += [f"{scene}{options}. On {device}, nerf-viewer {__version__}.", ""]
         text += [line for table in report.tables for line in (table.markdown(), "")]
