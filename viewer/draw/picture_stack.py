@@ -20,7 +20,8 @@ LEAST_SHARE, STEP_SHARE = 0.62, 0.12  # of the space's sides: a card of a large 
 MOST_STEP = 0.3  # of a card's sides: how far the next one is moved
 CHECK_EM = 0.6  # side of a square of the ground under a transparent picture
 DARK, LIGHT = ImVec4(0.16, 0.16, 0.17, 1), ImVec4(0.24, 0.24, 0.25, 1)  # its squares
-BEHIND = 0.35  # opacity of the other pictures while one is enlarged
+BEHIND = 0.35  # opacity of the other pictures while one is in front
+LARGE_EM = 18.0  # longer side of a picture in a tooltip
 
 
 def cards(sizes: Sequence[tuple[int, int]], room: tuple[float, float]) -> np.ndarray:
@@ -44,7 +45,9 @@ def cards(sizes: Sequence[tuple[int, int]], room: tuple[float, float]) -> np.nda
 
 
 def picture_stack(ui: Ui, key: str, chart: Pictures, room: tuple[float, float]) -> int | None:
-    """Draw the stack and a line with the names below it. The picture under the mouse comes to the front, enlarged.
+    """Draw the stack and a line with the names below it.
+
+    The picture under the mouse comes to the front, and a tooltip shows it larger.
 
     Args:
         ui: where to draw.
@@ -65,23 +68,34 @@ def picture_stack(ui: Ui, key: str, chart: Pictures, room: tuple[float, float]) 
     boxes = cards([(image.shape[1], image.shape[0]) for image in chart.images], room)
     boxes += np.array([at.x, at.y, at.x, at.y])
     hovered = _under(boxes, imgui.get_mouse_pos()) if over else None
-    enlarged = hovered is not None and len(boxes) > 1
     for k in reversed(range(len(boxes))):
-        _card(
-            ui, draw, f"{key} {k}", chart.images[k], boxes[k], ground=len(boxes) == 1, alpha=BEHIND if enlarged else 1
-        )
-        if not enlarged:
+        alpha = 1.0 if hovered is None or len(boxes) == 1 else BEHIND
+        _card(ui, draw, f"{key} {k}", chart.images[k], boxes[k], ground=len(boxes) == 1, alpha=alpha)
+        if hovered is None:
             _mark(ui, draw, chart, k, boxes[k])
-    if enlarged:
-        assert hovered is not None
-        image = chart.images[hovered]
-        box = cards([(image.shape[1], image.shape[0])], room)[0] + np.array([at.x, at.y, at.x, at.y])
-        _card(ui, draw, f"{key} {hovered}", image, box, ground=True)
-        _mark(ui, draw, chart, hovered, box)
-    else:
+    if hovered is None:
         _way(ui, draw, chart, boxes)
+    else:
+        _card(ui, draw, f"{key} {hovered}", chart.images[hovered], boxes[hovered], ground=True)
+        _mark(ui, draw, chart, hovered, boxes[hovered])
+        _enlarged(ui, f"{key} {hovered}", chart, hovered)
     imgui.text_colored(ui.theme.muted, _fitting(_names(chart, hovered), room[0]))
     return hovered
+
+
+def _enlarged(ui: Ui, key: str, chart: Pictures, k: int) -> None:
+    """Picture k in a tooltip, with its name."""
+    image = chart.images[k]
+    box = cards([(image.shape[1], image.shape[0])], (LARGE_EM * ui.em, LARGE_EM * ui.em))[0]
+    if not imgui.begin_tooltip():
+        return
+    at = imgui.get_cursor_screen_pos()
+    imgui.dummy(ImVec2(float(box[2]), float(box[3])))
+    box = box + np.array([at.x, at.y, at.x, at.y])
+    _card(ui, imgui.get_window_draw_list(), key, image, box, ground=True)
+    _mark(ui, imgui.get_window_draw_list(), chart, k, box)
+    imgui.text_colored(ui.theme.muted, _fitting(chart.names[k], LARGE_EM * ui.em))
+    imgui.end_tooltip()
 
 
 def _under(boxes: np.ndarray, mouse: ImVec2) -> int | None:

@@ -18,7 +18,7 @@ from ..ui.widgets import axis_name, color_of, faded, figures, hint, nothing_yet,
 
 WIDTH_EM = 19.0
 CHART_EM = 2.0, 9.0  # least and largest height of a plot; in between, the plots of a stage share its height
-PICTURES_EM = 16.0  # greatest height of pictures
+PICTURES_EM, PICTURE_PARTS = (7.0, 16.0), 3  # the same of pictures; how many plots they are as high as
 PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
 QUIET = implot.AxisFlags_.no_highlight
 
@@ -88,24 +88,28 @@ def _draw_stage(ui: Ui, number: int, stage: Stage, bounds: tuple[float, float]) 
     imgui.text_unformatted(stage.title)
     ui.mark(f"walk.{stage.title}")
     hint(ui, stage.sentence)
-    high, lowest = _plot_height(ui, stage), len(stage.charts) - 1
+    part, lowest = _plot_height(ui, stage), len(stage.charts) - 1
     for k, chart in enumerate(stage.charts):
+        least, most = (em * ui.em for em in (PICTURES_EM if isinstance(chart, Pictures) else CHART_EM))
+        high = min(max(_parts(chart) * part - imgui.get_style().item_spacing.y, least), most)
         CHARTS[type(chart)](ui, f"##{number} {k}", chart, Space(high, k == lowest, *bounds))
     if stage.rows:
         figures(ui, "rows", stage.rows)
 
 
 def _plot_height(ui: Ui, stage: Stage) -> float:
-    """The height of each plot: what the numbers of t, the figures and the gaps leave, divided by the plots."""
-    plots = sum(isinstance(chart, (Stems, Marks, Transfer, Pictures)) for chart in stage.charts)
-    if not plots:
+    """The height of a plot with its gap: what the numbers of t and the figures leave, divided by the plots."""
+    parts = sum(_parts(chart) for chart in stage.charts)
+    if not parts:
         return 0.0
     line, gap = imgui.get_text_line_height_with_spacing(), imgui.get_style().item_spacing.y
     rest = imgui.get_content_region_avail().y - len(stage.rows) * (line + gap) - gap - line
-    least, most = CHART_EM
-    if any(isinstance(chart, Pictures) for chart in stage.charts):
-        most = PICTURES_EM
-    return min(max(rest / plots - gap, least * ui.em), most * ui.em)
+    return rest / parts
+
+
+def _parts(chart: Chart) -> int:
+    """How much of the height a chart gets; 0: it takes what it needs."""
+    return PICTURE_PARTS if isinstance(chart, Pictures) else int(isinstance(chart, (Stems, Marks, Transfer)))
 
 
 def _arrow(ui: Ui) -> None:
