@@ -14,7 +14,7 @@ from nerf_core.common.configs import constants
 from nerf_core.common.console import Display
 from nerf_core.common.errors import UserError
 from nerf_core.common.output import say
-from nerf_core.common.signals import Signals
+from nerf_core.common.signals import Interrupted, Signals
 from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.lab.job import StudyJob, failure, summary
 from nerf_core.lab.study import STUDIES, Subject
@@ -87,6 +87,10 @@ class Lab:
         signals.be_polite()
         try:
             self._work(job, signals)
+        except Interrupted:
+            job.cancel()
+            say(f"what is done stays in {folder}: the same command goes on from there")
+            raise
         finally:
             job.cancel()
         for table in job.progress.tables:

@@ -73,7 +73,7 @@ def memory_plot(done: Sequence[Result], value_bytes: int) -> bytes:
         left.set_title("memory: N³", fontsize=9, loc="left")
         right.plot(sides, [r["psnr"] for r in done], "o-", color=BLUE, ms=4, lw=1.4)
         right.set_ylabel("PSNR of held-out views (dB)")
-        right.set_title("quality flattens", fontsize=9, loc="left")
+        right.set_title("quality", fontsize=9, loc="left")
         return _png(page)
 
 
@@ -97,7 +97,7 @@ def sampling_plot(groups: Mapping[tuple[str, int], Sequence[float]]) -> bytes:
         axes.minorticks_off()
         axes.set(xlabel="network calls per ray", ylabel="PSNR of held-out views (dB)")
         axes.grid(color=GRID, lw=0.6)
-        axes.legend(frameon=False, loc="lower right")
+        axes.legend(frameon=False, loc="best")
         return _png(page)
 
 

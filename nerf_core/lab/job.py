@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import time
@@ -13,6 +14,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from nerf_core import __version__
+from nerf_core.common.configs import constants
 from nerf_core.common.device import describe, pick_device
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.files import locked_file, write_atomically
@@ -64,7 +66,7 @@ class StudyJob:
         self._rows = study.plan(subject)
         self._watched, self._run_rows = watched, run_rows or one_by_one
         self._results: dict[str, Result] = {}
-        self._kept = False  # whether some of them are an earlier try's
+        self._kept = 0  # how many of them are an earlier try's
         self._fractions = dict.fromkeys((row.key for row in self._rows), 0.0)
         self._began = 0.0
         self._at_work = self.cancelled = False
@@ -133,8 +135,10 @@ class StudyJob:
 
     def _end(self, state: Any) -> None:
         self.progress = replace(self.progress, state=state, seconds_left=None)
-        self._work.close()  # ends a row's training, which unlocks its folder
-        self._lock.close()
+        try:
+            self._work.close()  # ends a row's training, which is saved, and unlocks its folder
+        finally:
+            self._lock.close()
 
     # ---- files ------------------------------------------------------------------------------------------------------
 
@@ -167,6 +171,8 @@ class StudyJob:
             "options": described(self.study),
             "data": None if self.subject.data is None else str(self.subject.data.resolve()),
             "scene": None if scene is None else scene.identity(),
+            "photo": _digest(self.subject.data) if scene is None else None,
+            "kind of device": pick_device(self.subject.device).type,  # presets follow it
         }
         file = self.folder / STUDY_FILE
         if not file.exists():
@@ -183,7 +189,7 @@ class StudyJob:
             result = self._stored(row)
             if result is not None:
                 self._results[row.key] = result
-        self._kept = bool(self._results)
+        self._kept = len(self._results)
 
     def _file(self, row: Row) -> Path:
         return self.folder / "rows" / f"{row.key}.json"
@@ -199,7 +205,8 @@ class StudyJob:
 
     def _store(self, row: Row, result: Result) -> None:
         self._results[row.key] = result
-        if "failed" not in result:  # what failed is tried again next time
+        # what failed is tried again next time, and what somebody turned is not what the options say
+        if "failed" not in result and not self.turned:
             data = json.dumps({"row": row.values, "result": result}, indent=2, allow_nan=False)
             write_atomically(self._file(row), data + "\n")
 
@@ -232,10 +239,8 @@ class StudyJob:
     def _advanced(self, row: Row, piece: Advance) -> None:
         self._show(row, "running", piece.text)
         self._fractions[row.key] = piece.fraction
-        new = [row for row in self._rows if row.key in self._fractions]
-        fraction = sum(self._fractions.values()) / max(len(new), 1)
-        kept = sum(1.0 for state in self.progress.rows if state.text == "kept from before") / max(len(new), 1)
-        spent, done = time.perf_counter() - self._began, fraction - kept
+        fraction = sum(self._fractions.values()) / len(self._rows)
+        spent, done = time.perf_counter() - self._began, fraction - self._kept / len(self._rows)
         self.progress = replace(
             self.progress,
             fraction=fraction,
@@ -243,6 +248,7 @@ class StudyJob:
             seconds_left=spent / done * (1 - fraction) if done > 0.02 else None,
             looks=self._looks(piece),
             curves=piece.curves or self.progress.curves,
+            knobs=tuple(k._replace(value=piece.knobs.get(k.name, k.value)) for k in self.progress.knobs),
         )
 
     def _looks(self, piece: Advance) -> tuple[Any, ...]:
@@ -282,10 +288,11 @@ class StudyJob:
         device = describe(pick_device(self.subject.device))
         about = self.subject.scene
         text = [f"# {self.study.title}", "", f"{self.study.summary}", ""]
-        given = {name: value for name, value in described(self.study).items() if value != ""}
+        usual = {name: default for name, (default, _) in constants(type(self.study)).items()}
+        given = {name: value for name, value in described(self.study).items() if value != usual[name]}
         options = ", ".join(f"{name.replace('_', '-')} {value}" for name, value in given.items())
         scene = f"{about.name}: {about.summary()}. " if about is not None else ""
-        text += [f"{scene}{options}. On {device}, nerf-viewer {__version__}.", ""]
+        text += [f"{scene}Options: {options or 'the defaults'}. On {device}, nerf-viewer {__version__}.", ""]
         text += [line for table in report.tables for line in (table.markdown(), "")]
         text += [f"![{name}]({name})\n" for name in figures]
         write_atomically(self.folder / REPORT_FILE, "\n".join(text).rstrip() + "\n")
@@ -336,6 +343,11 @@ def summary(job: StudyJob) -> str:
     failed = sum(row.state == "failed" for row in job.progress.rows)
     rows = counted(len(job.progress.rows), "row") + (f", {failed} of them failed" if failed else "")
     return f"{rows}; wrote {job.folder / REPORT_FILE}"
+
+
+def _digest(photo: Path | None) -> str | None:
+    """Return a digest of a photo's file; None for the one that the program draws."""
+    return None if photo is None else hashlib.sha256(photo.read_bytes()).hexdigest()
 
 
 def _difference(name: str, held: Any, value: Any) -> str:

@@ -58,12 +58,14 @@ class Advance:
     fraction: of its work, in [0, 1].
     text: in words.
     looks, curves: what can be looked at by now; empty: as before.
+    knobs: the values of the study's knobs that differ from what was turned, by name: those of a resumed row.
     """
 
     fraction: float
     text: str = ""
     looks: tuple[Look, ...] = ()
     curves: tuple[Curve, ...] = ()
+    knobs: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

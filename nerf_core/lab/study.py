@@ -148,6 +148,12 @@ def budget(text: str, option: str = "--budget") -> Goal:
     return Goal(10**9, count * UNITS[found[2]])
 
 
+def spelled(text: str) -> str:
+    """Return a budget in words: "90 s", "10 min", "1 h", "200 steps"."""
+    count, unit = re.fullmatch(r"([0-9.]+) ?(s|m|h|steps)", text.strip()).groups()  # pyright: ignore[reportOptionalMemberAccess]: `budget` has read it
+    return f"{count} {unit if unit != 'm' else 'min'}"
+
+
 def chosen(text: str, names: Iterable[str], option: str) -> tuple[str, ...]:
     """Return the names in a list with commas; "all" for all of them. Raises UserError for an unknown one."""
     known = tuple(names)

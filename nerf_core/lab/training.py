@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
+from nerf_core.common.device import pick_device
+from nerf_core.common.errors import UserError
 from nerf_core.common.pieces import mapped
 from nerf_core.common.text import duration
 from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.scene import Scene
 from nerf_core.lab.records import Advance, Look, Result
 from nerf_core.lab.study import Bench, Subject
+from nerf_core.methods import METHODS
 from nerf_core.rendering.images import rendering, to_bytes
 from nerf_core.rendering.video import write_png
 from nerf_core.training import checkpoint
@@ -22,7 +27,7 @@ from nerf_core.training.loop import Goal
 from nerf_core.training.metrics import Lpips
 from nerf_core.training.run_folder import RunFolder
 from nerf_core.training.settings import RunSettings
-from nerf_core.training.trainer import Trainer, psnr_of
+from nerf_core.training.trainer import Diverged, Trainer, psnr_of
 
 SAVE_SECONDS = 30.0  # of training between checkpoints of a row, which is what an interruption can cost
 LOOK_SECONDS = 8.0  # of training between pictures of a row under way
@@ -52,6 +57,7 @@ def trained(
     with run.claimed():
         if run.checkpoints():
             path, description, state, _ = checkpoint.newest(run.path)
+            _must_be(path, description, scene, settings)
             with checkpoint.named(path):
                 trainer = Trainer.resume(scene, description, state, subject.device)
         else:
@@ -78,12 +84,32 @@ def trained(
                 yield Advance(share, text, looks)
                 if trainer.seconds - saved >= SAVE_SECONDS:
                     saved = trainer.seconds
-                    run.save(trainer.describe(), trainer.state())
+                    _save(run, trainer)
         except GeneratorExit:  # cancelled between two steps
-            run.save(trainer.describe(), trainer.state())
+            _save(run, trainer)
             raise
-        run.save(trainer.describe(), trainer.state())
+        _save(run, trainer)
     return trainer
+
+
+def _must_be(path: Path, description: Mapping[str, Any], scene: Scene, settings: RunSettings) -> None:
+    """Check that a checkpoint is of this scene, method, configuration and seed. Raises UserError."""
+    config = METHODS.get(settings.method).configure(
+        scene, settings.preset, settings.changes, pick_device(settings.device)
+    )
+    wanted = {"method": settings.method, "seed": settings.seed, "config": config.to_json()}
+    odd = [name for name, value in wanted.items() if description.get(name) != value]
+    if not scene.is_of(description):
+        odd.insert(0, "scene")
+    if odd:
+        raise UserError(f"{path}: of another {' and '.join(odd)} than this row: delete {path.parent.parent}")
+
+
+def _save(run: RunFolder, trainer: Trainer) -> None:
+    """Write a checkpoint. Raises UserError for weights that are not finite: a row must not go on from them."""
+    if not all(torch.isfinite(p).all() for p in trainer.method.parameters()):
+        raise Diverged(f"step {trainer.step_count:,}: the weights are not finite; {trainer.advice}")
+    run.save(trainer.describe(), trainer.state())
 
 
 def measured(

@@ -50,9 +50,14 @@ def rows_on(address: str) -> RunRows:
 
 def _on_cluster(address: str, job: StudyJob, rows: tuple[Row, ...]) -> Rows:
     import ray
+    from ray.exceptions import RayError
 
     if not rows:
         return
+    if job.subject.scene is None and job.subject.data is not None:
+        raise UserError("--workers: a photo is not sent to them: leave --workers out")
+    if getattr(job.study, "lpips_weights", ""):
+        raise UserError("--workers: the file of --lpips-weights is not sent to them: leave one of the two out")
     host, _, port = address.removeprefix(SCHEME).rpartition(":")
     try:
         socket.create_connection((host, int(port)), CONNECT_SECONDS).close()  # Ray itself waits half a minute
@@ -74,6 +79,9 @@ def _on_cluster(address: str, job: StudyJob, rows: tuple[Row, ...]) -> Rows:
             if not ready:
                 row = next(iter(waiting.values()))
                 yield row.key, Advance(0.0, f"on the cluster, {len(waiting)} of {len(rows)} left")
+    except (ConnectionError, RayError) as error:
+        reason = shorten(" ".join(str(error).split()), 120)
+        raise UserError(f"--workers {address}: the cluster is lost ({reason}): rows that are done are kept") from None
     finally:
         client.disconnect()  # which ends the tasks that are not done
 

@@ -154,7 +154,7 @@ def _device(name: str) -> str:
 
 
 def _sum_of_bits(value: Tensor) -> int:
-    """A number that differs for tensors that differ by rounding: of large ones the sum of their bits as integers."""
+    """A number that nearly always differs for tensors that differ: of large ones the sum of their bits as integers."""
     flat = value.detach().reshape(-1)
     if flat.dtype.itemsize == 4:
         return int(flat.view(torch.int32).sum(dtype=torch.int64))  # on the device, which is fast

@@ -138,9 +138,10 @@ class ViewportPanel:
         if not ray.passes:
             marked = state.sample.at if state.sample is not None else None
             overlay.visits(ray, ui.em, Ink(color, theme.ground, theme.text), marked)
-            if ray.depth_expected is not None:
-                overlay.point(ray.origin + ray.depth_expected * ray.direction, 1.15 * ui.em, SHADE)
-                overlay.point(ray.origin + ray.depth_expected * ray.direction, ui.em, theme.point)
+            # without any place, the mark at the far end shows at least which pixel is open
+            place = ray.origin + (ray.far if ray.depth_expected is None else ray.depth_expected) * ray.direction
+            overlay.point(place, 1.15 * ui.em, SHADE)
+            overlay.point(place, ui.em, theme.point)
         if state.sample is not None and state.sample.one < len(ray.passes):
             one = ray.passes[state.sample.one]
             if state.sample.at < len(one.t):

@@ -25,6 +25,7 @@ START, CANCEL = f"{icons.ICON_FA_FLASK}  Start", f"{icons.ICON_FA_XMARK}  Cancel
 FORM_EM, RUNNING_EM = 18.0, 13.0  # width of the options, and of the progress while the study runs
 BESIDE_EM = 40.0  # width of the panel from which they are beside what is shown
 LOOK_EM = 5.2  # least width of a picture
+WIDE = 50  # a slider over a wider range is logarithmic
 PLOT_EM = 9.0  # height of a plot
 SIGNS = {
     "waiting": icons.ICON_FA_HOURGLASS,
@@ -135,7 +136,8 @@ class LabPanel:
             value = self._turned.get(knob.name, knob.value)
             whole = knob.value == round(knob.value) and knob.least == round(knob.least)
             shown = "%.0f" if whole else "%.3g"
-            changed, value = imgui.slider_float(f"{knob.name}##knob", value, knob.least, knob.most, shown)
+            flags = imgui.SliderFlags_.logarithmic if knob.most > WIDE * knob.least else imgui.SliderFlags_.none
+            changed, value = imgui.slider_float(f"{knob.name}##knob", value, knob.least, knob.most, shown, flags)
             ui.mark(f"lab.knob.{knob.name}")
             if changed:
                 self._turned[knob.name] = value
@@ -199,7 +201,8 @@ def _looks(ui: Ui, looks: tuple[Look, ...]) -> None:
     if not looks:
         return
     room, gap = imgui.get_content_region_avail().x, 0.5 * ui.em
-    columns = max(1, min(len(looks), int((room + gap) // (LOOK_EM * ui.em + gap))))
+    most = max(1, min(len(looks), int((room + gap) // (LOOK_EM * ui.em + gap))))
+    columns = -(-len(looks) // -(-len(looks) // most))  # lines of equal length: what belongs together stays in line
     width = min((room + gap) / columns - gap, 16 * ui.em)
     for k, look in enumerate(looks):
         if k % columns:

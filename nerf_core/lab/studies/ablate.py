@@ -17,7 +17,7 @@ from nerf_core.common.text import NOTHING
 from nerf_core.lab.figures import ablation_plot
 from nerf_core.lab.published import ABLATIONS
 from nerf_core.lab.records import Report, Result, Row, Table
-from nerf_core.lab.study import STUDIES, Bench, Subject, Work, budget, checked
+from nerf_core.lab.study import STUDIES, Bench, Subject, Work, budget, checked, spelled
 from nerf_core.lab.tables import cell, failures, numbers, spread
 from nerf_core.lab.training import measured, trained
 from nerf_core.methods import METHODS
@@ -26,6 +26,7 @@ from nerf_core.training.metrics import Lpips
 from nerf_core.training.settings import RunSettings
 
 COMPLETE = 9
+LEARNT = 15.0  # dB: below it a picture is a blur of the mean colour
 
 
 class Ablation(NamedTuple):
@@ -152,7 +153,7 @@ class Ablate:
         columns = ("", "input", "#Im.", "L", "(N_c, N_f)", "PSNR dB", "SSIM", "LPIPS",
                    "published PSNR", "SSIM", "LPIPS")  # fmt: skip
         seeds = f", {self.seeds} seeds, mean ± deviation" if self.seeds > 1 else ""
-        title = f"Ablations of {self.method}, {self.budget} of training each{seeds}"
+        title = f"Ablations of {self.method}, {spelled(self.budget)} of training each{seeds}"
         notes = (
             *_orders(groups),
             "The published means are over eight scenes at 800 × 800 after 500,000 steps or more.",
@@ -164,6 +165,8 @@ class Ablate:
 
 def _orders(groups: Mapping[int, Sequence[float]]) -> tuple[str, ...]:
     """Return sentences about the order of the rows by PSNR, here and in the paper."""
+    if groups and max(mean(values) for values in groups.values()) < LEARNT:
+        return (f"No row has learnt anything yet (under {LEARNT:g} dB): the order means nothing at this budget.",)
     ours = sorted(groups, key=lambda n: mean(groups[n]))
     theirs = sorted(groups, key=lambda n: ABLATIONS[n].psnr)
     if ours == theirs:

@@ -7,13 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
+
 from nerf_core.common.configs import constant
 from nerf_core.common.errors import UserError
-from nerf_core.common.text import size
+from nerf_core.common.text import counted, number, size
+from nerf_core.geometry.scene import Scene
 from nerf_core.lab.figures import comparison
 from nerf_core.lab.published import published_for
 from nerf_core.lab.records import Report, Result, Row, Table
-from nerf_core.lab.study import STUDIES, Bench, Subject, Work, budget, checked, chosen
+from nerf_core.lab.study import STUDIES, Bench, Subject, Work, budget, checked, chosen, spelled
 from nerf_core.lab.tables import cell, failures
 from nerf_core.lab.training import measured, trained
 from nerf_core.methods import METHODS
@@ -61,8 +64,8 @@ class Compare:
     def report(self, subject: Subject, results: Mapping[str, Result], pictures: Path, figures: bool) -> Report:
         name, published = published_for(subject.capture())
         done = {key: result for key, result in results.items() if "failed" not in result}
-        columns = ("method", "PSNR dB", "SSIM", "training s", "steps", "parameters")
-        columns += (f"published PSNR, {name}", "SSIM", "LPIPS") if name else ()
+        columns = ("method", "PSNR dB", "SSIM", "training s", "steps", "memory")
+        columns += (f"published PSNR, {name}", "published SSIM", "published LPIPS") if name else ()
         lines = []
         for key, result in done.items():
             line = (key, cell(result["psnr"], 2), cell(result["ssim"], 3), cell(result["seconds"], 0),
@@ -77,9 +80,10 @@ class Compare:
             lines.append(line)
         notes = failures(results, {key: key for key in results})
         if done:
-            notes = (*_seen(done), *notes)
+            notes = (*_seen(done), _aside(subject.capture(), self._selection(subject)), *notes)
         selection = self._selection(subject)
-        title = f"Results, {self.budget} of training each, {len(selection.views)} {selection.split} views"
+        views = counted(len(selection.views), f"{selection.split} view")
+        title = f"Results, {spelled(self.budget)} of training each, {views}"
         table = Table(title, columns, tuple(lines), notes)
         if not (figures and done):
             return Report((table,))
@@ -99,4 +103,20 @@ def _seen(done: Mapping[str, Result]) -> tuple[str, ...]:
         rival = max(others, key=lambda key: done[key]["psnr"])
         ahead = done[best]["psnr"] - done[rival]["psnr"]
         text += f" The best of the others is {rival}, {ahead:.1f} dB behind."
-    return (text, "The published means are of another protocol: all scenes, whole test sets, hours of training.")
+    text += " Memory is that of the parameters alone."
+    return (
+        text,
+        "The published means are of another protocol: all scenes, whole test sets, hours of training. Beside mpi "
+        "stands LLFF, whose network is not used here; beside neural-volumes and srn the papers' whole systems.",
+    )
+
+
+def _aside(scene: Scene, selection: Selection) -> str:
+    """Return a sentence about how far the drawn views are from training cameras: nearest-view lives on that."""
+    eyes = scene.poses[:, :, 3]
+    train = eyes[list(scene.split("train"))]
+    apart = sorted(float(np.linalg.norm(train - eyes[view], axis=-1).min()) for view in selection.views)
+    return (
+        f"The drawn views lie {number(apart[0], 2)} to {number(apart[-1], 2)} units from the nearest training camera; "
+        f"the scene's radius is {number(scene.radius, 2)}."
+    )

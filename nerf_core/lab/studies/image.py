@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import ClassVar
@@ -68,7 +68,7 @@ class _Progress:
         train, test = self._fit.psnr(name, picture)
         for values, new in zip(self.curves[name], (self._fit.steps[name], train, test), strict=True):
             values.append(new)
-        return Look(name, to_bytes(picture), f"{test:.1f} dB held out"), self.spectrum(name, picture)
+        return Look(name, to_bytes(picture), f"{test:.1f} dB at test pixels"), self.spectrum(name, picture)
 
     def spectrum(self, name: str, picture: np.ndarray) -> Look:
         """Return the logarithmic spectrum of a picture (H, W, 3), in the range of the photo's."""
@@ -134,9 +134,9 @@ class Image:
 
     size: int = constant(128, "longest side of the photo in pixels; a larger one is averaged", least=16, most=2048)
     steps: int = constant(500, "optimiser steps of each network", least=1, most=10**7)
-    frequencies: int = constant(0, "L, the frequencies of the positional encoding; 0: as the size suits", most=16)
+    frequencies: int = constant(0, "number L of frequencies of the positional encoding; 0: as the size suits", most=16)
     sigma: float = constant(
-        0.0, "σ, the deviation of the Gaussian frequencies in cycles per picture; 0: as the size suits", most=1000.0
+        0.0, "deviation σ of the Gaussian frequencies in cycles per picture; 0: as the size suits", most=1000.0
     )
     seeds: int = constant(1, "how many seeds the networks are trained with", least=1, most=100)
 
@@ -167,7 +167,8 @@ class Image:
             progress.resume(file)
         every, turned = max(1, self.steps // LOOKS), dict[str, float]()
         try:
-            yield progress.advance("begins", progress.first_looks())
+            knobs = {L: float(fit.config.frequencies), SIGMA: fit.config.sigma}
+            yield replace(progress.advance("begins", progress.first_looks()), knobs=knobs)
             while min(fit.steps.values()) < self.steps:
                 for knob, value in bench.turned.items():
                     if turned.get(knob) != value:
@@ -203,16 +204,17 @@ class Image:
             own = [result["encodings"][name] for result in done.values()]
             lines.append((name, f"{own[0]['parameters']:,}", spread([one["train"] for one in own], 2),
                           spread([one["test"] for one in own], 2), f"{PUBLISHED[name]:.2f}"))  # fmt: skip
-        columns = ("encoding", "parameters", "PSNR of learnt pixels, dB", "of held-out pixels", "published, held out")
+        columns = ("encoding", "parameters", "PSNR of training pixels, dB", "of test pixels", "published, test pixels")
         notes: tuple[str, ...] = ()
         if done:
             first = next(iter(done.values()))
             ratio = first["encodings"]["none"]["parameters"] / first["pixels"]
             notes = (
-                "Learnt are the pixels of even rows and columns, held out those of odd ones. "
+                "Training pixels have an even row and an even column, test pixels an odd row and an odd column. "
                 f"L = {first['L']}, σ = {first['sigma']:g}.",
+                "The Gaussian encoding has 512 inputs, and so the larger first layer.",
                 f"The network of bare coordinates has {ratio:.1f} parameters for each pixel, and still learns a blur.",
-                "The published means are over 16 photos of 512 × 512, after 2,000 steps over all learnt pixels.",
+                "The published means are over 16 photos of 512 × 512, after 2,000 steps over all training pixels.",
             )
         table = Table(f"An image, {self.steps:,} steps each", columns, tuple(lines), notes)
         if not (figures and done):

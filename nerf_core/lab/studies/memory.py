@@ -12,12 +12,13 @@ from nerf_core.common.errors import UserError
 from nerf_core.common.text import number, size
 from nerf_core.lab.figures import memory_plot
 from nerf_core.lab.records import Report, Result, Row, Table
-from nerf_core.lab.study import STUDIES, Bench, Subject, Work, budget, checked
+from nerf_core.lab.study import STUDIES, Bench, Subject, Work, budget, checked, spelled
 from nerf_core.lab.tables import cell, failures
 from nerf_core.lab.training import measured, trained
 from nerf_core.training.evaluate import select
 from nerf_core.training.settings import RunSettings
 
+LEVEL_STEPS = 20  # of the first, coarse level: the largest grid has all its vertices after some 300 steps
 VALUES_BYTES = 16  # of a vertex: red, green, blue and opacity, float32 each
 
 
@@ -57,9 +58,14 @@ class Memory:
 
     def work(self, subject: Subject, row: Row, bench: Bench) -> Work:
         selection = select(subject.capture(), count=self.views)
-        settings = RunSettings(method="rgba-grid", changes={"side": str(row.values["side"])}, seed=self.seed)
+        side = row.values["side"]
+        changes = {"side": str(side), "level_steps": str(LEVEL_STEPS)}
+        settings = RunSettings(method="rgba-grid", changes=changes, seed=self.seed)
         trainer = yield from trained(subject, bench, settings, budget(self.budget), selection.views[0])
-        return (yield from measured(trainer, bench, selection)) | {"side": row.values["side"]}
+        grid = max(p.numel() * p.element_size() for p in trainer.method.parameters())
+        if grid != side**3 * VALUES_BYTES:  # a grid grows from a coarse one
+            raise UserError(f"N = {side} is not reached after {trainer.step_count:,} steps: give a larger --budget")
+        return (yield from measured(trainer, bench, selection)) | {"side": side}
 
     def report(self, subject: Subject, results: Mapping[str, Result], pictures: Path, figures: bool) -> Report:
         done = sorted((r for r in results.values() if "failed" not in r), key=lambda r: r["side"])
@@ -77,5 +83,5 @@ class Memory:
             )
         notes += failures(results, {key: key.replace("side-", "N = ") for key in results})
         columns = ("N", "memory", "PSNR dB", "SSIM", "training s", "steps")
-        table = Table(f"A dense RGBα grid, {self.budget} of training each", columns, lines, tuple(notes))
+        table = Table(f"A dense RGBα grid, {spelled(self.budget)} of training each", columns, lines, tuple(notes))
         return Report((table,), {"memory": memory_plot(done, VALUES_BYTES)} if figures and done else {})

@@ -11,7 +11,7 @@ from nerf_core.common.configs import constant
 from nerf_core.common.errors import UserError
 from nerf_core.lab.figures import sampling_plot
 from nerf_core.lab.records import Report, Result, Row, Table
-from nerf_core.lab.study import STUDIES, Bench, Subject, Work, budget, checked
+from nerf_core.lab.study import STUDIES, Bench, Subject, Work, budget, checked, spelled
 from nerf_core.lab.tables import failures, numbers, spread
 from nerf_core.lab.training import measured, trained
 from nerf_core.training.evaluate import select
@@ -84,7 +84,7 @@ class Sampling:
             *failures(results, {key: key for key in results}),
         )
         columns = ("calls per ray", "samples", "(N_c, N_f)", "PSNR dB", "SSIM", "steps")
-        table = Table(f"Uniform and hierarchical sampling, {self.budget} each", columns, tuple(lines), notes)
+        table = Table(f"Uniform and hierarchical sampling, {spelled(self.budget)} each", columns, tuple(lines), notes)
         return Report((table,), {"sampling": sampling_plot(groups)} if figures and groups else {})
 
 

@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from nerf_core.common.errors import UserError
 from nerf_core.geometry.rays import Rays, Rendering, Trace
 from nerf_core.geometry.scene import Scene
 from nerf_core.geometry.spaces import Space, pixel_size
@@ -186,7 +187,9 @@ class HashModel(Defaults):
         try:
             self.occupancy.update(self._tau, whole, self.generator)
         except torch.OutOfMemoryError:
-            if self.group.size > 1 or not self.halve():  # the constants must stay the same in all processes
+            if self.group.size > 1:  # the constants must stay the same in all processes, and the weights have changed
+                raise UserError("out of device memory: use a smaller step: --set samples") from None
+            if not self.halve():
                 raise
 
     def _accumulate(self, rays: Rays, offsets: Tensor, truth: Tensor, scale: float) -> tuple[float, int]:

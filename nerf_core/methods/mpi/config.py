@@ -19,8 +19,8 @@ from nerf_core.geometry.scene import Scene
 class MpiConfig:
     """Which multiplane images (MPIs) there are, how a plane sweep fills them, and how gradient descent refines them."""
 
-    references: int = constant(6, "reference views: each has a multiplane image (MPI) of its own", least=1, most=64)
-    planes: int = constant(32, "planes of an MPI, evenly spaced in disparity", least=2, most=256)
+    references: int = constant(6, "reference views: each has a multiplane image (MPI) of its own", least=1, most=32)
+    planes: int = constant(32, "planes of an MPI, evenly spaced in disparity", least=2, most=128)
     shared: int = constant(4, "neighbouring planes that share one picture of colours", least=1, most=256)
     resolution: int = constant(
         512, "most texels along the longer side of a photo: an MPI of a larger photo is shrunk", least=8, most=4096

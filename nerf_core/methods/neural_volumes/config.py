@@ -23,8 +23,8 @@ class NeuralVolumesConfig:
     width: int = constant(1024, "channels of the decoder's first layer; they halve at every second", least=8, most=2048)
     latent: int = constant(256, "numbers of the latent code", least=1, most=4096)
     warp: str = constant("affine", "the inverse warp: a mixture of affine warps, a field, or none", choices=WARPS)
-    warps: int = constant(16, "affine warps in the mixture, K", least=1, most=64)
-    warp_cells: int = constant(32, "voxels along a side of the warp; a power of two", least=2, most=64)
+    warps: int = constant(16, "affine warps in the mixture, K", least=1, most=32)
+    warp_cells: int = constant(32, "voxels along a side of the warp; a power of two", least=2, most=32)
     step: float = constant(0.5, "length of a sample, in voxels of the template", least=0.1, most=8)
     tv_weight: float = constant(0.01, "weight of the total variation of the log opacity; 0: off")
     opacity_prior: float = constant(0.01, "weight of the prior that a pixel is opaque or empty; 0: off")
@@ -43,7 +43,7 @@ class NeuralVolumesConfig:
 
     @staticmethod
     def configure(scene: Scene, preset: str, changes: Mapping[str, str], device: torch.device) -> NeuralVolumesConfig:
-        """Return the paper's constants on CUDA; on a CPU, an eighth of the voxels and a quarter of the channels."""
+        """Return the paper's sizes on CUDA; on a CPU, an eighth of the voxels and a quarter of the channels."""
         if preset != "auto":
             raise UserError(
                 f"--preset {shorten(preset)}: method neural-volumes has none but auto; change constants with --set"

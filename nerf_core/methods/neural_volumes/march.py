@@ -13,6 +13,7 @@ from nerf_core.geometry.spaces import BoxRays, Space, contract
 PARALLEL = 1e-12  # stands for a direction's component of 0, so that 0/0 does not occur at the box's faces
 # Contracted space is walked up to this distance, in multiples of where contraction begins: 10⁻⁴ of the box is left.
 FARTHEST = 1e4
+MOST_SAMPLES = 2048  # of a ray: a template of 256³ with half steps takes 1,774 along its diagonal
 
 
 class March(NamedTuple):
@@ -52,14 +53,16 @@ class Box:
 
         Args:
             rays: R rays.
-            step: length of a sample, in units of the box's half side.
+            step: length of a sample, in units of the box's half side; more where a ray would have over MOST_SAMPLES.
             offsets: (R,) in [0, 1], the share of a step at which the first sample lies behind the box's entry. In
                 training it is random (Sec. "Ray marching"; the published code), so that in time every place is sampled.
         """
         boxed = self.space.rays(rays)
         speed = boxed.directions.norm(dim=-1)
         first, last, bend = self._bounds(boxed, speed)
-        ds = (step * self.half / speed)[:, None]
+        # From far outside of contracted space, equal steps would be far too many in front of its inner cube, where
+        # little is: a ray takes at most MOST_SAMPLES, which are then longer.
+        ds = torch.maximum(step * self.half / speed, (last - first) / MOST_SAMPLES)[:, None]
         steps = ((last - first)[:, None] / ds - offsets[:, None]).clamp(min=0).ceil()
         most = max(1, int(steps.max())) if len(rays) else 1
         k = torch.arange(most, device=ds.device)

@@ -215,7 +215,7 @@ class GridModel(Defaults):
     # ---- state ------------------------------------------------------------------------------------------------------
 
     def frozen(self) -> Self:
-        """Return a copy for pictures. It holds the grid alone."""
+        """Return a copy for pictures. It has a grid of its own, and shares what training alone uses."""
         copy = object.__new__(type(self))
         copy.__dict__ |= self.__dict__
         copy.volume = RgbaVolume(self.volume.logits.clone(), self.volume.space)

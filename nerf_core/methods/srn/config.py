@@ -24,10 +24,10 @@ class SrnConfig:
     start: float = constant(
         1.0, "distance where the marcher starts, as a share of the scene's near bound", share="(0, 1]"
     )
-    layers: int = constant(4, "layers of the scene network Φ", least=1, most=64)
-    generator_layers: int = constant(5, "layers of the pixel generator before its linear output", least=1, most=64)
-    width: int = constant(256, "units of a layer, and features of a point", least=2, most=2**13)
-    hidden: int = constant(16, "hidden units of the marcher's LSTM", least=1, most=2**13)
+    layers: int = constant(4, "layers of the scene network Φ", least=1, most=16)
+    generator_layers: int = constant(5, "layers of the pixel generator before its linear output", least=1, most=16)
+    width: int = constant(256, "units of a layer, and features of a point", least=2, most=2**11)
+    hidden: int = constant(16, "hidden units of the marcher's LSTM", least=1, most=2**11)
     depth_weight: float = constant(0.0125, "weight of the depth regulariser beside the squared error of the colours")
     rays: int = constant(256, "rays per step", least=1, most=2**22)
     learning_rate: float = constant(1e-3, "Adam's learning rate at the first step")

@@ -27,7 +27,7 @@ def test_a_study_prints_its_table_and_names_its_report(
 ) -> None:
     assert lab("memory", capture, "--out", tmp_path / "out", "--sides", "4,6", *SMALL) == 0
     said = capsys.readouterr().out
-    assert "A dense RGBα grid, 2steps of training each" in said
+    assert "A dense RGBα grid, 2 steps of training each" in said
     assert said.splitlines()[-1] == f"2 rows; wrote {tmp_path / 'out' / 'report.md'}"
     assert (tmp_path / "out" / "memory.png").is_file()
 
@@ -80,6 +80,13 @@ def test_a_study_without_any_result_fails(capture: Path, tmp_path: Path, capsys:
     assert "no row could be done: method mpi needs a forward-facing capture" in capsys.readouterr().err
     assert lab("compare", capture, "--out", tmp_path / "two", "--methods", "mpi,voxels", *SMALL) == 0
     assert "method mpi needs a forward-facing capture" in (tmp_path / "two" / "report.md").read_text(encoding="utf-8")
+
+
+def test_a_grid_that_is_not_reached_is_no_row_of_the_table(capture: Path, tmp_path: Path) -> None:
+    assert lab("memory", capture, "--out", tmp_path, "--sides", "4,64", *SMALL) == 0
+    report = (tmp_path / "report.md").read_text(encoding="utf-8")
+    assert "N = 64: N = 64 is not reached after 2 steps: give a larger --budget." in report
+    assert "| 64 |" not in report
 
 
 def test_every_study_has_a_help(capsys: pytest.CaptureFixture[str]) -> None:

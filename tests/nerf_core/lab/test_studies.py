@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -21,6 +21,8 @@ from nerf_core.lab.job import StudyJob
 from nerf_core.lab.records import Advance, Knob, Report, Result, Row, Table
 from nerf_core.lab.study import STUDIES, Bench, Study, Subject, Work, budget, checked, chosen
 from nerf_core.lab.tables import spread
+from nerf_core.training import trainer as training
+from nerf_core.training.trainer import Trainer
 
 # The options that make a study small enough for a test; a study of a plug-in that needs none is not listed.
 SMALL: dict[str, dict[str, str]] = {
@@ -208,6 +210,58 @@ def test_a_trained_row_that_was_cancelled_goes_on_from_its_step(scene: Scene, tm
     whole = through(made("sampling", scene, tmp_path / "whole", budget="4steps"))
     parts = through(made("sampling", scene, tmp_path, budget="4steps"))
     assert [row[:5] for row in parts.progress.tables[0].rows] == [row[:5] for row in whole.progress.tables[0].rows]
+
+
+def test_a_row_goes_on_from_its_own_checkpoint_alone(scene: Scene, tmp_path: Path) -> None:
+    """What lies in a row's run folder may be of another seed or scene: then it is not measured under the row's name."""
+    job = made("sampling", scene, tmp_path, budget="9steps")
+    while "step 2" not in job.progress.text:
+        job.advance()
+    job.cancel()
+    (tmp_path / "study.json").unlink()
+    other = through(made("sampling", scene, tmp_path, budget="9steps", preset="complete"))
+    assert "of another config than this row: delete" in other.progress.rows[0].text
+    (tmp_path / "study.json").unlink()
+    changed_scene = replace(scene, near=scene.near + 0.5)
+    other = through(made("sampling", changed_scene, tmp_path, budget="9steps"))
+    assert "of another scene than this row: delete" in other.progress.rows[0].text
+
+
+def test_a_row_that_was_turned_is_not_kept(scene: Scene, tmp_path: Path, counting: type[Counting]) -> None:
+    job = counted(scene, tmp_path)
+    job.turn("k", 5.0)
+    through(job)
+    assert not list((tmp_path / "rows").glob("*.json"))
+    assert [row.text for row in through(counted(scene, tmp_path)).progress.rows] == ["", ""]
+
+
+def test_a_study_is_of_one_kind_of_device(scene: Scene, tmp_path: Path, counting: type[Counting]) -> None:
+    through(counted(scene, tmp_path))
+    file = tmp_path / "study.json"
+    file.write_text(file.read_text(encoding="utf-8").replace('"cpu"', '"cuda"'), encoding="utf-8")
+    with pytest.raises(UserError, match="holds rows of kind of device 'cuda', and not of 'cpu'"):
+        counted(scene, tmp_path)
+
+
+def test_weights_that_are_not_finite_are_not_saved(scene: Scene, tmp_path: Path) -> None:
+    job = made("sampling", scene, tmp_path, budget="9steps")
+    step = Trainer.step
+
+    def broken(trainer: Trainer, yield_callback: Callable[[], None]) -> training.Report:
+        report = step(trainer, yield_callback)
+        if trainer.step_count == 3:
+            trainer.method.parameters()[0].data.fill_(np.nan)
+            trainer.step_count = 9
+        return report
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Trainer, "step", broken)
+        through(job)
+    assert "the weights are not finite" in job.progress.rows[0].text
+    assert not list((tmp_path / "runs").rglob("*.safetensors"))
+    assert [row.state for row in through(made("sampling", scene, tmp_path, budget="9steps")).progress.rows] == [
+        "done"
+    ] * 2
 
 
 def test_a_photo_is_asked_for_where_there_is_none(tmp_path: Path) -> None:

@@ -31,8 +31,8 @@ def free_port() -> int:
 
 
 @pytest.fixture(scope="module")
-def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """The address of a cluster with two workers."""
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, int]]:
+    """A cluster with two workers: its address, and the process that has started it."""
     port = free_port()
     command = [sys.executable, "-m", "ray.scripts.scripts", "start", "--head", "--block", "--num-cpus=2",
                f"--port={free_port()}", f"--ray-client-server-port={port}", "--include-dashboard=false",
@@ -51,7 +51,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
                 time.sleep(0.1)
             else:
                 raise AssertionError(log.read_text(encoding="utf-8"))
-            yield f"ray://127.0.0.1:{port}"
+            yield f"ray://127.0.0.1:{port}", head.pid
         finally:
             head.send_signal(signal.SIGTERM)  # it stops what it has started
             try:
@@ -68,12 +68,26 @@ def started(capture: Path, out: Path, workers: str, *options: str) -> subprocess
     )
 
 
-def tasks() -> set[int]:
-    """The processes that do rows now."""
+def parent(process: int) -> int:
+    """The parent of a process; 0 if it has ended."""
+    try:
+        return int(Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[1])
+    except OSError:
+        return 0
+
+
+def descends(process: int, head: int) -> bool:
+    while process > 1 and process != head:
+        process = parent(process)
+    return process == head
+
+
+def tasks(head: int) -> set[int]:
+    """The processes that do rows now, of the cluster that a process has started."""
     found = set()
     for file in Path("/proc").glob("[0-9]*/cmdline"):
         try:
-            if file.read_bytes().startswith(TASK):
+            if file.read_bytes().startswith(TASK) and descends(int(file.parent.name), head):
                 found.add(int(file.parent.name))
         except OSError:  # it has ended meanwhile
             continue
@@ -81,12 +95,15 @@ def tasks() -> set[int]:
 
 
 @pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="finds the workers in /proc")
-def test_rows_are_done_by_two_workers_and_a_lost_one_is_replaced(capture: Path, tmp_path: Path, cluster: str) -> None:
+def test_rows_are_done_by_two_workers_and_a_lost_one_is_replaced(
+    capture: Path, tmp_path: Path, cluster: tuple[str, int]
+) -> None:
+    address, head = cluster
     seen: set[int] = set()
-    with started(capture, tmp_path, cluster, "--sides", "4,5,6", "--budget", "3s") as study:
+    with started(capture, tmp_path, address, "--sides", "4,5,6", "--budget", "3s") as study:
         end, killed = time.monotonic() + PATIENCE, 0
         while study.poll() is None and time.monotonic() < end:
-            now = tasks()
+            now = tasks(head)
             seen |= now
             if not killed and len(now) == 2:
                 time.sleep(0.5)

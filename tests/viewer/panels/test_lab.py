@@ -35,8 +35,8 @@ def test_a_study_starts_with_the_options_that_were_typed(screen: Screen, panel: 
     state = make_state(make_snapshot())
     opened(screen, panel, state, name)
     kind = STUDIES.get(name)
-    for key in constants(kind):
-        assert f"lab.{name}.{key}" in screen.widgets or not screen.frame(panel, state)
+    screen.frame(panel, state)
+    assert {f"lab.{name}.{key}" for key in constants(kind)} <= set(screen.widgets)
     key = next(iter(constants(kind)))
     screen.click(panel, state, f"lab.{name}.{key}")
     imgui.get_io().add_input_characters_utf8("7")
