@@ -18,7 +18,12 @@ PRECISIONS = ("float32", "bfloat16")
 
 @dataclass(frozen=True)
 class SrnConfig:
-    """The paper's networks (arXiv:1906.01618), and a training schedule for minutes on a CPU."""
+    """The paper's networks and losses (arXiv:1906.01618), and a training schedule for minutes on a CPU.
+
+    The networks' sizes, the ten steps and the two terms of the loss are the paper's. `depth_weight` is that of its
+    released code: 10 beside 200 times the squared error of colours in [−1, 1], which is 800 times that of colours in
+    [0, 1]. The schedule is not: the code takes 4e-5 for 200,000 steps of whole pictures, without a decay.
+    """
 
     march_steps: int = constant(10, "steps of the ray marcher", least=1, most=256)
     start: float = constant(
