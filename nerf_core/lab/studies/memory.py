@@ -64,7 +64,7 @@ class Memory:
         trainer = yield from trained(subject, bench, settings, budget(self.budget), selection.views[0])
         grid = max(p.numel() * p.element_size() for p in trainer.method.parameters())
         if grid != side**3 * VALUES_BYTES:  # a grid grows from a coarse one
-            raise UserError(f"N = {side} is not reached after {trainer.step_count:,} steps: give a larger --budget")
+            raise UserError(f"its vertices are not reached after {trainer.step_count:,} steps: give a larger --budget")
         return (yield from measured(trainer, bench, selection)) | {"side": side}
 
     def report(self, subject: Subject, results: Mapping[str, Result], pictures: Path, figures: bool) -> Report:

@@ -85,7 +85,7 @@ def test_a_study_without_any_result_fails(capture: Path, tmp_path: Path, capsys:
 def test_a_grid_that_is_not_reached_is_no_row_of_the_table(capture: Path, tmp_path: Path) -> None:
     assert lab("memory", capture, "--out", tmp_path, "--sides", "4,64", *SMALL) == 0
     report = (tmp_path / "report.md").read_text(encoding="utf-8")
-    assert "N = 64: N = 64 is not reached after 2 steps: give a larger --budget." in report
+    assert "N = 64: its vertices are not reached after 2 steps: give a larger --budget." in report
     assert "| 64 |" not in report
 
 
