@@ -34,8 +34,10 @@ from nerf_core.methods.rgba_grid.volume import (
     RGB,
     RgbaVolume,
     corners_of,
+    neighbours_of,
     optical_depth,
     roughness,
+    zeros_like,
 )
 from nerf_core.volume.compositing import STOP
 from nerf_core.volume.packed import to_trace
@@ -45,6 +47,11 @@ TILE_CUDA = 1 << 15
 PIECE = 1 << 14  # samples between two calls of the yield callback on a CPU: about 10 ms
 PIECE_CUDA = 1 << 21
 FEWEST = 1 << 12  # samples in a piece below which `halve` refuses
+ROWS = 1 << 17  # vertices that are smoothed between two calls of the yield callback: about 10 ms
+
+
+def nothing() -> None:
+    """The default yield callback."""
 
 
 class GridModel(Defaults):
@@ -63,17 +70,26 @@ class GridModel(Defaults):
         self._begin(0, volume, volume.everything())
         self.samples_per_ray = 2.0 * self.sides[0]  # a running mean
 
-    def _begin(self, level: int, volume: RgbaVolume, occupied: Tensor) -> None:
+    def _begin(
+        self, level: int, volume: RgbaVolume, occupied: Tensor, yield_callback: Callable[[], None] = nothing
+    ) -> None:
         """Begin a level, without moments and gradient."""
         self.level, self.volume = level, volume
-        self.gradient = torch.zeros_like(volume.logits)
-        self.moments = torch.zeros_like(volume.logits), torch.zeros_like(volume.logits)
+        self.gradient, *moments = (zeros_like(volume.logits, yield_callback) for _ in range(3))
+        self.moments = moments[0], moments[1]
         self.updates = 0  # of this level
-        self._use(occupied)
+        self._use(occupied, yield_callback)
 
-    def _use(self, occupied: Tensor) -> None:
+    def _use(self, occupied: Tensor, yield_callback: Callable[[], None]) -> None:
         """Take samples in the occupied cells alone."""
-        self.cells, self.corners = self.volume.cells(occupied), corners_of(occupied)
+        self.cells = self.volume.cells(occupied)
+        yield_callback()
+        self.corners = corners_of(occupied, yield_callback)
+        parts = []
+        for rows in self.corners.split(ROWS):
+            parts.append(neighbours_of(rows, self.volume.side))
+            yield_callback()
+        self.neighbours = torch.cat(parts)
 
     @property
     def stage(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]  only read
@@ -104,7 +120,7 @@ class GridModel(Defaults):
         while self.level < c.level_at(step):
             self._refine(yield_callback)
         if self.updates and self.updates % c.update_every == 0:
-            self._use(self.volume.occupied(c.empty, yield_callback))
+            self._use(self.volume.occupied(c.empty, yield_callback), yield_callback)
         rays, truth = rays.to(self.device), truth.to(self.device)
         offsets = torch.rand(len(rays), generator=self.generator).to(self.device)
         error, found = 0.0, 0
@@ -115,7 +131,7 @@ class GridModel(Defaults):
             error, found = error + one, found + samples
             yield_callback()
         if c.smoothness:
-            self._smooth()
+            self._smooth(yield_callback)
         self._update(c.learning_rate / (1 + step / c.slowdown))
         self.samples_per_ray = max(1.0, 0.9 * self.samples_per_ray + 0.1 * found / len(rays))
         return error / truth.numel()
@@ -139,13 +155,15 @@ class GridModel(Defaults):
         self.kernels.encode_gradient(by_logits, self.volume.levels, samples.x, into)
         return float(off.square().sum()), found
 
-    def _smooth(self) -> None:
+    def _smooth(self, yield_callback: Callable[[], None]) -> None:
         """Add the gradient of `smoothness` · Σ (difference of neighbours)² / 2, at vertices that the step touched."""
-        flat, rows = self.gradient.view(-1, CHANNELS), self.corners
-        own = flat[rows]
-        touched = (own != 0).any(-1)
-        rows, own = rows[touched], own[touched]
-        flat[rows] = own + self.config.smoothness * roughness(self.volume.logits, rows)
+        flat = self.gradient.view(-1, CHANNELS)
+        for rows, neighbours in zip(self.corners.split(ROWS), self.neighbours.split(ROWS), strict=True):
+            own = flat.index_select(0, rows)
+            touched = (own != 0).any(-1, keepdim=True)
+            more = roughness(self.volume.logits, rows, neighbours) * touched
+            flat.index_copy_(0, rows, own.add_(more, alpha=self.config.smoothness))
+            yield_callback()
 
     def _update(self, rate: float) -> None:
         """Make one step of Adam, from the first to the last plane with an occupied cell: others have no gradient."""
@@ -160,7 +178,8 @@ class GridModel(Defaults):
 
     def _refine(self, yield_callback: Callable[[], None]) -> None:
         volume = self.volume.refined(self.kernels, self.sides[self.level + 1], yield_callback)
-        self._begin(self.level + 1, volume, volume.occupied(self.config.empty, yield_callback))
+        occupied = volume.occupied(self.config.empty, yield_callback)
+        self._begin(self.level + 1, volume, occupied, yield_callback)
         self.samples_per_ray *= 2
 
     def halve(self) -> bool:
