@@ -27,7 +27,8 @@ class NeuralVolumesConfig:
     warp_cells: int = constant(32, "voxels along a side of the warp; a power of two", least=2, most=32)
     step: float = constant(0.5, "length of a sample, in voxels of the template", least=0.1, most=8)
     tv_weight: float = constant(0.01, "weight of the total variation of the log opacity; 0: off")
-    opacity_prior: float = constant(0.01, "weight of the prior that a pixel is opaque or empty; 0: off")
+    # ten times as much empties the demo scene before anything is learnt
+    opacity_prior: float = constant(0.001, "weight of the prior that a pixel is opaque or empty; 0: off")
     rays: int = constant(4096, "rays per step", least=1, most=2**20)
     chunk: int = constant(2**20, "samples whose gradient is computed at once; part of what a seed fixes", least=1)
     learning_rate: float = constant(1e-3, "Adam's learning rate, falling as 1 / (1 + step / slowdown)")
