@@ -27,7 +27,7 @@ def printed(*words):
     with contextlib.redirect_stdout(out), contextlib.suppress(SystemExit):
         main(words)
     return out.getvalue()
-help, render = printed("--help"), printed("render", "--help")
+help, render, lab = printed("--help"), printed("render", "--help"), printed("lab", "--help")
 from nerf_core.datasets.capture import DATASETS
 from nerf_core.kernels.choice import VOXEL_KERNELS
 from nerf_core.live.shares import SHARES
@@ -43,7 +43,7 @@ print(json.dumps({
     "verdict": "wrong colour" in VERDICTS.names(), "model export": "points" in EXPORTS.names(),
     "panel": any("nearest_photo" in PANELS.get(name).__module__ for name in PANELS.names()),
     "key": "Home" in str(overview()), "path": "approach" in render and "--left" in render,
-    "subcommand": "photos" in help, "export's subcommand": "export" in help,
+    "subcommand": "photos" in help, "study": "PSNR against the number of training photos" in " ".join(lab.replace("│", " ").split()), "export's subcommand": "export" in help,
 }))
 """
 
@@ -78,7 +78,7 @@ def found(extra: Path) -> dict[str, bool]:
 
 KINDS = (
     "format", "method", "mode", "kernel", "share rule", "verdict", "model export", "panel", "key", "path", "subcommand",
-    "export's subcommand",
+    "export's subcommand", "study",
 )  # fmt: skip
 
 

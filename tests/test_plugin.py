@@ -57,7 +57,7 @@ def test_a_plugin_is_listed_and_used(environment: dict[str, str], tmp_path: Path
     command = [sys.executable, "-c", COMMANDS, json.dumps(commands)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "mean-colour  One colour for all pixels" in done.stdout
+    assert "mean-colour One colour for all pixels" in " ".join(done.stdout.split())
     assert "training mean-colour on photos (7 photos)" in done.stdout
     assert "finished: step 2" in done.stdout
     assert "PSNR" in done.stdout.partition("finished: step 2")[2]

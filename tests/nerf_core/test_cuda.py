@@ -64,7 +64,10 @@ def scene(request: pytest.FixtureRequest, scene: Scene, facing: Scene) -> Scene:
 def test_it_learns_draws_explains_and_goes_on_from_a_checkpoint(cuda: None, scene: Scene, name: str) -> None:
     trainer = Trainer(scene, RunSettings(method=name, device="cuda", changes=SMALL.get(name, {})))
     losses = [trainer.step().loss for _ in range(24)]
-    assert np.mean(losses[-8:]) < np.mean(losses[:8])
+    if trainer.total_steps:
+        assert np.mean(losses[-8:]) < np.mean(losses[:8])
+    else:  # nothing is learnt
+        assert max(losses) < 1e-12
     camera, model = scene.views[0].camera, trainer.frozen_method()
     if isinstance(model, Traceable):
         opened = open_pixel(model, scene, camera, (camera.width // 2, camera.height // 2), trainer.step_count)

@@ -132,7 +132,8 @@ class Session:
         snapshot = self.worker.snapshot()
         left = None if wishes.steps is None else wishes.steps - snapshot.step
         wanted = wishes.load is None or wishes.steps is not None or wishes.seconds is not None
-        if snapshot.total_steps and wanted and (left is None or left > 0):
+        nothing = snapshot.scene is not None and not snapshot.total_steps  # the method has no parameters
+        if wanted and not nothing and (left is None or left > 0):
             self.worker.send(Train(left, wishes.seconds))
         self.app.run(lambda: self.signals.received is not None)
 
