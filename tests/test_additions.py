@@ -43,7 +43,8 @@ print(json.dumps({
     "verdict": "wrong colour" in VERDICTS.names(), "model export": "points" in EXPORTS.names(),
     "panel": any("nearest_photo" in PANELS.get(name).__module__ for name in PANELS.names()),
     "key": "Home" in str(overview()), "path": "approach" in render and "--left" in render,
-    "subcommand": "photos" in help, "study": "number of training photos" in lab, "export's subcommand": "export" in help,
+    "subcommand": "photos" in help, "study": "number of training photos" in lab,
+    "export's subcommand": "export" in help,
 }))
 """
 
