@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from copy import copy
+from pathlib import PurePosixPath
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -152,8 +153,8 @@ class MpiModel(Defaults):
         return Trace(self.rendered(blend), tuple(passes))
 
     def name(self, k: int) -> str:
-        """Return the name of an MPI: that of its reference view."""
-        return f"view {self.scene.views[self.stacks[k].view].name}"
+        """Return the name of an MPI: that of its reference view's file."""
+        return f"view {PurePosixPath(self.scene.views[self.stacks[k].view].name).stem}"
 
     # ---- training -------------------------------------------------------------------------------------------------
 
