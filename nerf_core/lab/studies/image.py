@@ -68,7 +68,7 @@ class _Progress:
         train, test = self._fit.psnr(name, picture)
         for values, new in zip(self.curves[name], (self._fit.steps[name], train, test), strict=True):
             values.append(new)
-        return Look(name, to_bytes(picture), f"{test:.1f} dB at test pixels"), self.spectrum(name, picture)
+        return Look(name, to_bytes(picture), f"{test:.1f} dB"), self.spectrum(name, picture)
 
     def spectrum(self, name: str, picture: np.ndarray) -> Look:
         """Return the logarithmic spectrum of a picture (H, W, 3), in the range of the photo's."""
