@@ -8,13 +8,23 @@ up when they are drawn, so a change shows in the next frame. English texts stand
     trn("{n} photo", "{n} photos", n)                 a plural, with n filled in
     TITLE = marked("Scene")  …  tr(TITLE)             a constant: marked where it stands, looked up where it is drawn
     figure(0.5, ".2f")                                a number in a text
+
+The core makes sentences that are both drawn and written to files: verdicts, notices, names of rows. They are phrases:
+texts in English that remember what they are made of, so that `tr` can say them in another language.
+
+    reason = phrase("{share:.0%} of it at {t:.3g}", share=…, t=…)  …  tr(reason)
+    phrases("{n:,} photo", "{n:,} photos", n)         a phrase with a plural
 """
 
 from __future__ import annotations
 
 import gettext
 import io
+from collections.abc import Iterable
 from functools import cache
+from numbers import Real
+from string import Formatter
+from typing import Any
 
 from .assets import assets_dir
 from .errors import UserError
@@ -42,6 +52,8 @@ def language() -> str:
 
 def tr(text: str) -> str:
     """Return a text in the window's language; English where its catalogue has none. An empty one stays empty."""
+    if isinstance(text, _Phrase):
+        return text.said()
     return _catalogue(_language).gettext(text) if text else ""
 
 
@@ -53,6 +65,56 @@ def trn(one: str, many: str, n: int) -> str:
 def marked(text: str) -> str:
     """Mark a text for the catalogues, and return it in English: `tr` looks it up where it is drawn."""
     return text
+
+
+def phrase(text: str, **values: object) -> str:
+    """Return a sentence with values, in English. `tr` says it in the window's language, where it is drawn.
+
+    Args:
+        text: the sentence, with named fields that may have a format specification: "{share:.0%} at {t:.3g}".
+        values: by the names of the fields. Numbers get the language's separators, and phrases are said in the language
+            too. Other texts, such as names, stay as they are.
+    """
+    found = _Phrase(text.format(**values))
+    found.forms, found.values = (text,), values
+    return found
+
+
+def phrases(one: str, many: str, n: int, **values: object) -> str:
+    """Return a phrase whose form suits the number n, which its field {n} may show. See `phrase`."""
+    values["n"] = n
+    found = _Phrase((one if n == 1 else many).format(**values))
+    found.forms, found.values = (one, many), values
+    return found
+
+
+def listed(parts: Iterable[str], between: str = ", ") -> str:
+    """Return one phrase of several, with `between` between them."""
+    values = {f"part{k}": part for k, part in enumerate(parts)}
+    return phrase(between.join(f"{{{name}}}" for name in values), **values)
+
+
+class _Phrase(str):
+    """The English text of a phrase, with its form or its two forms, and with its values. It can be pickled."""
+
+    forms: tuple[str, ...]
+    values: dict[str, Any]
+
+    def said(self) -> str:
+        """Return it in the window's language."""
+        known = _catalogue(_language)
+        one, *many = self.forms
+        text = known.ngettext(one, many[0], self.values["n"]) if many else known.gettext(one)
+        return _Fields().vformat(text, (), self.values)
+
+
+class _Fields(Formatter):
+    """Fills the fields of a phrase in the window's language."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        if isinstance(value, Real):
+            return figure(value, format_spec)  # pyright: ignore[reportArgumentType]  numpy's numbers, too
+        return tr(value) if isinstance(value, _Phrase) else format(value, format_spec)
 
 
 def figure(value: float, spec: str = "") -> str:

@@ -1,0 +1,35 @@
+"""Phrases are English texts that `tr` says in another language."""
+
+from __future__ import annotations
+
+import gettext
+import pickle
+
+import pytest
+
+from nerf_core.common import language
+from nerf_core.common.language import listed, phrase, phrases, tr
+
+TEXTS = {"{share:.0%} at {t:.3g}, {why}": "{why}: {t:.3g}, {share:.0%}", "of {name}": "у {name}", "train": "учёба"}
+
+
+class Catalogue(gettext.NullTranslations):
+    """A few texts, and the plural of photos."""
+
+    def gettext(self, message: str) -> str:
+        return TEXTS.get(message, message)
+
+    def ngettext(self, msgid1: str, msgid2: str, n: int) -> str:
+        return "{n:,} фото"
+
+
+def test_a_phrase_is_english_until_it_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    inner = phrase("of {name}", name="train")
+    votes = phrases("{n:,} photo", "{n:,} photos", 1200)
+    whole = phrase("{share:.0%} at {t:.3g}, {why}", share=0.25, t=1.5, why=listed((inner, votes), "; "))
+    whole = pickle.loads(pickle.dumps(whole))  # as a message between processes
+    assert whole == tr(whole) == "25% at 1.5, of train; 1,200 photos"
+    monkeypatch.setattr(language, "_catalogue", lambda _: Catalogue())
+    monkeypatch.setattr(language, "_language", "ru")
+    assert tr(whole) == "у train; 1\u202f200 фото: 1,5, 25%"  # a name is not translated
+    assert whole == "25% at 1.5, of train; 1,200 photos"
