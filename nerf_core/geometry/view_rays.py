@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from nerf_core.common.language import marked
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.cameras import camera_rays
 from nerf_core.geometry.rays import Rays
@@ -47,10 +48,10 @@ def view_rays(scene: Scene, camera: Camera, pixels: np.ndarray) -> Rays:
 def beginning(scene: Scene, camera: Camera, near: float) -> str:
     """Return in words why a camera's rays begin at the distance `near`, in world units, for the microscope."""
     if scene.owns(camera):
-        return "the photos' near bound"
+        return marked("the photos' near bound")
     if near == 0:
-        return "the eye"
-    return "the near plane of NDC" if scene.ndc is not None else "where photos begin to show the space"
+        return marked("the eye")
+    return marked("the near plane of NDC") if scene.ndc is not None else marked("where photos begin to show the space")
 
 
 def _bounds(scene: Scene, camera: Camera) -> torch.Tensor:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from nerf_core.common.language import marked, phrase
 from nerf_core.probe.standing import Tone
 from nerf_core.probe.verdicts import NOTHING, VERDICTS, Facts
 
 
-@VERDICTS.register("background")
+@VERDICTS.register(marked("background"))
 class Background:
     rank: ClassVar[int] = 0
     tone: ClassVar[Tone] = "good"
@@ -17,4 +18,4 @@ class Background:
     def reasons(facts: Facts) -> tuple[str, ...]:
         if facts.ray.opacity >= NOTHING:
             return ()
-        return (f"the ray met nothing: its opacity is {facts.ray.opacity:.3f}",)
+        return (phrase("the ray met nothing: its opacity is {opacity:.3f}", opacity=facts.ray.opacity),)

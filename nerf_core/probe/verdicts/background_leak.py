@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from nerf_core.common.language import marked, phrases
 from nerf_core.probe.standing import Standing, Tone
 from nerf_core.probe.verdicts import VERDICTS, Facts
 
 LEAK = 0.1  # the background shows if the transmittance of the whole ray is at least this
 
 
-@VERDICTS.register("background leak")
+@VERDICTS.register(marked("background leak"))
 class BackgroundLeak:
     rank: ClassVar[int] = 30
     tone: ClassVar[Tone] = "warning"
@@ -23,7 +24,14 @@ class BackgroundLeak:
 
 
 def _leak_reason(s: Standing, left: float) -> str:
-    return (
-        f"{left:.0%} of what is behind shows through the layer at {s.layer.t:.3g}; if no background did, the median "
-        f"error of {s.shown} photos that show it would be {s.opaque:.3f} instead of {s.error:.3f}"
+    return phrases(
+        "{left:.0%} of what is behind shows through the layer at {t:.3g}; if no background did, the median error of "
+        "{n} photo that shows it would be {opaque:.3f} instead of {error:.3f}",
+        "{left:.0%} of what is behind shows through the layer at {t:.3g}; if no background did, the median error of "
+        "{n} photos that show it would be {opaque:.3f} instead of {error:.3f}",
+        s.shown,
+        left=left,
+        t=s.layer.t,
+        opaque=s.opaque,
+        error=s.error,
     )

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from nerf_core.common.language import listed, marked, phrase, phrases
 from nerf_core.probe.standing import Standing, Tone
 from nerf_core.probe.verdicts import VERDICTS, Facts, tolerance
 
 
-@VERDICTS.register("floater")
+@VERDICTS.register(marked("floater"))
 class Floater:
     rank: ClassVar[int] = 10
     tone: ClassVar[Tone] = "warning"
@@ -19,10 +20,21 @@ class Floater:
 
 
 def _floater_reason(s: Standing) -> str:
-    said = ((s.against, "contradict it"), (s.blank, "do not show it"), (s.missing, "would miss it"))
-    *rest, last = [f"{count} {what}" for count, what in said if count]
-    votes = f"{', '.join(rest)} and {last}" if rest else last
+    votes = [
+        *([phrases("{n} contradict it", "{n} contradict it", s.against)] if s.against else []),
+        *([phrases("{n} do not show it", "{n} do not show it", s.blank)] if s.blank else []),
+        *([phrases("{n} would miss it", "{n} would miss it", s.missing)] if s.missing else []),
+    ]
+    *rest, last = votes
     better = s.error is not None and s.without is not None and s.without < s.error - tolerance(s.error)
-    error = f": error {s.error:.3f}, without it {s.without:.3f}" if better else ""
-    layer = f"a layer at {s.layer.t:.3g} makes {s.layer.weight:.0%} of the pixel"
-    return f"{layer}, but of {s.voters} photos that see it {votes}{error}"
+    return phrases(
+        "a layer at {t:.3g} makes {weight:.0%} of the pixel, but of {n} photo that sees it {votes}{error}",
+        "a layer at {t:.3g} makes {weight:.0%} of the pixel, but of {n} photos that see it {votes}{error}",
+        s.voters,
+        t=s.layer.t,
+        weight=s.layer.weight,
+        votes=phrase("{rest} and {last}", rest=listed(rest), last=last) if rest else last,
+        error=phrase(": error {error:.3f}, without it {without:.3f}", error=s.error, without=s.without)
+        if better
+        else "",
+    )

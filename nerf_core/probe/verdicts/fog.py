@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from nerf_core.common.language import marked, phrase
 from nerf_core.probe.standing import Standing, Tone
 from nerf_core.probe.verdicts import COUNTS, VERDICTS, Facts
 
 SOLID = 0.5  # the ray is in fog if layers that are not hazy hold less than this share of the weight
 
 
-@VERDICTS.register("fog")
+@VERDICTS.register(marked("fog"))
 class Fog:
     rank: ClassVar[int] = 40
     tone: ClassVar[Tone] = "warning"
@@ -22,11 +23,18 @@ class Fog:
 
 def _fog_reasons(heavy: list[Standing], share: float) -> tuple[str, ...]:
     if not heavy:
-        return (f"nothing on the ray makes a pixel: no layer weighs {COUNTS:g}",)
+        return (phrase("nothing on the ray makes a pixel: no layer weighs {least:g}", least=COUNTS),)
     thickest = max(heavy, key=lambda s: s.layer.thickness)
-    error = "" if thickest.error is None else f", with an error of {thickest.error:.3f}"
+    error = "" if thickest.error is None else phrase(", with an error of {error:.3f}", error=thickest.error)
     return (
-        f"only {share:.0%} of what is seen lies in thin layers, or in ones that the photos agree with",
-        f"its thickest layer, at {thickest.layer.t:.3g}, is {thickest.layer.thickness:.3g} deep{error}: "
-        f"a surface would be under {thickest.most_grains * thickest.layer.grain:.3g}",
+        phrase(
+            "only {share:.0%} of what is seen lies in thin layers, or in ones that the photos agree with", share=share
+        ),
+        phrase(
+            "its thickest layer, at {t:.3g}, is {deep:.3g} deep{error}: a surface would be under {most:.3g}",
+            t=thickest.layer.t,
+            deep=thickest.layer.thickness,
+            error=error,
+            most=thickest.most_grains * thickest.layer.grain,
+        ),
     )

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from nerf_core.common.language import marked, phrase, phrases
 from nerf_core.probe.standing import WRONG, Standing, Tone
 from nerf_core.probe.verdicts import VERDICTS, Facts
 
 
-@VERDICTS.register("surface")
+@VERDICTS.register(marked("surface"))
 class Surface:
     rank: ClassVar[int] = 60
     tone: ClassVar[Tone] = "good"
@@ -23,15 +24,33 @@ class Surface:
 
 
 def _inner_reason(s: Standing) -> str:
-    seen = {0: "no photo sees", 1: "one photo sees"}.get(s.training_views, f"{s.training_views} photos see")
-    return f"another {s.layer.weight:.0%} shines through it, from {s.layer.t:.3g}, where {seen} from this side"
+    if s.training_views == 0:
+        seen = phrase("no photo sees it from this side")
+    else:
+        seen = phrases("one photo sees it from this side", "{n} photos see it from this side", s.training_views)
+    return phrase(
+        "another {weight:.0%} shines through it, from {t:.3g}, where {seen}",
+        weight=s.layer.weight,
+        t=s.layer.t,
+        seen=seen,
+    )
 
 
 def _surface_reason(s: Standing) -> str:
-    error = "" if s.error is None else f", with an error of {s.error:.3f}"
-    if s.error is not None and s.error >= WRONG:
-        error += ": there is something, but its colour is wrong"
-    return (
-        f"one layer at {s.layer.t:.3g}, {s.layer.thickness:.2g} thick, makes {s.layer.weight:.0%} of the pixel; "
-        f"{s.training_views} training photos see it from this side{error}"
+    if s.error is None:
+        error = ""
+    elif s.error < WRONG:
+        error = phrase(", with an error of {error:.3f}", error=s.error)
+    else:
+        error = phrase(", with an error of {error:.3f}: there is something, but its colour is wrong", error=s.error)
+    return phrases(
+        "one layer at {t:.3g}, {thick:.2g} thick, makes {weight:.0%} of the pixel; {n} training photo sees it from "
+        "this side{error}",
+        "one layer at {t:.3g}, {thick:.2g} thick, makes {weight:.0%} of the pixel; {n} training photos see it from "
+        "this side{error}",
+        s.training_views,
+        t=s.layer.t,
+        thick=s.layer.thickness,
+        weight=s.layer.weight,
+        error=error,
     )

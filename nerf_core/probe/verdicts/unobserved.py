@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from nerf_core.common.language import marked, phrase, phrases
 from nerf_core.probe.standing import FEW, Standing, Tone
 from nerf_core.probe.verdicts import VERDICTS, Facts
 
 
-@VERDICTS.register("unobserved")
+@VERDICTS.register(marked("unobserved"))
 class Unobserved:
     rank: ClassVar[int] = 20
     tone: ClassVar[Tone] = "warning"
@@ -23,10 +24,21 @@ class Unobserved:
 
 def _unobserved_reason(s: Standing) -> str:
     if s.training_views >= FEW:
-        shown = "one shows it" if s.shown else "none shows it"
-        return f"of {s.voters} training photos that see the point at {s.layer.t:.3g}, {shown}"
-    seen = {0: "no training photo sees", 1: "one training photo alone sees"}[s.training_views]
-    return (
-        f"{seen} the point at {s.layer.t:.3g} from this side ({s.sightings.framed} of {s.sightings.asked} have it in "
-        f"their frame, {s.looked} see it from anywhere)"
+        shown = phrase("one shows it") if s.shown else phrase("none shows it")
+        return phrases(
+            "of {n} training photo that sees the point at {t:.3g}, {shown}",
+            "of {n} training photos that see the point at {t:.3g}, {shown}",
+            s.voters,
+            t=s.layer.t,
+            shown=shown,
+        )
+    seen = phrase("one training photo alone sees") if s.training_views else phrase("no training photo sees")
+    return phrase(
+        "{seen} the point at {t:.3g} from this side ({framed} of {asked} have it in their frame, {looked} see it from "
+        "anywhere)",
+        seen=seen,
+        t=s.layer.t,
+        framed=s.sightings.framed,
+        asked=s.sightings.asked,
+        looked=s.looked,
     )
