@@ -7,6 +7,16 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from nerf_core.probe.by_hand import (
+        HandRay,
+        HandTerms,
+        hand_cdf,
+        hand_ray_of,
+        hand_terms,
+        resample_by_weights,
+        sampled_at,
+        spread_evenly,
+    )
     from nerf_core.probe.directions import DISC_SIZE, SPHERE_COLUMNS, SPHERE_ROWS, RadianceProbe, Source, disc_grid
     from nerf_core.probe.evidence import TrainingViews
     from nerf_core.probe.layers import layers_of
@@ -22,6 +32,10 @@ if TYPE_CHECKING:
 
 # The module of each public name. A name is imported when it is asked for, so that the records load without torch.
 _HOMES = {
+    "by_hand": (
+        "HandRay", "HandTerms", "hand_cdf", "hand_ray_of", "hand_terms", "resample_by_weights", "sampled_at",
+        "spread_evenly",
+    ),
     "directions": ("DISC_SIZE", "SPHERE_COLUMNS", "SPHERE_ROWS", "RadianceProbe", "Source", "disc_grid"),
     "evidence": ("TrainingViews",),
     "layers": ("layers_of",),
@@ -34,13 +48,15 @@ _HOMES = {
     "standing": ("Layer", "Standing", "Verdict"),
     "verdict": ("judge",),
     "walkthrough": ("truth_of", "walk"),
-}
+}  # fmt: skip
 
 __all__ = [
     "DISC_SIZE",
     "FAR_DEGREES",
     "SPHERE_COLUMNS",
     "SPHERE_ROWS",
+    "HandRay",
+    "HandTerms",
     "Layer",
     "Opened",
     "PassProbe",
@@ -55,6 +71,9 @@ __all__ = [
     "Verdict",
     "check_format",
     "disc_grid",
+    "hand_cdf",
+    "hand_ray_of",
+    "hand_terms",
     "inspection",
     "judge",
     "layers_of",
@@ -62,6 +81,9 @@ __all__ = [
     "open_pixel",
     "open_radiance",
     "open_ray",
+    "resample_by_weights",
+    "sampled_at",
+    "spread_evenly",
     "truth_of",
     "unseen",
     "view_dependence",

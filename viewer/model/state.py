@@ -159,6 +159,7 @@ class AppState:
     mode: str = COLOR  # * the viewport's render mode; see nerf_core.rendering.modes
     axis: AxisChoice = "auto"  # * of the ray's plots
     radiance_of: Source | None = None  # * whose radiance is shown; None: the probe's default
+    hand_changes: int = 0  # * how often the user has changed the ray by hand
     show_help: bool = False  # *
     show_palette: bool = False  # *
     show_panels: bool = True  # *
