@@ -1,7 +1,8 @@
 """The language of the window: its texts through gettext catalogues, and numbers as that language writes them.
 
-Command lines, their errors, reports and files stay English: only the window chooses another language. Texts are looked
-up when they are drawn, so a change shows in the next frame. English texts stand in the code and are the keys.
+Command lines, their errors, reports and files stay English: only the window's thread chooses another language, and the
+worker, which writes files, does not. Texts are looked up when they are drawn, so a change shows in the next frame.
+English texts stand in the code and are the keys. A language is one file, assets/languages/CODE.po.
 
     tr("Start")                                       a text
     tr("{step} of {total}").format(step=…, total=…)   with values: never an f-string, which no catalogue could hold
@@ -20,7 +21,10 @@ from __future__ import annotations
 
 import gettext
 import io
-from collections.abc import Iterable
+import re
+import threading
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from numbers import Real
 from string import Formatter
@@ -30,36 +34,64 @@ from .assets import assets_dir
 from .errors import UserError
 
 ENGLISH = "en"
-LANGUAGES = {ENGLISH: "English", "ru": "Русский"}  # by code: what speakers call it
-SEPARATORS = {"ru": {",": "\u202f", ".": ","}}  # of thousands (a narrow space that does not break), of decimals
+NAME = re.compile(r'^"X-Name: (.+)\\n"$', re.MULTILINE)  # in a catalogue's header: what speakers call the language
+HEADER_LETTERS = 2000  # a header is shorter
 
-_language = ENGLISH
+
+class _Speaker(threading.local):
+    """What this thread speaks."""
+
+    language = ENGLISH
+
+
+_speaker = _Speaker()
+
+
+@cache
+def languages() -> dict[str, str]:
+    """Return what speakers call each language, by its code: English, then those that have a catalogue."""
+    found = {ENGLISH: "English"}
+    for file in sorted((assets_dir() / "languages").glob("*.po")):
+        with file.open(encoding="utf-8") as lines:
+            name = NAME.search(lines.read(HEADER_LETTERS))
+        found[file.stem] = name[1] if name else file.stem
+    return found
 
 
 def use_language(code: str) -> None:
-    """Show texts in this language from now on, in all threads. Raises UserError for one without a catalogue."""
-    global _language  # noqa: PLW0603  a process has one window
-    if code not in LANGUAGES:
-        raise UserError(f"--language {code}: choose one of {', '.join(LANGUAGES)}")
-    _catalogue(code)  # reads it now, not in a frame
-    _language = code
+    """Show texts in this language from now on, in this thread. Raises UserError for one without a catalogue."""
+    if code not in languages():
+        raise UserError(f"--language {code}: choose one of {', '.join(languages())}")
+    _catalogue(code)  # reads them now, not in a frame
+    _separators(code)
+    _speaker.language = code
 
 
 def language() -> str:
-    """Return the code of the language that is shown."""
-    return _language
+    """Return the code of the language that this thread shows."""
+    return _speaker.language
+
+
+@contextmanager
+def in_english() -> Iterator[None]:
+    """Speak English for a while, on a terminal say."""
+    before, _speaker.language = _speaker.language, ENGLISH
+    try:
+        yield
+    finally:
+        _speaker.language = before
 
 
 def tr(text: str) -> str:
     """Return a text in the window's language; English where its catalogue has none. An empty one stays empty."""
     if isinstance(text, _Phrase):
         return text.said()
-    return _catalogue(_language).gettext(text) if text else ""
+    return _catalogue(_speaker.language).gettext(text) if text else ""
 
 
 def trn(one: str, many: str, n: int) -> str:
     """Return the form of a text that suits the number n, which replaces {n} in it."""
-    return _catalogue(_language).ngettext(one, many, n).format(n=figure(n, ",d"))
+    return _catalogue(_speaker.language).ngettext(one, many, n).format(n=figure(n, ",d"))
 
 
 def marked(text: str) -> str:
@@ -102,7 +134,7 @@ class _Phrase(str):
 
     def said(self) -> str:
         """Return it in the window's language."""
-        known = _catalogue(_language)
+        known = _catalogue(_speaker.language)
         one, *many = self.forms
         text = known.ngettext(one, many[0], self.values["n"]) if many else known.gettext(one)
         return _Fields().vformat(text, (), self.values)
@@ -124,8 +156,18 @@ def figure(value: float, spec: str = "") -> str:
 
 def localized(digits: str) -> str:
     """Return a number that Python formatted, with the language's separators instead of "," and "."."""
-    separators = SEPARATORS.get(_language)
-    return digits.translate(str.maketrans(separators)) if separators else digits
+    return digits.translate(_separators(_speaker.language))
+
+
+@cache
+def _separators(code: str) -> dict[int, str]:
+    """The separators of thousands and of decimals of a language, by English ones."""
+    if code == ENGLISH:
+        return {}
+    from babel import Locale
+
+    symbols = Locale.parse(code).number_symbols["latn"]
+    return {ord(","): symbols["group"], ord("."): symbols["decimal"]}
 
 
 @cache

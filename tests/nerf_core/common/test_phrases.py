@@ -30,6 +30,6 @@ def test_a_phrase_is_english_until_it_is_drawn(monkeypatch: pytest.MonkeyPatch) 
     whole = pickle.loads(pickle.dumps(whole))  # as a message between processes
     assert whole == tr(whole) == "25% at 1.5, of train; 1,200 photos"
     monkeypatch.setattr(language, "_catalogue", lambda _: Catalogue())
-    monkeypatch.setattr(language, "_language", "ru")
-    assert tr(whole) == "у train; 1\u202f200 фото: 1,5, 25%"  # a name is not translated
+    monkeypatch.setattr(language._speaker, "language", "ru")
+    assert tr(whole) == "у train; 1\xa0200 фото: 1,5, 25%"  # a name is not translated
     assert whole == "25% at 1.5, of train; 1,200 photos"
