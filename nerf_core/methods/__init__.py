@@ -7,6 +7,7 @@ from copy import deepcopy
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self, runtime_checkable
 
 from nerf_core.common.errors import UserError
+from nerf_core.common.language import marked, phrase
 from nerf_core.common.registry import Registry
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods.group import ALONE, Group
@@ -298,9 +299,9 @@ METHODS: Registry[type[Method]] = Registry(
 )
 
 ABSENT = {
-    "trace": "keeps no samples along a ray",
-    "radiance": "has no radiance at a point",
-    "explain": "does not explain its steps",
+    "trace": marked("method {method} keeps no samples along a ray"),
+    "radiance": marked("method {method} has no radiance at a point"),
+    "explain": marked("method {method} does not explain its steps"),
 }
 
 
@@ -313,12 +314,12 @@ def lacking(method: str, ability: str) -> str:
     """
     if not method or method not in METHODS.names() or hasattr(METHODS.get(method), ability):
         return ""
-    return f"method {method} {ABSENT[ability]}"
+    return phrase(ABSENT[ability], method=method)
 
 
 def nothing_to_train(method: str) -> str:
     """Return a sentence about a method, given by its name, whose `Config.total_steps` is 0."""
-    return f"nothing to train: method {method} has no parameters"
+    return phrase("nothing to train: method {method} has no parameters", method=method)
 
 
 def traced(method: Method, rays: Rays) -> Trace:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from nerf_core.common.language import figure, marked, phrase
 from nerf_core.common.text import number, triple
 
 if TYPE_CHECKING:
@@ -71,7 +72,10 @@ Chart = Stems | Marks | BarCode | Transfer | Colors | Pictures
 
 @dataclass(frozen=True)
 class Stage:
-    """One stage of a method with the ray's own values. sentence: what happens in it. rows: labelled figures."""
+    """One stage of a method with the ray's own values. sentence: what happens in it. rows: labelled figures.
+
+    All texts, those of the charts too, are English, and marked or phrases: they are looked up where they are drawn.
+    """
 
     title: str
     sentence: str
@@ -81,28 +85,31 @@ class Stage:
 
 def nothing_stage() -> Stage:
     """Return the stage of a ray without samples."""
-    return Stage("No samples", "There is nothing along this ray: its colour is the background.")
+    return Stage(marked("No samples"), marked("There is nothing along this ray: its colour is the background."))
 
 
-def field_stage(samples: Samples, sentence: str, title: str = "Density and colour") -> Stage:
+def field_stage(samples: Samples, sentence: str, title: str = marked("Density and colour")) -> Stage:
     """Return the stage with density and colour along the first ray of `samples`."""
     t, sigma, rgb = (v[0].float().cpu().numpy() for v in (samples.t, samples.sigma, samples.rgb))
     strongest = int(np.argmax(samples.weights[0].cpu().numpy()))
-    rows = (("largest σ", number(float(sigma.max()))), ("colour of the strongest", triple(rgb[strongest])))
+    rows = (
+        (marked("largest σ"), number(float(sigma.max()))),
+        (marked("colour of the strongest"), triple(rgb[strongest])),
+    )
     return Stage(title, sentence, (Stems("σ", t, sigma),), rows)
 
 
-def absorption_stage(samples: Samples, title: str = "α, T and w") -> Stage:
+def absorption_stage(samples: Samples, title: str = marked("α, T and w")) -> Stage:
     """Return the stage with α, T and w along the first ray of `samples`."""
     t, alpha, transmittance, weights = (
         v[0].float().cpu().numpy() for v in (samples.t, samples.alpha, samples.transmittance, samples.weights)
     )
     total = float(weights.sum())
-    sentence = (
+    sentence = marked(
         "Each sample absorbs the share α = 1 − exp(−σδ) of the light that reaches it. The transmittance T, the product "
         "of all (1 − α) in front of it, is the share that reaches it. Its weight in the pixel is w = T α."
     )
-    rows = (("Σ w", number(total)), ("left for what is behind", number(1 - total)))
+    rows = (("Σ w", number(total)), (marked("left for what is behind"), number(1 - total)))
     return Stage(title, sentence, (Stems("α", t, alpha), Stems("T", t, transmittance), Stems("w", t, weights)), rows)
 
 
@@ -112,9 +119,15 @@ def skipped_stage(samples: Samples, cells: Cells, step: float) -> Stage:
     t = samples.t[0, :count].cpu().numpy()
     share = np.count_nonzero(cells.occupied.cpu().numpy()) / cells.occupied.numel()
     return Stage(
-        "Skipped space",
-        f"{share:.1%} of {cells.occupied.numel():,} cells may hold something. The ray skips the others and takes a "
-        f"sample every {step:g} cells: {count} in all.",
+        marked("Skipped space"),
+        phrase(
+            "{share:.1%} of {cells:,} cells may hold something. The ray skips the others and takes a sample every "
+            "{step:g} cells: {count} in all.",
+            share=share,
+            cells=cells.occupied.numel(),
+            step=step,
+            count=count,
+        ),
         (Marks(t, np.zeros(0, np.float32)),),
-        (("grid", " × ".join(f"{n:,}" for n in cells.size)), ("samples", f"{count:,}")),
+        ((marked("grid"), " × ".join(figure(n, ",") for n in cells.size)), (marked("samples"), figure(count, ","))),
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from nerf_core.common.language import figure, marked, phrase
 from nerf_core.common.text import number, triple
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.rays import Rays
@@ -67,23 +68,31 @@ def _method_stages(method: Method, rays: Rays) -> tuple[Stage, ...]:
     if isinstance(method, Explainable):
         return method.explain(rays)
     name = METHODS.name_of(type(method))
-    return (Stage("Method", f"What happens between the ray and its pixel is not shown: {lacking(name, 'explain')}."),)
+    lacks = phrase("What happens between the ray and its pixel is not shown: {lacks}.", lacks=lacking(name, "explain"))
+    return (Stage(marked("Method"), lacks),)
 
 
 def _camera_stage(camera: Camera, ray: RayProbe) -> Stage:
     column, row = ray.pixel
     x, y = (column + 0.5 - camera.cx) / camera.fx, (row + 0.5 - camera.cy) / camera.fy
     straight = ray.direction @ camera.c2w[:, :3]
-    undone = (("with the lens undone", triple(straight / -straight[2])),) if camera.lens.bends else ()
+    undone = ((marked("with the lens undone"), triple(straight / -straight[2])),) if camera.lens.bends else ()
     return Stage(
-        "Camera and pixel",
-        "The pixel's centre (i + ½, j + ½), less the principal point and over the focal length, is a direction before "
-        "the camera" + (", once it is undone how the lens bends." if undone else "."),
+        marked("Camera and pixel"),
+        marked(
+            "The pixel's centre (i + ½, j + ½), less the principal point and over the focal length, is a direction "
+            "before the camera, once it is undone how the lens bends."
+        )
+        if undone
+        else marked(
+            "The pixel's centre (i + ½, j + ½), less the principal point and over the focal length, is a direction "
+            "before the camera."
+        ),
         rows=(
-            ("picture", f"{camera.width:,} × {camera.height:,}"),
-            ("pixel", f"{column:,}, {row:,}"),
-            ("fx, fy", f"{number(camera.fx)}, {number(camera.fy)} px"),
-            ("before the camera", triple(np.array([x, -y, -1.0]))),
+            (marked("picture"), f"{figure(camera.width, ',')} × {figure(camera.height, ',')}"),
+            (marked("pixel"), _place(ray.pixel)),
+            ("fx, fy", phrase("{x}, {y} px", x=number(camera.fx), y=number(camera.fy))),
+            (marked("before the camera"), triple(np.array([x, -y, -1.0]))),
             *undone,
         ),
     )
@@ -91,8 +100,10 @@ def _camera_stage(camera: Camera, ray: RayProbe) -> Stage:
 
 def _ray_stage(ray: RayProbe) -> Stage:
     return Stage(
-        "Ray",
-        "Turned into the world and made unit, the direction d and the camera's place o make the ray x(t) = o + t d.",
+        marked("Ray"),
+        marked(
+            "Turned into the world and made unit, the direction d and the camera's place o make the ray x(t) = o + t d."
+        ),
         rows=(
             ("o", triple(ray.origin)), ("d", triple(ray.direction)),
             ("t", f"{number(ray.near)} … {number(ray.far)}"),
@@ -103,19 +114,21 @@ def _ray_stage(ray: RayProbe) -> Stage:
 def _pixel_stage(ray: RayProbe) -> Stage:
     if not ray.passes:
         return Stage(
-            "Pixel",
-            "The method gives the colour as it is: nothing is composited, and no background shines through.",
-            (Colors(("pixel",), ray.color[None]),),
-            (("pixel", triple(ray.color)),),
+            marked("Pixel"),
+            marked("The method gives the colour as it is: nothing is composited, and no background shines through."),
+            (Colors((marked("pixel"),), ray.color[None]),),
+            ((marked("pixel"), triple(ray.color)),),
         )
     last = ray.last
     seen = last.weights @ last.rgb if len(last.t) else np.zeros(3)
     return Stage(
-        "Pixel",
-        "The samples' colours, each times its weight, and the background times what is left, add up to the pixel.",
-        (Colors(("Σ w c", "background × (1 − Σ w)", "pixel"),
+        marked("Pixel"),
+        marked(
+            "The samples' colours, each times its weight, and the background times what is left, add up to the pixel."
+        ),
+        (Colors(("Σ w c", marked("background × (1 − Σ w)"), marked("pixel")),
                 np.stack([seen, (1 - ray.opacity) * ray.background, ray.color])),),
-        (("pixel", triple(ray.color)), ("opacity Σ w", number(ray.opacity))),
+        ((marked("pixel"), triple(ray.color)), (marked("opacity Σ w"), number(ray.opacity))),
     )  # fmt: skip
 
 
@@ -124,35 +137,53 @@ def _photo_stages(scene: Scene, camera: Camera, ray: RayProbe) -> tuple[Stage, .
     if truth is None:
         return (
             Stage(
-                "Photo",
-                "No photo was taken from here, so nothing says what this pixel should be. Fly to a photo (→) and open "
-                "a ray there to see the photo's colour and the loss.",
+                marked("Photo"),
+                marked(
+                    "No photo was taken from here, so nothing says what this pixel should be. Fly to a photo (→) and "
+                    "open a ray there to see the photo's colour and the loss."
+                ),
             ),
         )
     view = scene.views[truth.view]
     split = next((name for name, indices in scene.splits.items() if truth.view in indices), "no")
-    learnt = "Training has seen it." if split == "train" else "Training never sees it."
+    learnt = phrase("Training has seen it.") if split == "train" else phrase("Training never sees it.")
     # Of the earlier passes only `coarse` has a loss; the guide is already trained.
     losses = [(p.name, _composited(ray, p)) for p in ray.passes if p.name == "coarse" or p is ray.last]
-    losses = losses or [("pixel", ray.color)]
-    flows = "; its gradient flows back to every sample's density and colour, but not to where the samples lie."
+    losses = losses or [(marked("pixel"), ray.color)]
+    sentence = marked("The squared difference, averaged over the channels, is this pixel's part of the loss.")
+    if ray.passes:
+        sentence = marked(
+            "The squared difference, averaged over the channels, is this pixel's part of the loss; its gradient flows "
+            "back to every sample's density and colour, but not to where the samples lie."
+        )
+    if len(losses) > 1:
+        sentence = phrase("{sentence} Both networks are supervised: their losses are added.", sentence=phrase(sentence))
     off = [(name, float(np.square(color - truth.color).mean())) for name, color in losses]
     return (
         Stage(
-            "Photo",
-            f"{view.name} ({split} photo) shows this at its pixel {truth.pixel[0]:,}, {truth.pixel[1]:,}. {learnt}",
-            (Colors(("model", "photo", "difference"),
+            marked("Photo"),
+            phrase(
+                "{name} ({split} photo) shows this at its pixel {place}. {learnt}",
+                name=view.name,
+                split=split,
+                place=_place(truth.pixel),
+                learnt=learnt,
+            ),
+            (Colors((marked("model"), marked("photo"), marked("difference")),
                     np.stack([ray.color, truth.color, np.abs(ray.color - truth.color)])),),
-            (("photo", triple(truth.color)),),
+            ((marked("photo"), triple(truth.color)),),
         ),
         Stage(
-            "Loss",
-            "The squared difference, averaged over the channels, is this pixel's part of the loss"
-            + (flows if ray.passes else ".")
-            + (" Both networks are supervised: their losses are added." if len(off) > 1 else ""),
+            marked("Loss"),
+            sentence,
             rows=tuple((name, number(value)) for name, value in off),
         ),
     )  # fmt: skip
+
+
+def _place(pixel: tuple[int, int]) -> str:
+    """Return a pixel's column and row as text."""
+    return ", ".join(figure(v, ",") for v in pixel)
 
 
 def _composited(ray: RayProbe, p: PassProbe) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from nerf_core.common.language import marked, phrase
 from nerf_core.geometry.rays import Rays
 from nerf_core.methods.guided.model import GuidedModel
 from nerf_core.methods.mlp.explain import code_stage, towards
@@ -20,14 +21,19 @@ def explain(model: GuidedModel, rays: Rays) -> tuple[Stage, ...]:
     count = 0 if fine.count is None else int(fine.count[0])
     found = (
         Stage(
-            "The guide",
-            "A voxel grid was trained first: the proposal grid. Its weights say where the ray meets something.",
-            (Stems("proposal w", t, weights),),
+            marked("The guide"),
+            marked("A voxel grid was trained first: the proposal grid. Its weights say where the ray meets something."),
+            (Stems(marked("proposal w"), t, weights),),
         ),
         Stage(
-            "Placed samples",
-            f"Samples that weigh more than {model.config.least:g} are kept, {count} of {len(t)}. Only these go to "
-            "the network; the paper's method would evaluate it at 256.",
+            marked("Placed samples"),
+            phrase(
+                "Samples that weigh more than {least:g} are kept, {count} of {total}. Only these go to the network; "
+                "the paper's method would evaluate it at 256.",
+                least=model.config.least,
+                count=count,
+                total=len(t),
+            ),
             (Marks(fine.t[0, :count].cpu().numpy(), np.zeros(0, np.float32)),),
         ),
     )
@@ -36,6 +42,9 @@ def explain(model: GuidedModel, rays: Rays) -> tuple[Stage, ...]:
     return (
         *found,
         code_stage(model, rays, fine),
-        field_stage(fine, f"The paper's network gives each of them a density and a colour {towards(model)}."),
+        field_stage(
+            fine,
+            phrase("The paper's network gives each of them a density and a colour {towards}.", towards=towards(model)),
+        ),
         absorption_stage(fine),
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from nerf_core.common.language import marked, phrase
 from nerf_core.geometry.rays import Rays
 from nerf_core.methods.hash.model import HashModel
 from nerf_core.methods.stages import BarCode, Stage, absorption_stage, field_stage, nothing_stage, skipped_stage
@@ -30,17 +31,23 @@ def explain(model: HashModel, rays: Rays) -> tuple[Stage, ...]:
     return (
         skipped,
         Stage(
-            "Hash grid",
-            f"{len(levels)} grids, each finer than the one before, hold {levels.shape[1]} numbers per corner; the "
-            "finer ones share rows through a hash. Each level is blended within the heaviest sample's cell.",
+            marked("Hash grid"),
+            phrase(
+                "{count} grids, each finer than the one before, hold {numbers} numbers per corner; the finer ones "
+                "share rows through a hash. Each level is blended within the heaviest sample's cell.",
+                count=len(levels),
+                numbers=levels.shape[1],
+            ),
             (BarCode(tuple(f"{r}³" for r in resolutions), tuple(levels), float(np.abs(levels).max())),),
         ),
         Stage(
-            "Networks",
-            "A small network turns them into 16 numbers; the first is the logarithm of the density. A second "
-            "network turns these and the spherical harmonics of the direction into colour.",
-            (BarCode(("geometry", "Y(d)"), (vector, harmonics), peak),),
+            marked("Networks"),
+            marked(
+                "A small network turns them into 16 numbers; the first is the logarithm of the density. A second "
+                "network turns these and the spherical harmonics of the direction into colour."
+            ),
+            (BarCode((marked("geometry"), "Y(d)"), (vector, harmonics), peak),),
         ),
-        field_stage(samples, "The same is done at every sample in an occupied cell."),
+        field_stage(samples, marked("The same is done at every sample in an occupied cell.")),
         absorption_stage(samples),
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from nerf_core.common.language import marked, phrase
 from nerf_core.common.text import number, triple
 from nerf_core.geometry.rays import Rays, Samples
 from nerf_core.methods.mpi.model import Blend, MpiModel
@@ -34,9 +35,14 @@ def _views_stage(model: MpiModel, rays: Rays, blend: Blend) -> Stage:
     beta = model.weights(rays.origins)[0].tolist()
     away = (model.positions - rays.origins[0]).norm(dim=-1).tolist()
     return Stage(
-        "Nearest views",
-        f"{len(model.stacks)} of the photos have a multiplane image (MPI), a stack of {model.config.planes} planes. "
-        f"The ray is drawn from the {len(blend.views)} nearest ones. A view's weight β falls with its distance ℓ.",
+        marked("Nearest views"),
+        phrase(
+            "{stacks} of the photos have a multiplane image (MPI), a stack of {planes} planes. The ray is drawn from "
+            "the {views} nearest ones. A view's weight β falls with its distance ℓ.",
+            stacks=len(model.stacks),
+            planes=model.config.planes,
+            views=len(blend.views),
+        ),
         rows=tuple((model.name(k), f"ℓ {number(away[k])}, β {number(beta[k])}") for k in blend.views),
     )
 
@@ -46,13 +52,18 @@ def _planes_stage(model: MpiModel, blend: Blend, i: int, samples: Samples) -> St
     crossed = model.stacks[k].covers(blend.crossings[i].at[:, 0]).nonzero()[:, 0].tolist()
     images, marks = zip(*(_crop(model, k, plane, blend.crossings[i].at[plane, 0]) for plane in crossed), strict=True)
     return Stage(
-        f"Planes of {model.name(k)}",
-        "The planes lie across this view's axis, evenly spaced in disparity. The ray looks each one up where it "
-        "crosses it. A plane has a colour and an opacity α, not a density. Its weight w is α times what the planes "
-        "in front of it let through.",
-        (Pictures(tuple(f"plane {plane + 1}" for plane in crossed), images, np.stack(marks)),
+        phrase("Planes of {view}", view=model.name(k)),
+        marked(
+            "The planes lie across this view's axis, evenly spaced in disparity. The ray looks each one up where it "
+            "crosses it. A plane has a colour and an opacity α, not a density. Its weight w is α times what the planes "
+            "in front of it let through."
+        ),
+        (Pictures(tuple(phrase("plane {number}", number=plane + 1) for plane in crossed), images, np.stack(marks)),
          Stems("α", t, alpha), Stems("w", t, weights)),
-        (("planes crossed", f"{len(crossed)} of {model.config.planes}"), ("Σ w", number(float(weights.sum())))),
+        (
+            (marked("planes crossed"), phrase("{count} of {total}", count=len(crossed), total=model.config.planes)),
+            ("Σ w", number(float(weights.sum()))),
+        ),
     )  # fmt: skip
 
 
@@ -75,15 +86,17 @@ def _blend_stage(model: MpiModel, blend: Blend) -> Stage:
     names = [model.name(k) for k in blend.views]
     share = (blend.shares[:, 0] * opacity).tolist()
     rows = [
-        (name, f"opacity A {number(a)}, share {number(s)}")
+        (name, phrase("opacity A {opacity}, share {share}", opacity=number(a), share=number(s)))
         for name, a, s in zip(names, opacity.tolist(), share, strict=True)
     ]
     return Stage(
-        "Blend",
-        "Each MPI gives a colour C and an accumulated opacity A. They are blended with the weights β A: where an MPI "
-        "holds nothing, the others fill in.",
-        (Colors((*names, "blended"), torch.cat([color, blend.color.T]).cpu().numpy()),),
-        (*rows, ("blended", triple(blend.color[:, 0].cpu().numpy()))),
+        marked("Blend"),
+        marked(
+            "Each MPI gives a colour C and an accumulated opacity A. They are blended with the weights β A: where an "
+            "MPI holds nothing, the others fill in."
+        ),
+        (Colors((*names, marked("blended")), torch.cat([color, blend.color.T]).cpu().numpy()),),
+        (*rows, (marked("blended"), triple(blend.color[:, 0].cpu().numpy()))),
     )
 
 
@@ -92,9 +105,12 @@ def _merged_stage(samples: Samples) -> Stage:
         samples, samples.t, samples.alpha, samples.transmittance, samples.weights
     )
     return Stage(
-        "All planes",
-        f"The same colour as one line of {len(t)} planes of all these MPIs, from front to back. W is a plane's weight "
-        "in the blend, T = 1 − Σ W of the planes in front of it, and α = W / T.",
+        marked("All planes"),
+        phrase(
+            "The same colour as one line of {count} planes of all these MPIs, from front to back. W is a plane's "
+            "weight in the blend, T = 1 − Σ W of the planes in front of it, and α = W / T.",
+            count=len(t),
+        ),
         (Stems("α", t, alpha), Stems("T", t, transmittance), Stems("W", t, weights)),
         (("Σ W", number(float(weights.sum()))),),
     )

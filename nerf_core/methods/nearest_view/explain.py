@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from nerf_core.common.text import counted, number, triple
+from nerf_core.common.language import marked, phrase, phrases
+from nerf_core.common.text import number, triple
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.rays import Rays
 from nerf_core.methods.nearest_view.model import NearestViewModel
@@ -23,31 +24,42 @@ def explain(model: NearestViewModel, rays: Rays) -> tuple[Stage, ...]:
     small = model.scene.photos.small(view, SIDE)
     scale = small.shape[1] / model.scene.views[view].camera.width
     mark = place * scale if inside else np.full(2, np.nan)
-    where = f"It falls on column {int(place[0]):,}, row {int(place[1]):,}." if inside else "It misses the photo."
+    where = phrase("It misses the photo.")
+    if inside:
+        where = phrase("It falls on column {column:,}, row {row:,}.", column=int(place[0]), row=int(place[1]))
     return (
         _choice(model, name),
         Stage(
-            "Place in the photo",
-            "The ray's direction in its own camera is drawn into the photo, with the photo's focal length and lens. "
-            + where,
+            marked("Place in the photo"),
+            phrase(
+                "The ray's direction in its own camera is drawn into the photo, with the photo's focal length and "
+                "lens. {where}",
+                where=where,
+            ),
             (Pictures((name,), (small,), mark[None]),),
         ),
         Stage(
-            "Colour",
-            "The photo's pixel is the colour, as it is." if inside else "Beside the photo there is only background.",
-            (Colors(("photo's pixel" if inside else "background",), found.color),),
-            (("colour", triple(found.color[0])),),
+            marked("Colour"),
+            marked("The photo's pixel is the colour, as it is.")
+            if inside
+            else marked("Beside the photo there is only background."),
+            (Colors((marked("photo's pixel") if inside else marked("background"),), found.color),),
+            ((marked("colour"), triple(found.color[0])),),
         ),
     )
 
 
 def _choice(model: NearestViewModel, name: str) -> Stage:
-    photos = counted(len(model.views), "training photo")
+    photos = phrases("{n:,} training photo", "{n:,} training photos", len(model.views))
     if model.faced is None:
         return Stage(
-            "Nearest photo",
-            f"Of {photos}, {name} was taken nearest to the ray's origin; of several from there, its optical axis is "
-            "the nearest to the ray.",
+            marked("Nearest photo"),
+            phrase(
+                "Of {photos}, {name} was taken nearest to the ray's origin; of several from there, its optical axis is "
+                "the nearest to the ray.",
+                photos=photos,
+                name=name,
+            ),
         )
     nearest = model.ranking(model.faced)
     rows = tuple(
@@ -56,12 +68,21 @@ def _choice(model: NearestViewModel, name: str) -> Stage:
         for k in range(min(CANDIDATES, len(nearest.views)))
     )  # fmt: skip
     return Stage(
-        "Nearest photo",
-        f"Of {photos}, {name} was taken nearest to this camera. D² = (distance / ρ)² + angle², with ρ from the camera "
-        "to the scene's centre: walking around the scene by an angle counts like turning by it.",
+        marked("Nearest photo"),
+        phrase(
+            "Of {photos}, {name} was taken nearest to this camera. D² = (distance / ρ)² + angle², with ρ from the "
+            "camera to the scene's centre: walking around the scene by an angle counts like turning by it.",
+            photos=photos,
+            name=name,
+        ),
         rows=rows,
     )
 
 
 def _distance(camera: Camera, distance: float, apart: float, aside: float) -> str:
-    return f"D {number(float(distance), 3)}: {number(float(apart), 3)} units, {np.degrees(aside):.1f}°"
+    return phrase(
+        "D {distance}: {apart} units, {aside:.1f}°",
+        distance=number(float(distance), 3),
+        apart=number(float(apart), 3),
+        aside=np.degrees(aside),
+    )

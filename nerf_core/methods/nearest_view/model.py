@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from nerf_core.common.language import phrase
 from nerf_core.common.text import number
 from nerf_core.geometry.camera import Camera, project
 from nerf_core.geometry.rays import Rays, Rendering
@@ -101,9 +102,13 @@ class NearestViewModel(Defaults):
         nearest = self.ranking(camera)
         name = self.scene.views[int(nearest.views[0])].name
         if nearest.distance[0] < HERE:
-            return f"the training photo {name}, taken from here"
-        aside, apart = np.degrees(nearest.aside[0]), number(float(nearest.apart[0]), 2)
-        return f"the nearest training photo: {name} ({aside:.0f}° aside, {apart} units away)"
+            return phrase("the training photo {name}, taken from here", name=name)
+        return phrase(
+            "the nearest training photo: {name} ({aside:.0f}° aside, {apart} units away)",
+            name=name,
+            aside=np.degrees(nearest.aside[0]),
+            apart=number(float(nearest.apart[0]), 2),
+        )
 
     def frozen(self) -> Self:
         return copy(self)  # nothing changes, and a deep copy would hold all photos again

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from nerf_core.common.language import marked, phrase
 from nerf_core.geometry.rays import Rays
 from nerf_core.methods.mlp.explain import code_stage, towards
 from nerf_core.methods.nerf.model import NerfModel
@@ -21,17 +22,28 @@ def explain(model: NerfModel, rays: Rays) -> tuple[Stage, ...]:
     p, world = model.parametrise(rays.to(model.device)), partial(_world_t, model, rays.to(model.device))
     u = model.coarse_u(p)
     edges = torch.cat([u[:, :1], (u[:, 1:] + u[:, :-1]) / 2, u[:, -1:]], 1)
-    spacing = "1/t" if model.disparity and model.ndc is None else "t" if model.ndc is None else "disparity (NDC)"
+    spacing = (
+        "1/t" if model.disparity and model.ndc is None else "t" if model.ndc is None else phrase("disparity (NDC)")
+    )
     stages = [
         Stage(
-            "Stratified samples",
-            f"{u.shape[1]} depths, evenly spaced in {spacing}. In training each is drawn at random from its bin, "
-            "so that in time every depth is sampled; for a picture they stay where they are here.",
+            marked("Stratified samples"),
+            phrase(
+                "{count} depths, evenly spaced in {spacing}. In training each is drawn at random from its bin, so that "
+                "in time every depth is sampled; for a picture they stay where they are here.",
+                count=u.shape[1],
+                spacing=spacing,
+            ),
             (Marks(world(u), world(edges)),),
         ),
         code_stage(model, rays, passes[0]),
-        field_stage(passes[0], "The coarse network gives every sample a density and the colour that it "
-                      f"emits {towards(model)}."),
+        field_stage(
+            passes[0],
+            phrase(
+                "The coarse network gives every sample a density and the colour that it emits {towards}.",
+                towards=towards(model),
+            ),
+        ),
         absorption_stage(passes[0]),
     ]  # fmt: skip
     if len(passes) > 1:
@@ -41,16 +53,23 @@ def explain(model: NerfModel, rays: Rays) -> tuple[Stage, ...]:
         levels = np.linspace(0, 1, count, dtype=np.float32)
         stages += [
             Stage(
-                "Resampling",
-                f"The coarse weights, normalised to a PDF, place {count} more samples. Evenly spaced levels "
-                "(random in training) go through the inverse of its CDF; most fall where the CDF is steep.",
+                marked("Resampling"),
+                phrase(
+                    "The coarse weights, normalised to a PDF, place {count} more samples. Evenly spaced levels (random "
+                    "in training) go through the inverse of its CDF; most fall where the CDF is steep.",
+                    count=count,
+                ),
                 (
-                    Stems("PDF, a bin's share", world((middle[:, 1:] + middle[:, :-1]) / 2), np.diff(cdf)),
+                    Stems(marked("PDF, a bin's share"), world((middle[:, 1:] + middle[:, :-1]) / 2), np.diff(cdf)),
                     Transfer(world(middle), cdf, levels, world(draws)),
                 ),
             ),
-            field_stage(passes[1], "The fine network evaluates all samples, old and new.", "Fine density, colour"),
-            absorption_stage(passes[1], "Fine α, T and w"),
+            field_stage(
+                passes[1],
+                marked("The fine network evaluates all samples, old and new."),
+                marked("Fine density, colour"),
+            ),
+            absorption_stage(passes[1], marked("Fine α, T and w")),
         ]
     return tuple(stages)
 

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from nerf_core.common.language import figure, marked, phrase
 from nerf_core.common.text import number, triple
 from nerf_core.geometry.rays import Rays, Samples
 from nerf_core.methods.neural_volumes.decoder import Volume
@@ -34,8 +35,10 @@ def explain(model: NeuralVolumesModel, rays: Rays) -> tuple[Stage, ...]:
         _template_stage(model.volume, u),
         field_stage(
             samples,
-            "The template is interpolated like this at all samples. It holds a colour, the same towards all sides, and "
-            "σ, the opacity that a ray gains per unit of length.",
+            marked(
+                "The template is interpolated like this at all samples. It holds a colour, the same towards all sides, "
+                "and σ, the opacity that a ray gains per unit of length."
+            ),
         ),
         additive_stage(samples),
     )
@@ -45,12 +48,19 @@ def _code_stage(model: NeuralVolumesModel) -> Stage:
     code = model.shown.latent.detach().cpu().numpy()
     side, layers = model.config.template, len(model.shown.decoder.layers)
     return Stage(
-        "Latent code",
-        "All of the volume is decoded from these numbers. The paper's encoder reads them from photos of a moment; here "
-        f"nothing moves, so they are learnt like weights. A fully connected layer and {layers} transposed "
-        f"convolutions, each of which doubles the side, make {side}³ voxels of them.",
+        marked("Latent code"),
+        phrase(
+            "All of the volume is decoded from these numbers. The paper's encoder reads them from photos of a moment; "
+            "here nothing moves, so they are learnt like weights. A fully connected layer and {layers} transposed "
+            "convolutions, each of which doubles the side, make {side}³ voxels of them.",
+            layers=layers,
+            side=side,
+        ),
         (BarCode(("z",), (code,), float(np.abs(code).max())),),
-        (("numbers", f"{len(code):,}"), ("weights of the decoder", f"{sum(p.numel() for p in model.parameters()):,}")),
+        (
+            (marked("numbers"), figure(len(code), ",")),
+            (marked("weights of the decoder"), figure(sum(p.numel() for p in model.parameters()), ",")),
+        ),
     )
 
 
@@ -60,23 +70,27 @@ def _warp_stage(model: NeuralVolumesModel, u: Tensor) -> Stage:
     moved = volume.moved(u)
     here, there = u[0].cpu().numpy(), moved[0].cpu().numpy()
     charts = [BarCode(("x", "W⁻¹(x)"), (here, there), max(1.0, float(np.abs(there).max())))]
-    what = "A field of displacements, decoded as a small volume of its own, is interpolated at the sample."
+    what = phrase("A field of displacements, decoded as a small volume of its own, is interpolated at the sample.")
     if isinstance(model.shown.warp, AffineWarp):
         shares = model.shown.warp.shares(model.shown.latent, u)[0].cpu().numpy()
-        what = (
-            f"{len(shares)} affine warps each scale, rotate and move the sample; the shares are how much each of them "
-            "counts here."
+        what = phrase(
+            "{count} affine warps each scale, rotate and move the sample; the shares are how much each of them counts "
+            "here.",
+            count=len(shares),
         )
-        charts.append(BarCode(("share",), (shares,), float(shares.max())))
+        charts.append(BarCode((marked("share"),), (shares,), float(shares.max())))
     return Stage(
-        "Inverse warp",
-        f"Before the template is looked up, the heaviest sample is moved. {what} So regions with detail get more of "
-        "the template's voxels, and empty ones fewer.",
+        marked("Inverse warp"),
+        phrase(
+            "Before the template is looked up, the heaviest sample is moved. {what} So regions with detail get more of "
+            "the template's voxels, and empty ones fewer.",
+            what=what,
+        ),
         tuple(charts),
         (
-            ("x in the box", triple(here)),
-            ("in the template", triple(there)),
-            ("magnified there", f"{number(magnification(volume, u))} ×"),
+            (marked("x in the box"), triple(here)),
+            (marked("in the template"), triple(there)),
+            (marked("magnified there"), f"{number(magnification(volume, u))} ×"),
         ),
     )
 
@@ -108,13 +122,19 @@ def _template_stage(volume: Volume, u: Tensor) -> Stage:
     names = tuple(f"{name} = {index}" for (name, _), index in zip(PLANES, nearest, strict=True))
     color, opacity = volume.at(u)[1][0].cpu().numpy(), float(volume.at(u)[0])
     return Stage(
-        "Template",
-        f"Slices of the {side}³ voxels of colour and opacity through the place of the heaviest sample. Their 8 voxels "
-        "around it are blended.",
+        marked("Template"),
+        phrase(
+            "Slices of the {side}³ voxels of colour and opacity through the place of the heaviest sample. Their 8 "
+            "voxels around it are blended.",
+            side=side,
+        ),
         (Pictures(names, tuple(images), np.array(marks)),),
-        (("place in voxels", triple(place)), ("colour", triple(color)), ("opacity of a voxel's length",
-          number(opacity * 2 / (side - 1)))),
-    )  # fmt: skip
+        (
+            (marked("place in voxels"), triple(place)),
+            (marked("colour"), triple(color)),
+            (marked("opacity of a voxel's length"), number(opacity * 2 / (side - 1))),
+        ),
+    )
 
 
 def additive_stage(samples: Samples) -> Stage:
@@ -125,12 +145,19 @@ def additive_stage(samples: Samples) -> Stage:
     )
     total = float(weights.sum())
     full = np.flatnonzero(transmittance - weights <= 0)
-    end = f"at {number(float(t[full[0]]))}" if len(full) else "nowhere"
+    end = phrase("at {t}", t=number(float(t[full[0]]))) if len(full) else phrase("nowhere")
     return Stage(
-        "Additive opacity",
-        "Each sample adds its opacity σδ to the ray's opacity A, until that is 1; what it adds is its weight w. Fog "
-        "in front of a surface therefore takes nothing from the surface before A is 1. In NeRF a sample takes a share "
-        "of the light that is left, here a fixed amount. α in the tables is w as a share of what was left, 1 − A.",
+        marked("Additive opacity"),
+        marked(
+            "Each sample adds its opacity σδ to the ray's opacity A, until that is 1; what it adds is its weight w. "
+            "Fog in front of a surface therefore takes nothing from the surface before A is 1. In NeRF a sample takes "
+            "a share of the light that is left, here a fixed amount. α in the tables is w as a share of what was left, "
+            "1 − A."
+        ),
         (Stems("σδ", t, sigma * delta), Stems("A", t, 1 - transmittance + weights), Stems("w", t, weights)),
-        (("Σ w", number(total)), ("A reaches 1", end), ("left for what is behind", number(max(0.0, 1 - total)))),
+        (
+            ("Σ w", number(total)),
+            (marked("A reaches 1"), end),
+            (marked("left for what is behind"), number(max(0.0, 1 - total))),
+        ),
     )

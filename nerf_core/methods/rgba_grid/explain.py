@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from nerf_core.common.language import figure, marked, phrase
 from nerf_core.common.text import number, triple
 from nerf_core.geometry.rays import Rays, Samples
 from nerf_core.methods.rgba_grid.model import GridModel
@@ -58,13 +59,20 @@ def _slices(volume: RgbaVolume, place: Tensor) -> Stage:
         images.append(np.ascontiguousarray(image))
         marks.append((float(place[across]) / stride + 0.5, image.shape[0] - 0.5 - float(place[up]) / stride))
         names.append(f"{'xyz'[axis]} = {nearest[axis]}")
-    share = f" Every {stride}th vertex is drawn." if stride > 1 else ""
+    share = phrase(" Every {stride}th vertex is drawn.", stride=stride) if stride > 1 else ""
     return Stage(
-        "Grid",
-        f"The scene is a box of {n} × {n} × {n} vertices, each with a colour and an opacity. These are the slices "
-        f"nearest to the heaviest sample, across x, y and z.{share}",
+        marked("Grid"),
+        phrase(
+            "The scene is a box of {n} × {n} × {n} vertices, each with a colour and an opacity. These are the slices "
+            "nearest to the heaviest sample, across x, y and z.{share}",
+            n=n,
+            share=share,
+        ),
         (Pictures(tuple(names), tuple(images), np.array(marks)),),
-        (("vertices", f"{n**3:,}"), ("memory", f"{volume.logits.nbytes / 1e6:,.4g} MB")),
+        (
+            (marked("vertices"), figure(n**3, ",")),
+            (marked("memory"), phrase("{size:,.4g} MB", size=volume.logits.nbytes / 1e6)),
+        ),
     )
 
 
@@ -79,17 +87,19 @@ def _cell(volume: RgbaVolume, place: Tensor) -> Stage:
     corners, sample = torch.sigmoid(logits).numpy(), torch.sigmoid(blended).numpy()
     names = tuple("".join(str(bit) for bit in corner) for corner in CORNERS.tolist())
     return Stage(
-        "Cell",
-        "The heaviest sample lies in a cell with 8 vertices. They are blended trilinearly, as logits: the nearer a "
-        "vertex, the more it counts. A sigmoid of the blend gives colour and opacity.",
-        (
-            BarCode(("blend", "α"), (weights.numpy(), corners[:, ALPHA]), 1.0),
-            Colors((*names, "blended"), np.concatenate([corners[:, RGB], sample[None, RGB]])),
+        marked("Cell"),
+        marked(
+            "The heaviest sample lies in a cell with 8 vertices. They are blended trilinearly, as logits: the nearer a "
+            "vertex, the more it counts. A sigmoid of the blend gives colour and opacity."
         ),
         (
-            ("cell", ", ".join(str(v) for v in cell.tolist())),
-            ("α of a cell's length", number(float(sample[ALPHA]))),
-            ("colour", triple(sample[RGB])),
+            BarCode((marked("blend"), "α"), (weights.numpy(), corners[:, ALPHA]), 1.0),
+            Colors((*names, marked("blended")), np.concatenate([corners[:, RGB], sample[None, RGB]])),
+        ),
+        (
+            (marked("cell"), ", ".join(str(v) for v in cell.tolist())),
+            (marked("α of a cell's length"), number(float(sample[ALPHA]))),
+            (marked("colour"), triple(sample[RGB])),
         ),
     )
 
@@ -100,9 +110,12 @@ def _opacities(samples: Samples, crossed: float) -> Stage:
     of_cell = 1 - (1 - alpha.astype(np.float64)) ** (1 / crossed)
     sigma = samples.sigma[0].cpu().numpy()
     return Stage(
-        "Opacity and density",
-        f"A grid's α is that of one cell's length h. A sample stands for δ = {number(crossed, 3)} h, so that its "
-        "opacity is 1 − (1 − α)^(δ/h). That is the law of a density σ = −ln(1 − α)/h.",
-        (Stems("α of a cell", t, of_cell), Stems("σ", t, sigma)),
-        (("δ/h", number(crossed)), ("largest σ", number(float(sigma.max())))),
+        marked("Opacity and density"),
+        phrase(
+            "A grid's α is that of one cell's length h. A sample stands for δ = {crossed} h, so that its opacity is "
+            "1 − (1 − α)^(δ/h). That is the law of a density σ = −ln(1 − α)/h.",
+            crossed=number(crossed, 3),
+        ),
+        (Stems(marked("α of a cell"), t, of_cell), Stems("σ", t, sigma)),
+        (("δ/h", number(crossed)), (marked("largest σ"), number(float(sigma.max())))),
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from nerf_core.common.language import marked, phrase
 from nerf_core.common.text import number, triple
 from nerf_core.geometry.rays import Rays
 from nerf_core.methods.srn.model import SrnModel
@@ -24,40 +25,58 @@ def explain(model: SrnModel, rays: Rays) -> tuple[Stage, ...]:
     count, width, hidden = len(steps), model.config.width, model.config.hidden
     return (
         Stage(
-            "Start",
-            "A scene representation network has no density σ, no transmittance T and no weights w: nothing along the "
-            "ray is added up. It looks for one point of a surface, beginning at the same distance on every ray.",
+            marked("Start"),
+            marked(
+                "A scene representation network has no density σ, no transmittance T and no weights w: nothing along "
+                "the ray is added up. It looks for one point of a surface, beginning at the same distance on every ray."
+            ),
             (Marks(t[:1], NO_BINS),),
-            (("start", number(float(t[0]))), ("x", triple(origin + t[0] * direction))),
+            ((marked("start"), number(float(t[0]))), ("x", triple(origin + t[0] * direction))),
         ),
         Stage(
-            "March",
-            f"At each point the network Φ gives {width} features. An LSTM, which remembers {hidden} numbers from step "
-            f"to step, turns them into the length of the next step. There are always {count} steps; one below 0 goes "
-            "back. The marcher has settled if the last step is short.",
-            (Marks(t, NO_BINS), Stems("step δ", t[:-1], steps)),
+            marked("March"),
+            phrase(
+                "At each point the network Φ gives {width} features. An LSTM, which remembers {hidden} numbers from "
+                "step to step, turns them into the length of the next step. There are always {count} steps; one below "
+                "0 goes back. The marcher has settled if the last step is short.",
+                width=width,
+                hidden=hidden,
+                count=count,
+            ),
+            (Marks(t, NO_BINS), Stems(marked("step δ"), t[:-1], steps)),
             (
-                ("steps back", f"{int((steps < 0).sum())} of {count}"),
-                ("last step", number(float(steps[-1]))),
-                ("found at", number(float(t[-1]))),
+                (marked("steps back"), phrase("{count} of {total}", count=int((steps < 0).sum()), total=count)),
+                (marked("last step"), number(float(steps[-1]))),
+                (marked("found at"), number(float(t[-1]))),
             ),
         ),
         Stage(
-            "Found point",
-            "The last point is the surface that the network claims, whether there is one or not: the background is "
-            "painted on such a point too. Here are its features Φ(x).",
+            marked("Found point"),
+            marked(
+                "The last point is the surface that the network claims, whether there is one or not: the background is "
+                "painted on such a point too. Here are its features Φ(x)."
+            ),
             (BarCode(("Φ(x)",), (features,), float(np.abs(features).max())),),
             (
                 ("x", triple(origin + t[-1] * direction)),
-                ("before the camera" if t[-1] >= 0 else "behind the camera", number(abs(float(t[-1])))),
-                ("features above 0", f"{int((features > 0).sum())} of {len(features)}"),
+                (
+                    marked("before the camera") if t[-1] >= 0 else marked("behind the camera"),
+                    number(abs(float(t[-1]))),
+                ),
+                (
+                    marked("features above 0"),
+                    phrase("{count} of {total}", count=int((features > 0).sum()), total=len(features)),
+                ),
             ),
         ),
         Stage(
-            "Pixel generator",
-            f"{len(model.network.generator)} more layers turn these features, and nothing else, into the colour. They "
-            "are not told the direction: a point has one colour for all who see it.",
-            (Colors(("colour",), raw[None].clip(0, 1)),),
-            (("colour", triple(raw)),),
+            marked("Pixel generator"),
+            phrase(
+                "{count} more layers turn these features, and nothing else, into the colour. They are not told the "
+                "direction: a point has one colour for all who see it.",
+                count=len(model.network.generator),
+            ),
+            (Colors((marked("colour"),), raw[None].clip(0, 1)),),
+            ((marked("colour"), triple(raw)),),
         ),
     )

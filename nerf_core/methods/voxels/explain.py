@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from nerf_core.common.language import marked, phrase
 from nerf_core.common.text import number
 from nerf_core.geometry.rays import Rays
 from nerf_core.methods.stages import (
@@ -43,22 +44,28 @@ def explain(model: VoxelModel, rays: Rays) -> tuple[Stage, ...]:
     return (
         skipped,
         Stage(
-            "Grid",
-            "The heaviest sample lies in a cell whose 8 corners each hold a raw density s and coefficients of "
-            "colour. Corners count more the nearer the sample is to them.",
-            (BarCode(("blend", "s"), (weights, raw), max(1.0, float(np.abs(raw).max()))),),
-            (("cell", ", ".join(str(v) for v in cell[0].tolist())),
-             ("density", f"softplus({number(float(row[DENSITY]))} {sign} {number(abs(model.config.bias))})")),
+            marked("Grid"),
+            marked(
+                "The heaviest sample lies in a cell whose 8 corners each hold a raw density s and coefficients of "
+                "colour. Corners count more the nearer the sample is to them."
+            ),
+            (BarCode((marked("blend"), "s"), (weights, raw), max(1.0, float(np.abs(raw).max()))),),
+            ((marked("cell"), ", ".join(str(v) for v in cell[0].tolist())),
+             (marked("density"), f"softplus({number(float(row[DENSITY]))} {sign} {number(abs(model.config.bias))})")),
         ),
         Stage(
-            "Colour",
-            "Spherical harmonics of the direction, Y₀ and three Y₁, times the blended coefficients of a channel; "
-            "a sigmoid makes that a colour. Y₀ alone would be matt; the others let it change with the view.",
-            (BarCode(("Y(d)", "red", "green", "blue"), (basis, *coefficients), float(np.abs(coefficients).max())),
-             Colors(("towards this camera",), torch.sigmoid(torch.from_numpy(coefficients @ basis))[None].numpy())),
+            marked("Colour"),
+            marked(
+                "Spherical harmonics of the direction, Y₀ and three Y₁, times the blended coefficients of a channel; "
+                "a sigmoid makes that a colour. Y₀ alone would be matt; the others let it change with the view."
+            ),
+            (BarCode(("Y(d)", marked("red"), marked("green"), marked("blue")), (basis, *coefficients),
+                     float(np.abs(coefficients).max())),
+             Colors((marked("towards this camera"),),
+                    torch.sigmoid(torch.from_numpy(coefficients @ basis))[None].numpy())),
         ),
         field_stage(
-            samples, f"The grid is looked up like this at all {count} samples; there is no network."
+            samples, phrase("The grid is looked up like this at all {count} samples; there is no network.", count=count)
         ),
         absorption_stage(samples),
     )  # fmt: skip
