@@ -10,6 +10,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import additions
 import pages
 import pytest
 
@@ -64,7 +65,7 @@ def extra(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def python(extra: Path, *words: str) -> subprocess.CompletedProcess[str]:
     """Run Python in the root of the repository, where it finds tests/helpers/additions.py."""
     path = os.pathsep.join([str(ROOT), str(ROOT / "tests" / "helpers")])
-    environment = {**os.environ, "PYTHONPATH": path, "ADDITIONS": str(extra)}
+    environment = {**os.environ, "PYTHONPATH": path, "ADDITIONS": str(extra), "SHIPPED": "|".join(additions.names())}
     return subprocess.run(
         [sys.executable, *words], capture_output=True, text=True, check=False, cwd=ROOT, env=environment
     )
