@@ -36,6 +36,8 @@ from .errors import UserError
 ENGLISH = "en"
 NAME = re.compile(r'^"X-Name: (.+)\\n"$', re.MULTILINE)  # in a catalogue's header: what speakers call the language
 HEADER_LETTERS = 2000  # a header is shorter
+NUMBER = re.compile(r"\d+(?:,\d{3})*(?:\.\d+)?")  # as `format` writes it
+NUMBERS = re.compile(rf"(?:(?>{NUMBER.pattern})|[-−+±×…–() ,])*+")  # a text without a word
 
 
 class _Speaker(threading.local):
@@ -83,10 +85,17 @@ def in_english() -> Iterator[None]:
 
 
 def tr(text: str) -> str:
-    """Return a text in the window's language; English where its catalogue has none. An empty one stays empty."""
+    """Return a text in the window's language; English where its catalogue has none. An empty one stays empty.
+
+    A text of numbers alone, such as "1,200 × 0.5", gets the language's separators: the worker formats in English.
+    """
     if isinstance(text, _Phrase):
         return text.said()
-    return _catalogue(_speaker.language).gettext(text) if text else ""
+    if _speaker.language == ENGLISH or not text:
+        return text
+    if NUMBERS.fullmatch(text):
+        return NUMBER.sub(lambda found: localized(found[0]), text)
+    return _catalogue(_speaker.language).gettext(text)
 
 
 def trn(one: str, many: str, n: int) -> str:
@@ -120,6 +129,11 @@ def phrases(one: str, many: str, n: int, **values: object) -> str:
     return found
 
 
+def digits(text: str) -> str:
+    """Return a number that Python formatted as a phrase: `tr` shows it with the language's separators."""
+    return _Digits(text)
+
+
 def listed(parts: Iterable[str], between: str = ", ") -> str:
     """Return one phrase of several, with `between` between them."""
     values = {f"part{k}": part for k, part in enumerate(parts)}
@@ -140,13 +154,22 @@ class _Phrase(str):
         return _Fields().vformat(text, (), self.values)
 
 
+class _Digits(_Phrase):
+    """The English text of a number."""
+
+    def said(self) -> str:
+        return localized(self)
+
+
 class _Fields(Formatter):
     """Fills the fields of a phrase in the window's language."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
         if isinstance(value, Real):
             return figure(value, format_spec)  # pyright: ignore[reportArgumentType]  numpy's numbers, too
-        return tr(value) if isinstance(value, _Phrase) else format(value, format_spec)
+        if isinstance(value, _Phrase) or (isinstance(value, str) and NUMBERS.fullmatch(value)):
+            return tr(value)
+        return format(value, format_spec)
 
 
 def figure(value: float, spec: str = "") -> str:

@@ -33,3 +33,21 @@ def test_a_phrase_is_english_until_it_is_drawn(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(language._speaker, "language", "ru")
     assert tr(whole) == "у train; 1\xa0200 фото: 1,5, 25%"  # a name is not translated
     assert whole == "25% at 1.5, of train; 1,200 photos"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("−0.125 0.500", "−0,125 0,500"),
+        ("1,200, 34", "1\xa0200, 34"),  # column and row
+        ("27.31 ± 0.20", "27,31 ± 0,20"),
+        ("(64, 128)", "(64, 128)"),
+        ("v1.5", "v1.5"),
+    ],
+)
+def test_numbers_of_the_worker_get_the_separators(text: str, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert tr(text) == text
+    monkeypatch.setattr(language, "_catalogue", lambda _: Catalogue())
+    monkeypatch.setattr(language._speaker, "language", "ru")
+    assert tr(text) == said
+    assert tr(phrase("of {name}", name=text)) == f"у {said}"
