@@ -1,4 +1,4 @@
-"""Format numbers, durations and rates as text."""
+"""Format numbers, durations and rates as text: English phrases, which `tr` says in the window's language."""
 
 from __future__ import annotations
 
@@ -7,14 +7,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from nerf_core.common.language import digits, marked, phrase
+
 NOTHING = "–"  # shown if there is no number
 
 
-def number(value: float | None, digits: int = 4) -> str:
-    """Format with `digits` significant digits and a real minus sign; a dash for None, NaN and infinity."""
+def number(value: float | None, significant: int = 4) -> str:
+    """Format with so many significant digits and a real minus sign; a dash for None, NaN and infinity."""
     if value is None or not math.isfinite(value):
         return NOTHING
-    return f"{value or 0.0:.{digits}g}".replace("-", "−")  # a zero has no sign
+    return digits(f"{value or 0.0:.{significant}g}".replace("-", "−"))  # a zero has no sign
 
 
 def counted(count: int, noun: str) -> str:
@@ -26,17 +28,17 @@ def decimal(value: float, decimals: int = 3) -> str:
     """Format with fixed decimals, space for the sign and a real minus sign; a value that rounds to zero has no sign."""
     if not math.isfinite(value):
         return NOTHING
-    return f"{round(float(value), decimals) or 0.0: .{decimals}f}".replace("-", "−")
+    return digits(f"{round(float(value), decimals) or 0.0: .{decimals}f}".replace("-", "−"))
 
 
 def vector(values: Sequence[float] | np.ndarray, decimals: int = 3) -> str:
     """Format with fixed decimals and space for the sign, so that columns of figures do not jump."""
-    return " ".join(decimal(v, decimals) for v in values)
+    return digits(" ".join(decimal(v, decimals) for v in values))
 
 
 def triple(rgb: np.ndarray) -> str:
     """Format a colour's three numbers."""
-    return vector(rgb).replace("  ", " ").strip()
+    return digits(vector(rgb).replace("  ", " ").strip())
 
 
 def duration(seconds: float | None) -> str:
@@ -44,28 +46,28 @@ def duration(seconds: float | None) -> str:
     if seconds is None or not math.isfinite(seconds):
         return NOTHING
     if seconds < 1:
-        return f"{max(seconds, 0):.1f} s"
+        return phrase("{seconds:.1f} s", seconds=max(seconds, 0))
     whole = round(seconds)
     if whole < 60:
-        return f"{whole} s"
+        return phrase("{seconds} s", seconds=whole)
     if whole < 3600:
-        return f"{whole // 60} min {whole % 60} s"
-    return f"{whole // 3600:,} h {whole % 3600 // 60} min"
+        return phrase("{minutes} min {seconds} s", minutes=whole // 60, seconds=whole % 60)
+    return phrase("{hours:,} h {minutes} min", hours=whole // 3600, minutes=whole % 3600 // 60)
 
 
 def rate(per_second: float) -> str:
     """Format with three significant digits: "640k", "1.25M"; a dash before the first measurement."""
     if not math.isfinite(per_second) or per_second <= 0:
         return NOTHING
-    for size, letter in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
+    for size, text in ((1e9, marked("{n:.3g}G")), (1e6, marked("{n:.3g}M")), (1e3, marked("{n:.3g}k"))):
         if per_second >= size:
-            return f"{per_second / size:.3g}{letter}"
-    return f"{per_second:.3g}"
+            return phrase(text, n=per_second / size)
+    return digits(f"{per_second:.3g}")
 
 
 def size(count: float) -> str:
     """Format a number of bytes with three significant digits: "512 MB", "1.2 GB". 1 MB is 10⁶ bytes."""
-    for unit, letter in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
+    for unit, text in ((1e9, marked("{n:g} GB")), (1e6, marked("{n:g} MB")), (1e3, marked("{n:g} kB"))):
         if count >= 0.9995 * unit:
-            return f"{float(f'{count / unit:.3g}'):g} {letter}"
-    return f"{count:.0f} B"
+            return phrase(text, n=float(f"{count / unit:.3g}"))
+    return phrase("{n:.0f} B", n=count)
