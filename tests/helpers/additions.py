@@ -1,7 +1,7 @@
 """Files outside of the repository, used as if they lay in its folders of plug-ins.
 
-As a pytest plug-in (`-p additions`), it adds the files below the folder that the variable ADDITIONS names. Of tests that
-have a plug-in as a parameter, it leaves those of the program's own out, which SHIPPED names: the suite runs them anyway.
+As a pytest plug-in (`-p additions`), it adds the files below the folder that the variable ADDITIONS names. It leaves
+out tests whose parameter is a plug-in of the program's own, which SHIPPED names: the suite runs them anyway.
 """
 
 from __future__ import annotations
