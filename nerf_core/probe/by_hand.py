@@ -180,7 +180,8 @@ def hand_ray_of(p: PassProbe, near: float, far: float, background: np.ndarray, m
         k = int(np.argmin(cost))
         features[k] = (a[k] * features[k] + b[k] * features[k + 1]) / max(a[k] + b[k], 1e-300)
         mass[k] += mass[k + 1]
-        begin, mass, features = (np.delete(v, k + 1, axis=0) for v in (begin, mass, features))
+        begin, mass = np.delete(begin, k + 1), np.delete(mass, k + 1)
+        features = np.delete(features, k + 1, axis=0)
     if not len(begin):
         return HandRay(t, tau, rgb, near, far, background)
     total = np.add.reduceat(weights, begin)
