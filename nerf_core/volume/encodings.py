@@ -9,18 +9,18 @@ from jaxtyping import Float
 from torch import Tensor
 
 
-def frequency_width(frequencies: int, include_input: bool = True) -> int:
-    """Number of outputs of `frequency` for a point: 3·2·L, and 3 more with the raw input."""
-    return 3 * (2 * frequencies + (1 if include_input or frequencies == 0 else 0))
+def frequency_width(frequencies: int, include_input: bool = True, dimensions: int = 3) -> int:
+    """Number of outputs of `frequency` for a point of D dimensions: D·2·L, and D more with the raw input."""
+    return dimensions * (2 * frequencies + (1 if include_input or frequencies == 0 else 0))
 
 
 def frequency(
-    p: Float[Tensor, "P 3"], frequencies: int, include_input: bool = True, pi: bool = False
+    p: Float[Tensor, "P dim"], frequencies: int, include_input: bool = True, pi: bool = False
 ) -> Float[Tensor, "P width"]:
     """Positional encoding γ(p) = (p, sin 2⁰p, cos 2⁰p, …, sin 2^{L−1}p, cos 2^{L−1}p).
 
-    p: points (P, 3). frequencies: L. include_input: whether p itself is part of the output. pi: multiply p by π.
-    Returns (P, frequency_width(L, include_input)) float32.
+    p: points (P, D), of three dimensions in a scene. frequencies: L. include_input: whether p itself is part of the output. pi: multiply p by π.
+    Returns (P, frequency_width(L, include_input, D)) float32.
 
     NeRF Eq. 4 (arXiv:2003.08934) uses 2^k π p and no raw input. The official code, from which the published numbers
     come, drops π and adds p: 63 outputs for L = 10, 27 for L = 4.
@@ -29,7 +29,7 @@ def frequency(
     if frequencies == 0:
         return p
     scales = torch.exp2(torch.arange(frequencies, device=p.device, dtype=p.dtype)) * (math.pi if pi else 1.0)
-    angles = p[:, None, :] * scales[:, None]  # (P, L, 3)
+    angles = p[:, None, :] * scales[:, None]  # (P, L, D)
     waves = torch.stack([torch.sin(angles), torch.cos(angles)], 2).flatten(1)
     return torch.cat([p, waves], 1) if include_input else waves
 
