@@ -23,8 +23,7 @@ import gettext
 import io
 import re
 import threading
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from functools import cache
 from numbers import Real
 from string import Formatter
@@ -72,16 +71,6 @@ def use_language(code: str) -> None:
 def language() -> str:
     """Return the code of the language that this thread shows."""
     return _speaker.language
-
-
-@contextmanager
-def in_english() -> Iterator[None]:
-    """Speak English for a while, on a terminal say."""
-    before, _speaker.language = _speaker.language, ENGLISH
-    try:
-        yield
-    finally:
-        _speaker.language = before
 
 
 def tr(text: str) -> str:

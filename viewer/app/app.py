@@ -11,6 +11,8 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 
 from nerf_core.common.errors import UserError
+from nerf_core.common.language import ENGLISH, language, phrase, use_language
+from nerf_core.common.names import printable
 from nerf_core.live.messages import Notice, Snapshot
 from nerf_core.rendering.modes import COLOR, MODES, obstacle
 from nerf_core.rendering.video import write_png
@@ -40,6 +42,7 @@ class App:
     """The user interface, on any window. Close it before the window.
 
     layout_file: the file that remembers the docks; None (headless, tests): nothing is read or written.
+    language: the code of the window's language; empty: the one that was chosen last in it, else English.
     panels: the panels; None: all that are registered.
     time: a monotonic clock in seconds.
     """
@@ -50,6 +53,7 @@ class App:
         link: Link,
         *,
         layout_file: Path | None = None,
+        language: str = "",
         panels: Sequence[Panel] | None = None,
         time: Callable[[], float] = clock.monotonic,
     ) -> None:
@@ -86,6 +90,8 @@ class App:
         self._frame_times: deque[float] = deque(maxlen=120)
         self._closed = self._hidden = False
         self._warn(self._layout.load())
+        self.state.language = language or self._layout.language or ENGLISH
+        use_language(self.state.language)
         self.injector = InputInjector(lambda: self.frame(force=True))
 
     # ---- the loop ---------------------------------------------------------------------------------------------
@@ -131,7 +137,8 @@ class App:
         why = obstacle(self.state.snapshot.method, self.state.mode)
         if why:
             label, self.state.mode = MODES.get(self.state.mode).label, COLOR
-            self._actions.tell(Notice("error", f"{why}: it cannot show {label.lower()}"))
+            words = phrase("{why}: it cannot show {mode}", why=why, mode=phrase(label.lower()))
+            self._actions.tell(Notice("error", words))
             self._pacer.note(self.state.time, user=True)
 
     def _read(self) -> None:
@@ -217,6 +224,8 @@ class App:
 
     def _draw_interface(self) -> list[Action]:
         state, ui, viewport = self.state, self._ui, self._viewport
+        if state.language != language():
+            self._speak(state.language)
         state.sample, state.pointed_at = state.pointed_at, None
         keyed, flying = self._keyboard.act(state, imgui.get_io().delta_time)
         held = any(imgui.is_mouse_down(button) for button in range(3))
@@ -248,7 +257,7 @@ class App:
             except UserError as error:
                 self._actions.tell(Notice("error", str(error)))
             else:
-                self._actions.tell(Notice("info", f"saved a screenshot to {path}", path))
+                self._actions.tell(Notice("info", phrase("saved a screenshot to {path}", path=printable(path)), path))
 
     def _wishes(self) -> None:
         """Do what commands and panels ask of the window itself."""
@@ -263,6 +272,12 @@ class App:
         if state.quit:
             self.window.request_close()
         state.reset_layout = state.quit = False
+
+    def _speak(self, code: str) -> None:
+        """Show another language, which the user has chosen, and remember it."""
+        use_language(code)
+        self._layout.language = code
+        self._warn(self._layout.save())
 
     def _count_frame(self, now: float) -> None:
         """Count the frames of the last second."""
@@ -325,6 +340,7 @@ class App:
         if self._closed:
             return
         self._closed = True
+        use_language(ENGLISH)
         self._layout.save()
         self._viewport.release()
         self._textures.release()

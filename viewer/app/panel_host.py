@@ -8,12 +8,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from imgui_bundle import imgui, implot
 
+from nerf_core.common.language import phrase, tr
 from nerf_core.live.messages import Notice
 
 from ..draw.textures import TextureCache
 from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Panel
-from ..ui.layout import in_docks
+from ..ui.layout import in_docks, window_name
 from ..ui.theme import DarkTheme
 
 Rect = tuple[float, float, float, float]  # left, top, right, bottom in framebuffer pixels
@@ -60,7 +61,7 @@ class PanelHost:
             if panel.dock == "overlay":
                 continue
             flags = imgui.WindowFlags_.no_background if panel.title in self._docked else imgui.WindowFlags_.none
-            if imgui.begin(panel.title, None, flags)[0]:  # False for a tab behind another
+            if imgui.begin(window_name(panel.title), None, flags)[0]:  # False for a tab behind another
                 in_front.append(panel.title)
                 (self._docked.add if in_docks() else self._docked.discard)(panel.title)
                 if panel.title in self._broken:
@@ -83,16 +84,18 @@ class PanelHost:
             return list(panel.draw(ui, state))
         except Exception as error:
             _recover(before, ui.theme)
-            self._broken[panel.title] = f"{type(error).__name__}: {error}"
-            text = f"the panel {panel.title} failed ({type(error).__name__}: {error}); the others go on"
-            self.notices.append(Notice("error", text, detail=traceback.format_exc()))
+            what = self._broken[panel.title] = f"{type(error).__name__}: {error}"
+            words = phrase(
+                "the panel {title} failed ({error}); the others go on", title=phrase(panel.title), error=what
+            )
+            self.notices.append(Notice("error", words, detail=traceback.format_exc()))
             return []
 
     def _draw_broken(self, ui: PanelUi, title: str) -> None:
         imgui.push_text_wrap_pos(0.0)
-        imgui.text_colored(ui.theme.error, f"This panel failed: {self._broken[title]}")
+        imgui.text_colored(ui.theme.error, tr("This panel failed: {error}").format(error=self._broken[title]))
         imgui.pop_text_wrap_pos()
-        if imgui.button("Try again"):
+        if imgui.button(f"{tr('Try again')}##retry"):
             del self._broken[title]
         ui.mark(f"{title}.retry")
 

@@ -24,7 +24,7 @@ from ..draw.photo import NearestPhoto
 from ..draw.viewport import ViewportPicture
 from ..draw.visits import Ink
 from ..model.state import AppState, SampleRef
-from ..ui.layout import VIEWPORT
+from ..ui.layout import VIEWPORT, window_name
 from ..ui.theme import GREEN, SKY, VERMILION
 from ..ui.widgets import STALE, color_scale, faded, packed, sample_tooltip, visit_tooltip
 from .panel_host import PanelUi
@@ -62,7 +62,7 @@ class ViewportPanel:
             kind = imgui.WindowClass()
             kind.dock_node_flags_override_set = imgui.internal.DockNodeFlagsPrivate_.no_tab_bar
             imgui.set_next_window_class(kind)
-        imgui.begin(f"{VIEWPORT}##alone" if alone else VIEWPORT, None, flags)
+        imgui.begin(f"{VIEWPORT}##alone" if alone else window_name(VIEWPORT), None, flags)
         imgui.pop_style_color()
         imgui.pop_style_var(2)
         self._draw_content(ui, state)

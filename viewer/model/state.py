@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nerf_core.common.language import ENGLISH
 from nerf_core.geometry.paths import DEFAULT_PATH
 from nerf_core.live.messages import Command, Inspect, Notice, Snapshot
 from nerf_core.methods import nothing_to_train
@@ -157,6 +158,7 @@ class AppState:
     show_cameras: bool = False  # * training cameras in the viewport
     show_samples: bool = True  # * the inspected ray and its samples in the viewport
     mode: str = COLOR  # * the viewport's render mode; see nerf_core.rendering.modes
+    language: str = ENGLISH  # * the code of the language that the window shows
     axis: AxisChoice = "auto"  # * of the ray's plots
     radiance_of: Source | None = None  # * whose radiance is shown; None: the probe's default
     hand_changes: int = 0  # * how often the user has changed the ray by hand

@@ -10,13 +10,16 @@ from pathlib import Path
 
 from imgui_bundle import ImVec2, ImVec4, imgui
 
+from nerf_core.common.language import languages, marked, tr
+
 from .contract import Panel
 from .layout_scale import EMS, READABLE_EM, em_of_menu, fitted
 
-VIEWPORT = "Viewport"
+VIEWPORT = marked("Viewport")
 HEADER = "; nerf-viewer layout 1 "
 FRONT = "; in front: "  # imgui reads it as a comment
 EM = "; em: "  # the size of text in pixels: another screen may have another scale
+LANGUAGE = "; language: "  # the one that the user has chosen
 NOWHERE = "Pos=60,60\n"
 RIGHT_EM, BOTTOM_EM = READABLE_EM
 BOTTOM_RIGHT_EM = RIGHT_EM
@@ -25,10 +28,23 @@ MIDDLE_EM = 23.9  # the second panel of the right column holds plots and buttons
 TOP_SHARE = 0.47  # share of the column's rest for the panel above it; the last panels get the remainder as tabs
 
 
+def window_name(title: str) -> str:
+    """Return what a panel's window is called: imgui shows what is before ###, and knows it by what is after it.
+
+    title: the panel's, in English. In any language, docks and stored layouts find the window by it.
+    """
+    return f"{tr(title)}###{title}"
+
+
 class Layout:
-    """The docks. file: the file that stores them; None: nothing is read or written."""
+    """The docks.
+
+    file: the file that stores them; None: nothing is read or written.
+    language: the code of the language that the user has chosen, which is stored, too; empty: none yet.
+    """
 
     def __init__(self, file: Path | None) -> None:
+        self.language = ""
         self._file = file
         self._em = 0.0  # the size of text that the docks are made for; 0: there are none yet
         self._stored = ""
@@ -55,6 +71,7 @@ class Layout:
                 return f"{self._file}: the window layout cannot be read ({error}; {failure}); the default is shown"
             return f"{self._file}: the window layout was damaged; the default is shown, the old file is {backup.name}"
         self._stored = body
+        self.language = _language_of(body)
         self._build_next = False
         return None
 
@@ -93,7 +110,8 @@ class Layout:
         return None
 
     def _text(self) -> str:
-        return f"{FRONT}{'|'.join(self._front)}\n{EM}{self._em:g}\n{imgui.save_ini_settings_to_memory()}"
+        chosen = f"{LANGUAGE}{self.language}\n" if self.language else ""
+        return f"{FRONT}{'|'.join(self._front)}\n{EM}{self._em:g}\n{chosen}{imgui.save_ini_settings_to_memory()}"
 
     def reset(self) -> None:
         """Show the default layout from the next frame on."""
@@ -155,6 +173,12 @@ def _em_of(body: str) -> float | None:
     found = re.search(rf"^{EM}(\d+(?:\.\d+)?)$", body, re.MULTILINE)
     em = float(found[1]) if found else em_of_menu(body)
     return em if em in EMS else None
+
+
+def _language_of(body: str) -> str:
+    """The language that was chosen when a layout was stored; empty if none was, or if it has no catalogue any more."""
+    found = re.search(rf"^{LANGUAGE}(\S+)$", body, re.MULTILINE)
+    return found[1] if found and found[1] in languages() else ""
 
 
 def _checksum(body: str) -> str:

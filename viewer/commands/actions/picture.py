@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from functools import partial
 
+from nerf_core.common.language import marked
 from nerf_core.rendering.modes import COLOR, MODES, mode_names
 
 from ...model.state import Action, AppState
 from ..registry import command
 
+TEXTS = marked("Show colour"), marked("Show view-dependence"), marked("view-dependence")  # of our own modes, as below
 KEYS = 9  # number keys; further modes are only in the palette
 
 
