@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import torch
 
 from nerf_core.common.errors import UserError
-from nerf_core.common.text import counted
+from nerf_core.common.language import phrases
 
 
 def pick_device(name: str) -> torch.device:
@@ -34,7 +34,7 @@ def describe(device: torch.device) -> str:
     """Return the device's name for status lines."""
     if device.type == "cuda":
         return torch.cuda.get_device_name(device)
-    return f"CPU, {counted(torch.get_num_threads(), 'thread')}"
+    return phrases("CPU, {n:,} thread", "CPU, {n:,} threads", torch.get_num_threads())
 
 
 def fast_precision(device: torch.device) -> str:

@@ -24,7 +24,8 @@ def printable(text: str | os.PathLike[str]) -> str:
         is not UTF-8. It is for people and for descriptions. What is to be opened again is stored as it is: JSON has
         escapes of its own that give each byte back.
     """
-    return UNPRINTABLE.sub(_escaped, os.fspath(text))
+    found = os.fspath(text)
+    return UNPRINTABLE.sub(_escaped, found) if UNPRINTABLE.search(found) else found  # a phrase stays one
 
 
 def existing(path: Path) -> Path:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.language import phrase
 from nerf_core.common.names import printable
 from nerf_core.common.text import counted
 from nerf_core.datasets.calibration import fitted, oddities
@@ -96,7 +97,9 @@ def check_options(options: LoadOptions) -> None:
 
 def _readable(capture: Capture, progress: Progress | None) -> tuple[Capture, list[Header], list[str]]:
     """Drop the photos that are not images. Returns the rest, their headers, and the fault of each dropped photo."""
-    found = _map(lambda i: measure(capture.photos[i].path), range(len(capture.photos)), "checking photos", progress)
+    found = _map(
+        lambda i: measure(capture.photos[i].path), range(len(capture.photos)), phrase("checking photos"), progress
+    )
     damaged = [str(v) for v in found if isinstance(v, UnreadableError)]
     kept = [i for i, v in enumerate(found) if isinstance(v, Header)]
     if not kept:
@@ -185,7 +188,7 @@ def _photos(
     def read(i: int) -> None:
         photos.put(i, read_photo(capture.photos[i].path, sizes[i], background, upright[i]))
 
-    found = _map(read, range(len(capture.photos)), "loading photos", progress)
+    found = _map(read, range(len(capture.photos)), phrase("loading photos"), progress)
     damaged = [str(v) for v in found if isinstance(v, UnreadableError)]
     if len(damaged) == len(found):
         raise UserError(f"no photo can be read ({damaged[0]}): save them as PNG or JPEG")

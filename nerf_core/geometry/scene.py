@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from nerf_core.common.errors import shorten
+from nerf_core.common.language import marked
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.coverage import Coverage
 from nerf_core.geometry.ndc import Ndc
@@ -155,7 +156,9 @@ class Scene:
         """Return a warning if it cannot be known whether a checkpoint for which `is_of` holds is of this scene."""
         if "scene_identity" in description or description["scene"] == self._hash(lambda number: number):
             return ""
-        return "an earlier version wrote the checkpoint, perhaps on another processor: its poses are not compared"
+        return marked(
+            "an earlier version wrote the checkpoint, perhaps on another processor: its poses are not compared"
+        )
 
     def _hash(self, number: Callable[[float], float]) -> str:
         digest, ndc = hashlib.sha256(), self.ndc

@@ -6,6 +6,7 @@ from typing import ClassVar, Protocol, TypeVar
 
 import torch
 
+from nerf_core.common.language import listed, phrase
 from nerf_core.common.registry import Registry
 from nerf_core.kernels.packed_kernels import PackedKernels
 from nerf_core.kernels.voxel_kernels import VoxelKernels
@@ -57,8 +58,14 @@ def note(device: torch.device) -> str:
     found: list[str] = []
     for fastest, *rest in (_usable(VOXEL_KERNELS, device), _usable(PACKED_KERNELS, device)):
         if rest:
-            found.append(f"{fastest.obstacle()}: training runs on {rest[-1].summary}, {fastest.without}")
-    return "; ".join(dict.fromkeys(found))  # once, if both registries say the same
+            text = phrase(
+                "{obstacle}: training runs on {instead}, {without}",
+                obstacle=fastest.obstacle(),
+                instead=phrase(rest[-1].summary),
+                without=phrase(fastest.without),
+            )
+            found.append(text)
+    return listed(dict.fromkeys(found), "; ")  # once, if both registries say the same
 
 
 def _usable(registry: Registry[type[Implementation[T_co]]], device: torch.device) -> list[type[Implementation[T_co]]]:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from nerf_core.common.device import enough_memory
 from nerf_core.common.errors import UserError
+from nerf_core.common.language import phrase
 from nerf_core.rendering.export.jobs import Job
 from nerf_core.rendering.export.requests import Export, ExportRequest
 from nerf_core.rendering.export.start import export_job
@@ -53,13 +54,15 @@ class Exports:
             with enough_memory():
                 job.advance()
         except UserError as error:
-            self._tell("error", f"export failed: {error}", kind="failed", command=self._command)
+            self._tell(
+                "error", phrase("export failed: {error}", error=str(error)), kind="failed", command=self._command
+            )
         self.newest = job.progress
         if job.progress.state != "running":
             self._job = None  # with its copy of the model
         if job.progress.state == "done":
             file = job.progress.file
-            self._tell("info", f"exported {file}", file, kind="exported", command=self._command)
+            self._tell("info", phrase("exported {file}", file=str(file)), file, kind="exported", command=self._command)
         return True
 
     def abort(self) -> None:

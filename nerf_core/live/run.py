@@ -15,6 +15,7 @@ from torch import Tensor
 
 from nerf_core.common.device import enough_memory
 from nerf_core.common.errors import UserError
+from nerf_core.common.language import marked, phrase, phrases
 from nerf_core.common.names import printable
 from nerf_core.common.user_paths import absolute
 from nerf_core.datasets import load_scene
@@ -150,10 +151,11 @@ class Run:
         """
 
         def progress(words: str, done: int, total: int) -> None:
-            self._busy_with(f"{words}: {done:,} of {total:,}", now=False)
+            self._busy_with(phrase("{words}: {done:,} of {total:,}", words=words, done=done, total=total), now=False)
 
         path = None if path is None else absolute(path)  # the current folder may go while it is open
-        with self._busy(f"opening {path or 'the demo scene'}"):
+        opening = phrase("opening the demo scene") if path is None else phrase("opening {path}", path=str(path))
+        with self._busy(opening):
             stored = None if file is None else Stored(file, *checkpoint.load(file))
             try:
                 scene = load_scene(path, settings.load, progress)
@@ -184,10 +186,10 @@ class Run:
         fresh = self.scene is None
         self._commit(scene, settings, trainer, good)
         self.loaded += fresh
-        self._tell("info", f"a fresh model of method {trainer.method_name}", kind="loaded")
+        self._tell("info", phrase("a fresh model of method {method}", method=trainer.method_name), kind="loaded")
 
     def _made(self, scene: Scene, settings: RunSettings) -> Trainer:
-        self._busy_with("preparing the method (the first time its loops are compiled)")
+        self._busy_with(marked("preparing the method (the first time its loops are compiled)"))
         return Trainer(scene, settings)
 
     def _adopt(self, trainer: Trainer) -> None:
@@ -223,10 +225,15 @@ class Run:
             self._tell("warning", note)
         self._saved = path, description["step"]
         if self.settings.method not in ("auto", trainer.method_name):
-            asked = self.settings.method
-            held = f"{path.name} holds a model of method {trainer.method_name}"
-            self._tell("warning", f"{held}: --method {asked} is not used")
-        self._tell("info", f"loaded {path.name}: step {description['step']:,}", path, kind="loaded")
+            text = phrase(
+                "{file} holds a model of method {method}: --method {asked} is not used",
+                file=path.name,
+                method=trainer.method_name,
+                asked=self.settings.method,
+            )
+            self._tell("warning", text)
+        text = phrase("loaded {file}: step {step:,}", file=path.name, step=description["step"])
+        self._tell("info", text, path, kind="loaded")
 
     def _restore_pins(self, trainer: Trainer, stored: Stored) -> None:
         pins: list[messages.Pin] = []
@@ -266,13 +273,14 @@ class Run:
         self._saved = path, trainer.step_count
         for reason in reasons:
             self._tell("warning", reason)
-        self._tell("info", f"saved step {trainer.step_count:,} to {path.absolute()}", path, kind="saved")
+        text = phrase("saved step {step:,} to {file}", step=trainer.step_count, file=str(path.absolute()))
+        self._tell("info", text, path, kind="saved")
 
     def _export_rays(self, path: Path, axis: AxisChoice) -> None:
         check_format(path)
         shown = [pin for pin in self.artist.pins if not pin.hidden]
         write_inspection(self.artist.ray.whole(self.need_trainer(), shown), path, axis)
-        self._tell("info", f"wrote {path}", path, kind="wrote")
+        self._tell("info", phrase("wrote {file}", file=str(path)), path, kind="wrote")
 
     # ---- training ---------------------------------------------------------------------------------------------------
 
@@ -291,7 +299,10 @@ class Run:
             self._tell("info", nothing_to_train(trainer.method_name))
             return
         if steps is None and trainer.step_count >= trainer.total_steps:
-            self._tell("info", f"all {trainer.total_steps:,} steps of the schedule are done")
+            text = phrases(
+                "the one step of the schedule is done", "all {n:,} steps of the schedule are done", trainer.total_steps
+            )
+            self._tell("info", text)
             return
         self.failed, self.skipped = False, None
         self._until_seconds = math.inf if seconds is None else trainer.seconds + seconds
@@ -353,7 +364,8 @@ class Run:
             if self._saved is not None:
                 self._saved = self._saved[0], min(self._saved[1], trainer.step_count)
         self.artist.forget_pictures()
-        self._tell("error", f"{error}; back at step {trainer.step_count:,}, paused", kind="failed")
+        text = phrase("{error}; back at step {step:,}, paused", error=str(error), step=trainer.step_count)
+        self._tell("error", text, kind="failed")
 
     # ---- pictures ---------------------------------------------------------------------------------------------------
 

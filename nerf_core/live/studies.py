@@ -8,6 +8,7 @@ from collections.abc import Callable
 from nerf_core.common.configs import changed
 from nerf_core.common.device import enough_memory
 from nerf_core.common.errors import UserError
+from nerf_core.common.language import phrase
 from nerf_core.common.user_paths import absolute
 from nerf_core.lab.job import StudyJob, summary
 from nerf_core.lab.records import StudyState
@@ -96,14 +97,16 @@ class Studies:
             with enough_memory():
                 job.advance(tick)
         except UserError as error:
-            self._tell(Notice("error", f"the study failed: {error}", kind="failed", command=self._command))
+            text = phrase("the study failed: {error}", error=str(error))
+            self._tell(Notice("error", text, kind="failed", command=self._command))
         except Exception as error:  # a fault of the study is none of the open models
-            text = f"the study failed: {type(error).__name__}: {error}".splitlines()[0]
+            reason = f"{type(error).__name__}: {error}".splitlines()[0]
+            text = phrase("the study failed: {error}", error=reason)
             detail = traceback.format_exc()
             self._tell(Notice("error", text, detail=detail, kind="failed", command=self._command))
         self._take(job)
         if job.progress.state == "done":
-            text = f"study {job.name}: {summary(job)}"
+            text = phrase("study {name}: {summary}", name=job.name, summary=summary(job))
             self._tell(Notice("info", text, job.progress.files[0], kind="studied", command=self._command))
 
     def _take(self, job: StudyJob) -> None:

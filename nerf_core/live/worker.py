@@ -13,6 +13,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from nerf_core.common.errors import UserError
+from nerf_core.common.language import marked, phrase
 from nerf_core.datasets.capture import DATASETS
 from nerf_core.lab.study import STUDIES
 from nerf_core.live import messages
@@ -71,7 +72,7 @@ class Worker:
         """Start the thread. The first run is "loading" until torch is loaded, which takes a second."""
         if "torch" not in sys.modules:
             first = self._mailbox.snapshot(FIRST_RUN)
-            self._mailbox.deliver({FIRST_RUN: replace(first, status="loading", loading="PyTorch is loading")})
+            self._mailbox.deliver({FIRST_RUN: replace(first, status="loading", loading=marked("PyTorch is loading"))})
         self._thread.start()
 
     def send(self, command: Command) -> int:
@@ -136,7 +137,7 @@ class Worker:
             self._studies = Studies(self._tell)
             self._runs[FIRST_RUN] = self._new_run(FIRST_RUN)
         except Exception as error:  # an installation that is not complete, say
-            text = f"the worker failed: {type(error).__name__}: {error}"
+            text = phrase("the worker failed: {error}", error=f"{type(error).__name__}: {error}")
             first = replace(self._mailbox.snapshot(FIRST_RUN), status="failed", loading="")
             self._mailbox.deliver({FIRST_RUN: first})
             self._mailbox.tell(Notice("error", text, detail=traceback.format_exc(), kind="failed", run=FIRST_RUN))
@@ -196,7 +197,7 @@ class Worker:
             self._obey(command)
         except _Abandoned:
             if not self._mailbox.quitting:
-                self._tell(Notice("info", "loading was cancelled: what was open stays open"))
+                self._tell(Notice("info", marked("loading was cancelled: what was open stays open")))
         except Exception as error:
             self._fail(error, command.run if isinstance(command, messages.OfRun) else FIRST_RUN)
         finally:
@@ -365,7 +366,8 @@ class Worker:
             if number in self._runs:  # a run that could not be opened is not
                 self._runs[number].fail(self._mailbox.view(number))  # what cannot be drawn is not tried at every turn
             text = f"{type(error).__name__}: {error}".splitlines()[0]
-            told = Notice("error", f"the worker failed: {text}", detail=traceback.format_exc(), kind="failed")
+            text = phrase("the worker failed: {error}", error=text)
+            told = Notice("error", text, detail=traceback.format_exc(), kind="failed")
             self._tell(replace(told, run=number))
         self._publish(force=True)
 
@@ -395,6 +397,7 @@ class Worker:
         except Exception as error:
             if not run.failed:  # told once, not at every snapshot
                 run.fail(self._mailbox.view(run.number))
-                text = f"the state of the run cannot be read: {type(error).__name__}: {error}".splitlines()[0]
+                reason = f"{type(error).__name__}: {error}".splitlines()[0]
+                text = phrase("the state of the run cannot be read: {error}", error=reason)
                 self._tell(Notice("error", text, detail=traceback.format_exc(), kind="failed", run=run.number))
             return replace(before, run=run.number, status=status_of(run))

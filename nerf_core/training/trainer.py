@@ -15,6 +15,7 @@ from torch import Tensor
 from nerf_core.common.configs import constants
 from nerf_core.common.device import pick_device, usable_cores
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.language import phrase
 from nerf_core.geometry.scene import IDENTITY, Scene
 from nerf_core.methods import METHODS, Config, Distributed, Method
 from nerf_core.methods.group import ALONE, Group
@@ -209,7 +210,9 @@ class Trainer:
         self.history.add(self.step_count, loss)
         note = ""
         if self.config != config:
-            note = f"out of device memory at step {self.step_count:,}: going on in chunks of half the size"
+            note = phrase(
+                "out of device memory at step {step:,}: going on in chunks of half the size", step=self.step_count
+            )
         return Report(self.step_count, loss, psnr_of(loss), wanted.rays, seconds, note)
 
     @contextmanager
@@ -267,14 +270,22 @@ class Trainer:
         notes = [self.scene.doubt(description)]
         if self.threads != description["threads"] and self.device.type == "cpu":
             notes.append(
-                f"begun on {description['threads']} threads, continued on the {self.threads} there are here: "
-                "its weights will differ in rounding from an uninterrupted run's"
+                phrase(
+                    "begun on {begun} threads, continued on the {threads} there are here: its weights will differ in "
+                    "rounding from an uninterrupted run's",
+                    begun=description["threads"],
+                    threads=self.threads,
+                )
             )
         begun = description.get("processes", 1)  # checkpoints of earlier versions do not say
         if begun != self.group.size:
             notes.append(
-                f"begun with {begun}, continued with {self.group.size} processes: a step has the rays of all of them, "
-                "so its weights will differ from an uninterrupted run's"
+                phrase(
+                    "begun with {begun}, continued with {processes} processes: a step has the rays of all of them, so "
+                    "its weights will differ from an uninterrupted run's",
+                    begun=begun,
+                    processes=self.group.size,
+                )
             )
         return tuple(filter(None, notes))
 

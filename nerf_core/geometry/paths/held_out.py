@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import ClassVar
 
 from nerf_core.common.errors import UserError
+from nerf_core.common.language import marked
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.paths import PATHS, Option
 from nerf_core.geometry.paths.steps import checked, video_size
@@ -17,7 +18,7 @@ from nerf_core.geometry.scene import Scene
 class HeldOut:
     """The held-out cameras themselves."""
 
-    label: ClassVar[str] = "Held-out views"
+    label: ClassVar[str] = marked("Held-out views")
     summary: ClassVar[str] = "through the held-out views"
     default_frames: ClassVar[None] = None
     options: ClassVar[Mapping[str, Option]] = {}

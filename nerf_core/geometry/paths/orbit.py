@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from nerf_core.common.language import marked
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.paths import PATHS, Option
 from nerf_core.geometry.paths.llff import llff_path
@@ -25,7 +26,7 @@ RADIUS = Option("Of an orbit, in scene units; by default the cameras' own distan
 class Orbit:
     """One turn around the scene."""
 
-    label: ClassVar[str] = "Orbit"
+    label: ClassVar[str] = marked("Orbit")
     summary: ClassVar[str] = "around the scene"
     default_frames: ClassVar[int] = 60
     options: ClassVar[Mapping[str, Option]] = {"elevation": ELEVATION, "radius": RADIUS}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar
 
+from nerf_core.common.language import marked
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.paths import PATHS, Option
 from nerf_core.geometry.paths.llff import FRAMES, llff_path
@@ -15,7 +16,7 @@ from nerf_core.geometry.scene import Scene
 class Spiral:
     """The official LLFF render path."""
 
-    label: ClassVar[str] = "Spiral"
+    label: ClassVar[str] = marked("Spiral")
     summary: ClassVar[str] = "a spiral before it"
     default_frames: ClassVar[int] = FRAMES
     options: ClassVar[Mapping[str, Option]] = {}

@@ -7,6 +7,7 @@ from typing import ClassVar
 import torch
 
 from nerf_core.common.jit.cache import numba_obstacle
+from nerf_core.common.language import marked
 from nerf_core.kernels.choice import PACKED_KERNELS, VOXEL_KERNELS
 from nerf_core.kernels.packed_kernels import PackedKernels
 from nerf_core.kernels.voxel_kernels import VoxelKernels
@@ -17,8 +18,8 @@ MOST_SHARDS = 16  # of the voxel grid: each shard has its own gradients, 64 byte
 class _OnNumba:
     devices: ClassVar[tuple[str, ...]] = ("cpu",)
     rank: ClassVar[int] = 0
-    summary: ClassVar[str] = "loops compiled by numba"
-    without: ClassVar[str] = "some ten times slower"
+    summary: ClassVar[str] = marked("loops compiled by numba")
+    without: ClassVar[str] = marked("some ten times slower")
 
     @staticmethod
     def obstacle() -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from nerf_core.common.language import marked
 from nerf_core.kernels.choice import PACKED_KERNELS, VOXEL_KERNELS
 from nerf_core.kernels.packed_kernels import PackedKernels
 from nerf_core.kernels.voxel_kernels import VoxelKernels
@@ -12,7 +13,7 @@ from nerf_core.kernels.voxel_kernels import VoxelKernels
 class _OnTorch:
     devices: ClassVar[tuple[str, ...]] = ()
     rank: ClassVar[int] = 100
-    summary: ClassVar[str] = "plain torch operations"
+    summary: ClassVar[str] = marked("plain torch operations")
     without: ClassVar[str] = ""
 
     @staticmethod

@@ -10,6 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import ClassVar
 
+from nerf_core.common.language import marked
 from nerf_core.kernels.choice import PACKED_KERNELS
 from nerf_core.kernels.packed_kernels import PackedKernels
 
@@ -18,8 +19,8 @@ from nerf_core.kernels.packed_kernels import PackedKernels
 class PackedOnTriton:
     devices: ClassVar[tuple[str, ...]] = ("cuda",)
     rank: ClassVar[int] = 0
-    summary: ClassVar[str] = "Triton's kernels"
-    without: ClassVar[str] = "which is slower"
+    summary: ClassVar[str] = marked("Triton's kernels")
+    without: ClassVar[str] = marked("which is slower")
 
     @staticmethod
     @lru_cache

@@ -13,6 +13,7 @@ import torch
 from nerf_core.common.configs import constant
 from nerf_core.common.device import pick_device
 from nerf_core.common.errors import UserError
+from nerf_core.common.language import marked
 from nerf_core.common.text import NOTHING
 from nerf_core.lab.figures import ablation_plot
 from nerf_core.lab.published import ABLATIONS
@@ -63,19 +64,19 @@ TABLE = {
 class Ablate:
     """The nine rows of the paper's ablation table with the same budget and seeds, ours beside the published ones."""
 
-    title: ClassVar[str] = "Ablations"
-    summary: ClassVar[str] = "What each part of the paper's model is good for: the nine rows of its table 2."
+    title: ClassVar[str] = marked("Ablations")
+    summary: ClassVar[str] = marked("What each part of the paper's model is good for: the nine rows of its table 2.")
     order: ClassVar[int] = 1
     of_scene: ClassVar[bool] = True
 
-    method: str = constant("nerf", "nerf or nerf-guided: the methods with the paper's network")
-    preset: str = constant("auto", "of the method: the complete model, from which the rows differ")
-    budget: str = constant("10m", "of each row: training time such as 90s or 10m, or a number such as 200steps")
-    rows: str = constant("1,2,3,4,5,6,7,8,9", "rows of the table, with commas between")
-    seeds: int = constant(1, "how many seeds each row is trained with", least=1, most=100)
-    views: int = constant(3, "held-out views that are measured, evenly spread", least=1, most=10_000)
+    method: str = constant("nerf", marked("nerf or nerf-guided: the methods with the paper's network"))
+    preset: str = constant("auto", marked("of the method: the complete model, from which the rows differ"))
+    budget: str = constant("10m", marked("of each row: training time such as 90s or 10m, or a number such as 200steps"))
+    rows: str = constant("1,2,3,4,5,6,7,8,9", marked("rows of the table, with commas between"))
+    seeds: int = constant(1, marked("how many seeds each row is trained with"), least=1, most=100)
+    views: int = constant(3, marked("held-out views that are measured, evenly spread"), least=1, most=10_000)
     lpips_weights: str = constant(
-        "", "VGG16 and LPIPS heads in one .safetensors file; without it LPIPS is not computed"
+        "", marked("VGG16 and LPIPS heads in one .safetensors file; without it LPIPS is not computed")
     )
 
     def __post_init__(self) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from nerf_core.common.configs import constant
 from nerf_core.common.errors import UserError
+from nerf_core.common.language import marked
 from nerf_core.common.text import counted, number, size
 from nerf_core.geometry.scene import Scene
 from nerf_core.lab.figures import comparison
@@ -33,15 +34,19 @@ NERF_FAMILY = ("nerf", "nerf-guided", "voxels", "hash")
 class Compare:
     """Every method under one budget: pictures side by side, PSNR, SSIM, time, memory, and the published means."""
 
-    title: ClassVar[str] = "Compare methods"
-    summary: ClassVar[str] = "Every method learns the same photos for the same time, and draws the same held-out views."
+    title: ClassVar[str] = marked("Compare methods")
+    summary: ClassVar[str] = marked(
+        "Every method learns the same photos for the same time, and draws the same held-out views."
+    )
     order: ClassVar[int] = 0
     of_scene: ClassVar[bool] = True
 
-    methods: str = constant("all", "which methods, with commas between; all: every one that the capture suits")
-    budget: str = constant("60s", "of each method: training time such as 90s or 10m, or a number such as 200steps")
-    views: int = constant(3, "held-out views that are drawn, evenly spread", least=1, most=10_000)
-    seed: int = constant(0, "of everything random")
+    methods: str = constant("all", marked("which methods, with commas between; all: every one that the capture suits"))
+    budget: str = constant(
+        "60s", marked("of each method: training time such as 90s or 10m, or a number such as 200steps")
+    )
+    views: int = constant(3, marked("held-out views that are drawn, evenly spread"), least=1, most=10_000)
+    seed: int = constant(0, marked("of everything random"))
 
     def __post_init__(self) -> None:
         checked(self)

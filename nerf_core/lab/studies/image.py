@@ -18,6 +18,7 @@ from nerf_core.common.configs import constant
 from nerf_core.common.device import pick_device
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.files import write_atomically
+from nerf_core.common.language import marked
 from nerf_core.datasets.images import UnreadableError, measure, read_photo
 from nerf_core.lab.image_figure import Learned, draw_figure
 from nerf_core.lab.image_fit import MAPPINGS, ImageConfig, ImageFit
@@ -125,20 +126,24 @@ def photo_of(path: Path | None, size: int) -> np.ndarray:
 class Image:
     """(x, y) → (r, g, b): a photo learnt by four networks that differ only in how the coordinates are encoded."""
 
-    title: ClassVar[str] = "Encoding an image"
-    summary: ClassVar[str] = (
+    title: ClassVar[str] = marked("Encoding an image")
+    summary: ClassVar[str] = marked(
         "A network that gets bare coordinates learns a blur; one that gets their Fourier features learns the photo."
     )
     order: ClassVar[int] = 4
     of_scene: ClassVar[bool] = False
 
-    size: int = constant(128, "longest side of the photo in pixels; a larger one is averaged", least=16, most=2048)
-    steps: int = constant(500, "optimiser steps of each network", least=1, most=10**7)
-    frequencies: int = constant(0, "number L of frequencies of the positional encoding; 0: as the size suits", most=16)
-    sigma: float = constant(
-        0.0, "deviation σ of the Gaussian frequencies in cycles per picture; 0: as the size suits", most=1000.0
+    size: int = constant(
+        128, marked("longest side of the photo in pixels; a larger one is averaged"), least=16, most=2048
     )
-    seeds: int = constant(1, "how many seeds the networks are trained with", least=1, most=100)
+    steps: int = constant(500, marked("optimiser steps of each network"), least=1, most=10**7)
+    frequencies: int = constant(
+        0, marked("number L of frequencies of the positional encoding; 0: as the size suits"), most=16
+    )
+    sigma: float = constant(
+        0.0, marked("deviation σ of the Gaussian frequencies in cycles per picture; 0: as the size suits"), most=1000.0
+    )
+    seeds: int = constant(1, marked("how many seeds the networks are trained with"), least=1, most=100)
 
     def __post_init__(self) -> None:
         checked(self)

@@ -9,6 +9,7 @@ from typing import ClassVar
 
 from nerf_core.common.configs import constant
 from nerf_core.common.errors import UserError
+from nerf_core.common.language import marked
 from nerf_core.common.text import number, size
 from nerf_core.lab.figures import memory_plot
 from nerf_core.lab.records import Report, Result, Row, Table
@@ -27,17 +28,19 @@ VALUES_BYTES = 16  # of a vertex: red, green, blue and opacity, float32 each
 class Memory:
     """The dense RGBα grid at several sizes: memory, PSNR and time, as a table and a plot."""
 
-    title: ClassVar[str] = "Memory of a grid"
-    summary: ClassVar[str] = (
+    title: ClassVar[str] = marked("Memory of a grid")
+    summary: ClassVar[str] = marked(
         "A dense grid's memory grows with the cube of its side, and its pictures gain less and less."
     )
     order: ClassVar[int] = 2
     of_scene: ClassVar[bool] = True
 
-    sides: str = constant("16,32,64,128,256", "sides N of the grid, with commas between")
-    budget: str = constant("60s", "of each size: training time such as 90s or 10m, or a number such as 200steps")
-    views: int = constant(3, "held-out views that are measured, evenly spread", least=1, most=10_000)
-    seed: int = constant(0, "of everything random")
+    sides: str = constant("16,32,64,128,256", marked("sides N of the grid, with commas between"))
+    budget: str = constant(
+        "60s", marked("of each size: training time such as 90s or 10m, or a number such as 200steps")
+    )
+    views: int = constant(3, marked("held-out views that are measured, evenly spread"), least=1, most=10_000)
+    seed: int = constant(0, marked("of everything random"))
 
     def __post_init__(self) -> None:
         checked(self)

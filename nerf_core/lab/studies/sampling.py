@@ -9,6 +9,7 @@ from typing import ClassVar
 
 from nerf_core.common.configs import constant
 from nerf_core.common.errors import UserError
+from nerf_core.common.language import marked
 from nerf_core.lab.figures import sampling_plot
 from nerf_core.lab.records import Report, Result, Row, Table
 from nerf_core.lab.study import STUDIES, Bench, Subject, Work, budget, checked, spelled
@@ -25,19 +26,23 @@ WAYS = ("uniform", "hierarchical")
 class Sampling:
     """The lecture's "how to choose the points": PSNR against network calls per ray, uniform and hierarchical."""
 
-    title: ClassVar[str] = "How to choose the points"
-    summary: ClassVar[str] = (
+    title: ClassVar[str] = marked("How to choose the points")
+    summary: ClassVar[str] = marked(
         "Evenly spaced samples against coarse ones that say where the fine ones go, for the same number of network "
         "calls per ray."
     )
     order: ClassVar[int] = 3
     of_scene: ClassVar[bool] = True
 
-    calls: str = constant("16,32,64,128", "network calls per ray, multiples of 4 from 12 up, with commas between")
-    budget: str = constant("1500steps", "of each row: a number such as 200steps, or training time such as 90s or 10m")
-    views: int = constant(3, "held-out views that are measured, evenly spread", least=1, most=10_000)
-    seeds: int = constant(1, "how many seeds each row is trained with", least=1, most=100)
-    preset: str = constant("auto", "of the method nerf, to which the numbers of samples are applied")
+    calls: str = constant(
+        "16,32,64,128", marked("network calls per ray, multiples of 4 from 12 up, with commas between")
+    )
+    budget: str = constant(
+        "1500steps", marked("of each row: a number such as 200steps, or training time such as 90s or 10m")
+    )
+    views: int = constant(3, marked("held-out views that are measured, evenly spread"), least=1, most=10_000)
+    seeds: int = constant(1, marked("how many seeds each row is trained with"), least=1, most=100)
+    preset: str = constant("auto", marked("of the method nerf, to which the numbers of samples are applied"))
 
     def __post_init__(self) -> None:
         checked(self)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from nerf_core.common.language import marked
 from nerf_core.live.shares import DEFAULT_SHARE, SHARES, Situation
 
 
@@ -11,8 +12,8 @@ from nerf_core.live.shares import DEFAULT_SHARE, SHARES, Situation
 class Steady:
     """The same share in every situation."""
 
-    label: ClassVar[str] = "Steady"
-    tip: ClassVar[str] = "training keeps its share whatever the camera does"
+    label: ClassVar[str] = marked("Steady")
+    tip: ClassVar[str] = marked("training keeps its share whatever the camera does")
 
     @staticmethod
     def share(wanted: float, now: Situation) -> float:

@@ -11,6 +11,7 @@ import torch
 from nerf_core.common.configs import changed, constant, restored
 from nerf_core.common.device import fast_precision
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.language import marked
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods.mlp.config import MlpConfig
 from nerf_core.methods.voxels.config import VoxelConfig
@@ -26,8 +27,12 @@ class GuidedConfig(MlpConfig):
     rays per step on a CPU. `total_steps` counts the proposal grid's steps too.
     """
 
-    guide_steps: int = constant(500, "steps of the proposal grid, before the network's first", least=1, most=10**6)
-    least: float = constant(0.01, "weight above which a sample of the proposal grid is put to the network", most=0.5)
+    guide_steps: int = constant(
+        500, marked("steps of the proposal grid, before the network's first"), least=1, most=10**6
+    )
+    least: float = constant(
+        0.01, marked("weight above which a sample of the proposal grid is put to the network"), most=0.5
+    )
     guide: VoxelConfig = field(default_factory=VoxelConfig)
 
     @staticmethod

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from nerf_core.common.language import marked
 from nerf_core.geometry.rays import Rays
 from nerf_core.methods import METHODS
 from nerf_core.methods.guided.config import GuidedConfig
@@ -16,7 +17,9 @@ from nerf_core.methods.stages import Stage
 class GuidedNerf(GuidedModel):
     """The guided method; see `GuidedModel`."""
 
-    summary: ClassVar[str] = "The paper's network, its samples placed by a voxel grid trained first: minutes on a CPU."
+    summary: ClassVar[str] = marked(
+        "The paper's network, its samples placed by a voxel grid trained first: minutes on a CPU."
+    )
 
     constants: ClassVar[type[GuidedConfig]] = GuidedConfig
     configure = staticmethod(GuidedConfig.configure)

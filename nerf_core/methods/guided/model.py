@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from nerf_core.common.language import marked, phrase
 from nerf_core.geometry.rays import Rays, Rendering, Trace
 from nerf_core.geometry.scene import Scene
 from nerf_core.kernels.choice import packed_kernels
@@ -39,7 +40,7 @@ BLOCK = (
 class GuidedModel(MlpModel):
     """The guided method; see the module."""
 
-    coarse: ClassVar[str] = "the proposal grid's picture"
+    coarse: ClassVar[str] = marked("the proposal grid's picture")
     alone: ClassVar[bool] = False
 
     config: GuidedConfig
@@ -58,7 +59,11 @@ class GuidedModel(MlpModel):
     def stage(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]  only read
         if self.ready:
             return ""
-        return f"the proposal grid learns, {self.guided:,} of {self.config.guide_steps:,} steps: it draws the picture"
+        return phrase(
+            "the proposal grid learns, {step:,} of {steps:,} steps: it draws the picture",
+            step=self.guided,
+            steps=self.config.guide_steps,
+        )
 
     @property
     def born(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]  only read

@@ -10,6 +10,7 @@ import torch
 
 from nerf_core.common.configs import changed, check_ranges, constant, restored
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.language import marked
 from nerf_core.geometry.scene import Scene
 
 MOST_FEATURES = 2**28  # 1 GiB, and the same again for the gradient, for each moment and for the EMA
@@ -19,26 +20,32 @@ MOST_FEATURES = 2**28  # 1 GiB, and the same again for the gradient, for each mo
 class HashConfig:
     """The paper's constants (arXiv:2201.05989), which suit CUDA. `configure` makes them smaller for a CPU."""
 
-    samples: int = constant(2**18, "samples per step, about; the number of rays follows", least=1, most=2**22)
-    most_rays: int = constant(2**15, "most rays per step", least=1, most=2**18)
-    levels: int = constant(16, "levels of the hash grid, L", least=1, most=32)
-    features: int = constant(2, "features per vertex and level, F; a power of two", least=1, most=8)
-    log2_rows: int = constant(19, "logarithm of the rows of a level's table, log2 T", least=4, most=24)
-    coarsest: int = constant(16, "cells along a side of the first level, N_min", least=2, most=256)
+    samples: int = constant(2**18, marked("samples per step, about; the number of rays follows"), least=1, most=2**22)
+    most_rays: int = constant(2**15, marked("most rays per step"), least=1, most=2**18)
+    levels: int = constant(16, marked("levels of the hash grid, L"), least=1, most=32)
+    features: int = constant(2, marked("features per vertex and level, F; a power of two"), least=1, most=8)
+    log2_rows: int = constant(19, marked("logarithm of the rows of a level's table, log2 T"), least=4, most=24)
+    coarsest: int = constant(16, marked("cells along a side of the first level, N_min"), least=2, most=256)
     finest: int = constant(
-        0, "cells along a side of the last level, N_max; 0: one per pixel of a photo at the scene's centre", most=2**16
+        0,
+        marked("cells along a side of the last level, N_max; 0: one per pixel of a photo at the scene's centre"),
+        most=2**16,
     )
-    hidden: int = constant(64, "units of the hidden layers of both networks", least=1, most=512)
-    pixels: float = constant(1.0, "length of a sample, in pixels of a photo at the scene's centre", least=0.05)
-    cells: int = constant(128, "cells along a side of the occupancy grid", least=4, most=256)
-    update_every: int = constant(16, "steps between updates of the occupancy grid", least=1, most=10**6)
-    warm_updates: int = constant(16, "first updates that look at all of it", most=10**6)
-    empty: float = constant(0.01, "opacity that a cell must have along a sample to count as occupied", share="(0, 1)")
-    decay: float = constant(0.95, "share of a cell's last known density that an update keeps", share="(0, 1)")
-    learning_rate: float = constant(1e-2, "Adam's learning rate, falling as 1 / (1 + step / slowdown)")
-    slowdown: float = constant(3000.0, "steps after which the learning rate has halved", least=1)
-    total_steps: int = constant(30_000, "steps of the schedule, unless --steps says otherwise", least=1, most=10**9)
-    train_images: int = constant(0, "training photos that are used, evenly spread; 0: all", most=10**9)
+    hidden: int = constant(64, marked("units of the hidden layers of both networks"), least=1, most=512)
+    pixels: float = constant(1.0, marked("length of a sample, in pixels of a photo at the scene's centre"), least=0.05)
+    cells: int = constant(128, marked("cells along a side of the occupancy grid"), least=4, most=256)
+    update_every: int = constant(16, marked("steps between updates of the occupancy grid"), least=1, most=10**6)
+    warm_updates: int = constant(16, marked("first updates that look at all of it"), most=10**6)
+    empty: float = constant(
+        0.01, marked("opacity that a cell must have along a sample to count as occupied"), share="(0, 1)"
+    )
+    decay: float = constant(0.95, marked("share of a cell's last known density that an update keeps"), share="(0, 1)")
+    learning_rate: float = constant(1e-2, marked("Adam's learning rate, falling as 1 / (1 + step / slowdown)"))
+    slowdown: float = constant(3000.0, marked("steps after which the learning rate has halved"), least=1)
+    total_steps: int = constant(
+        30_000, marked("steps of the schedule, unless --steps says otherwise"), least=1, most=10**9
+    )
+    train_images: int = constant(0, marked("training photos that are used, evenly spread; 0: all"), most=10**9)
 
     def __post_init__(self) -> None:
         check_ranges(self)

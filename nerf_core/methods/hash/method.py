@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from nerf_core.common.language import marked
 from nerf_core.geometry.rays import Rays
 from nerf_core.methods import METHODS
 from nerf_core.methods.hash.config import HashConfig
@@ -16,7 +17,7 @@ from nerf_core.methods.stages import Stage
 class Hash(HashModel):
     """The hash method; see `HashModel`."""
 
-    summary: ClassVar[str] = "Instant-ngp (2022): a hash grid and two small MLPs; made for a GPU."
+    summary: ClassVar[str] = marked("Instant-ngp (2022): a hash grid and two small MLPs; made for a GPU.")
 
     distributed: ClassVar[bool] = True
     constants: ClassVar[type[HashConfig]] = HashConfig

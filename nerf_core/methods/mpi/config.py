@@ -11,6 +11,7 @@ import torch
 
 from nerf_core.common.configs import changed, check_ranges, constant, restored
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.language import marked
 from nerf_core.geometry.forward_facing import mean_camera, turned_away
 from nerf_core.geometry.scene import Scene
 
@@ -19,31 +20,42 @@ from nerf_core.geometry.scene import Scene
 class MpiConfig:
     """Which multiplane images (MPIs) there are, how a plane sweep fills them, and how gradient descent refines them."""
 
-    references: int = constant(6, "reference views: each has a multiplane image (MPI) of its own", least=1, most=32)
-    planes: int = constant(32, "planes of an MPI, evenly spaced in disparity", least=2, most=128)
-    shared: int = constant(4, "neighbouring planes that share one picture of colours", least=1, most=256)
-    resolution: int = constant(
-        512, "most texels along the longer side of a photo: an MPI of a larger photo is shrunk", least=8, most=4096
+    references: int = constant(
+        6, marked("reference views: each has a multiplane image (MPI) of its own"), least=1, most=32
     )
-    margin: float = constant(0.05, "planes reach beyond their photo by this share of its side", most=1)
-    blended: int = constant(4, "nearest MPIs that are blended in a pixel", least=1, most=64)
-    falloff: float = constant(1.0, "how fast a blending weight falls with the distance of its view; 1: as in LLFF")
-    sweep_views: int = constant(5, "photos that the plane sweep of a new MPI compares", least=2, most=64)
-    sweep_window: int = constant(9, "side of the window in which it compares them, in texels", least=1, most=99)
+    planes: int = constant(32, marked("planes of an MPI, evenly spaced in disparity"), least=2, most=128)
+    shared: int = constant(4, marked("neighbouring planes that share one picture of colours"), least=1, most=256)
+    resolution: int = constant(
+        512,
+        marked("most texels along the longer side of a photo: an MPI of a larger photo is shrunk"),
+        least=8,
+        most=4096,
+    )
+    margin: float = constant(0.05, marked("planes reach beyond their photo by this share of its side"), most=1)
+    blended: int = constant(4, marked("nearest MPIs that are blended in a pixel"), least=1, most=64)
+    falloff: float = constant(
+        1.0, marked("how fast a blending weight falls with the distance of its view; 1: as in LLFF")
+    )
+    sweep_views: int = constant(5, marked("photos that the plane sweep of a new MPI compares"), least=2, most=64)
+    sweep_window: int = constant(9, marked("side of the window in which it compares them, in texels"), least=1, most=99)
     sweep_softness: float = constant(
         0.005,
-        "difference of colours by which one depth must fit better than another to be preferred e-fold",
+        marked("difference of colours by which one depth must fit better than another to be preferred e-fold"),
         least=1e-6,
     )
-    rays: int = constant(16384, "rays per step", least=1, most=2**22)
-    rate_alpha: float = constant(0.01, "Adam's learning rate of opacity")
-    rate_color: float = constant(0.01, "Adam's learning rate of colour")
-    decay: float = constant(0.1, "what both rates fall to over the run, exponentially", share="(0, 1]")
-    smooth: float = constant(0.02, "weight of the planes' smoothness in opacity, against the squared error of a ray")
-    keep: float = constant(0.9, "Adam's beta1", share="[0, 1)")
-    keep_square: float = constant(0.99, "Adam's beta2", share="[0, 1)")
-    total_steps: int = constant(6000, "steps of the schedule, unless --steps says otherwise", least=1, most=10**9)
-    train_images: int = constant(0, "training photos that are used, evenly spread; 0: all", most=10**9)
+    rays: int = constant(16384, marked("rays per step"), least=1, most=2**22)
+    rate_alpha: float = constant(0.01, marked("Adam's learning rate of opacity"))
+    rate_color: float = constant(0.01, marked("Adam's learning rate of colour"))
+    decay: float = constant(0.1, marked("what both rates fall to over the run, exponentially"), share="(0, 1]")
+    smooth: float = constant(
+        0.02, marked("weight of the planes' smoothness in opacity, against the squared error of a ray")
+    )
+    keep: float = constant(0.9, marked("Adam's beta1"), share="[0, 1)")
+    keep_square: float = constant(0.99, marked("Adam's beta2"), share="[0, 1)")
+    total_steps: int = constant(
+        6000, marked("steps of the schedule, unless --steps says otherwise"), least=1, most=10**9
+    )
+    train_images: int = constant(0, marked("training photos that are used, evenly spread; 0: all"), most=10**9)
 
     def __post_init__(self) -> None:
         check_ranges(self)

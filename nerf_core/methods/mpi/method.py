@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from nerf_core.common.language import marked
 from nerf_core.geometry.rays import Rays
 from nerf_core.methods import METHODS
 from nerf_core.methods.mpi.config import MpiConfig
@@ -16,7 +17,9 @@ from nerf_core.methods.stages import Stage
 class Mpi(MpiModel):
     """The multiplane images; see `MpiModel`."""
 
-    summary: ClassVar[str] = "Optimised MPIs (LLFF-style blending): stacks of RGBα planes, for forward-facing captures."
+    summary: ClassVar[str] = marked(
+        "Optimised MPIs (LLFF-style blending): stacks of RGBα planes, for forward-facing captures."
+    )
 
     constants: ClassVar[type[MpiConfig]] = MpiConfig
     configure = staticmethod(MpiConfig.configure)

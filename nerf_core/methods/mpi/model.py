@@ -21,6 +21,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from nerf_core.common.language import phrase
 from nerf_core.common.text import size
 from nerf_core.geometry.rays import Rays, Rendering, Trace
 from nerf_core.geometry.scene import Scene
@@ -90,10 +91,16 @@ class MpiModel(Defaults):
     def stage(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]  only read
         count = len(self.stacks)
         if self.swept < count:
-            return f"plane sweep: {self.swept} of {count} MPIs filled"
+            return phrase("plane sweep: {swept} of {count} MPIs filled", swept=self.swept, count=count)
         planes = sum(4 * value.numel() for value in self.parameters())
         optimiser = 2 * planes + 3 * planes // count  # two moments, and a spare MPI with its own
-        return f"{count} MPIs of {self.config.planes} planes: {size(planes)}, and {size(optimiser)} to train them"
+        return phrase(
+            "{count} MPIs of {planes} planes: {size}, and {optimiser} to train them",
+            count=count,
+            planes=self.config.planes,
+            size=size(planes),
+            optimiser=size(optimiser),
+        )
 
     # ---- rendering ------------------------------------------------------------------------------------------------
 
@@ -154,7 +161,7 @@ class MpiModel(Defaults):
 
     def name(self, k: int) -> str:
         """Return the name of an MPI: that of its reference view's file."""
-        return f"view {PurePosixPath(self.scene.views[self.stacks[k].view].name).stem}"
+        return phrase("view {name}", name=PurePosixPath(self.scene.views[self.stacks[k].view].name).stem)
 
     # ---- training -------------------------------------------------------------------------------------------------
 

@@ -10,6 +10,7 @@ import torch
 
 from nerf_core.common.configs import changed, check_ranges, constant, restored
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.language import marked
 from nerf_core.geometry.scene import Scene
 
 
@@ -17,7 +18,7 @@ from nerf_core.geometry.scene import Scene
 class NearestViewConfig:
     """The photos to choose from. There is nothing else to set."""
 
-    train_images: int = constant(0, "training photos to choose from, evenly spread; 0: all", most=10**9)
+    train_images: int = constant(0, marked("training photos to choose from, evenly spread; 0: all"), most=10**9)
 
     def __post_init__(self) -> None:
         check_ranges(self)

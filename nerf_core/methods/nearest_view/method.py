@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from nerf_core.common.language import marked
 from nerf_core.geometry.rays import Rays
 from nerf_core.methods import METHODS
 from nerf_core.methods.nearest_view.config import NearestViewConfig
@@ -16,7 +17,9 @@ from nerf_core.methods.stages import Stage
 class NearestView(NearestViewModel):
     """The nearest photo; see `NearestViewModel`."""
 
-    summary: ClassVar[str] = "The nearest training photo as it is: no model at all, and what every model should beat."
+    summary: ClassVar[str] = marked(
+        "The nearest training photo as it is: no model at all, and what every model should beat."
+    )
 
     constants: ClassVar[type[NearestViewConfig]] = NearestViewConfig
     configure = staticmethod(NearestViewConfig.configure)

@@ -11,6 +11,7 @@ import torch
 from nerf_core.common.configs import changed, constant, restored
 from nerf_core.common.device import fast_precision
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.language import marked
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods.mlp.config import MlpConfig
 
@@ -19,16 +20,18 @@ from nerf_core.methods.mlp.config import MlpConfig
 class NerfConfig(MlpConfig):
     """The paper's network and its placement of samples, with the official values for Blender scenes."""
 
-    coarse_samples: int = constant(64, "samples per ray of the coarse network, N_c", least=3, most=2**14)
+    coarse_samples: int = constant(64, marked("samples per ray of the coarse network, N_c"), least=3, most=2**14)
     fine_samples: int = constant(
-        128, "samples per ray that the coarse weights place, N_f; 0: no fine network", most=2**14
+        128, marked("samples per ray that the coarse weights place, N_f; 0: no fine network"), most=2**14
     )
-    density_noise: float = constant(0.0, "standard deviation of noise on the raw density in training")
-    one_image: bool = constant(True, "whether all rays of a step come from one photo")
-    precrop_steps: int = constant(0, "first steps in which rays come from the middle of photos alone", most=10**9)
-    precrop: float = constant(0.5, "the share of a photo's side that this middle has", share="(0, 1]")
+    density_noise: float = constant(0.0, marked("standard deviation of noise on the raw density in training"))
+    one_image: bool = constant(True, marked("whether all rays of a step come from one photo"))
+    precrop_steps: int = constant(
+        0, marked("first steps in which rays come from the middle of photos alone"), most=10**9
+    )
+    precrop: float = constant(0.5, marked("the share of a photo's side that this middle has"), share="(0, 1]")
     chunk_rays: int = constant(
-        32, "rays whose gradient is computed at once; part of what a seed fixes", least=1, most=2**22
+        32, marked("rays whose gradient is computed at once; part of what a seed fixes"), least=1, most=2**22
     )
 
     @staticmethod

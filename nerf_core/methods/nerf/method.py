@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from nerf_core.common.language import marked
 from nerf_core.geometry.rays import Rays
 from nerf_core.methods import METHODS
 from nerf_core.methods.nerf.config import PRESETS, NerfConfig
@@ -16,7 +17,7 @@ from nerf_core.methods.stages import Stage
 class Nerf(NerfModel):
     """The paper's method; see `NerfModel`."""
 
-    summary: ClassVar[str] = (
+    summary: ClassVar[str] = marked(
         "The paper's NeRF (2020): two MLPs, every sample through a network; slow, and the reference."
     )
 

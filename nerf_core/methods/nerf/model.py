@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from nerf_core.common.language import marked
 from nerf_core.geometry.rays import Rays, Rendering, Samples, Trace
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Draw
@@ -60,13 +61,13 @@ class _Random(NamedTuple):
 class NerfModel(MlpModel):
     """The published method. On a CPU its matrix products run in bfloat16 if that is fast there."""
 
-    coarse: ClassVar[str] = "coarse network"
+    coarse: ClassVar[str] = marked("coarse network")
     alone: ClassVar[bool] = False
 
     config: NerfConfig
 
     def __init__(self, scene: Scene, config: NerfConfig, device: torch.device, seed: int) -> None:
-        names = ("coarse", "fine") if config.fine_samples else ("coarse",)
+        names = (marked("coarse"), marked("fine")) if config.fine_samples else (marked("coarse"),)
         super().__init__(scene, config, device, torch.Generator(device).manual_seed(seed), names)
         self.disparity, self.near = scene.disparity, scene.near
         self.tile = config.tile or self._fitting_tile()

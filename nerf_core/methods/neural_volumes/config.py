@@ -10,6 +10,7 @@ import torch
 
 from nerf_core.common.configs import changed, check_ranges, constant, restored
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.language import marked
 from nerf_core.geometry.scene import Scene
 
 WARPS = ("affine", "field", "none")
@@ -19,22 +20,30 @@ WARPS = ("affine", "field", "none")
 class NeuralVolumesConfig:
     """The paper's volume and warp (arXiv:1906.07751), which suit CUDA. `configure` makes them smaller for a CPU."""
 
-    template: int = constant(128, "voxels along a side of the template; a power of two", least=4, most=256)
-    width: int = constant(1024, "channels of the decoder's first layer; they halve at every second", least=8, most=2048)
-    latent: int = constant(256, "numbers of the latent code", least=1, most=4096)
-    warp: str = constant("affine", "the inverse warp: a mixture of affine warps, a field, or none", choices=WARPS)
-    warps: int = constant(16, "affine warps in the mixture, K", least=1, most=32)
-    warp_cells: int = constant(32, "voxels along a side of the warp; a power of two", least=2, most=32)
-    step: float = constant(0.5, "length of a sample, in voxels of the template", least=0.1, most=8)
-    tv_weight: float = constant(0.01, "weight of the total variation of the log opacity; 0: off")
+    template: int = constant(128, marked("voxels along a side of the template; a power of two"), least=4, most=256)
+    width: int = constant(
+        1024, marked("channels of the decoder's first layer; they halve at every second"), least=8, most=2048
+    )
+    latent: int = constant(256, marked("numbers of the latent code"), least=1, most=4096)
+    warp: str = constant(
+        "affine", marked("the inverse warp: a mixture of affine warps, a field, or none"), choices=WARPS
+    )
+    warps: int = constant(16, marked("affine warps in the mixture, K"), least=1, most=32)
+    warp_cells: int = constant(32, marked("voxels along a side of the warp; a power of two"), least=2, most=32)
+    step: float = constant(0.5, marked("length of a sample, in voxels of the template"), least=0.1, most=8)
+    tv_weight: float = constant(0.01, marked("weight of the total variation of the log opacity; 0: off"))
     # ten times as much empties the demo scene before anything is learnt
-    opacity_prior: float = constant(0.001, "weight of the prior that a pixel is opaque or empty; 0: off")
-    rays: int = constant(4096, "rays per step", least=1, most=2**20)
-    chunk: int = constant(2**20, "samples whose gradient is computed at once; part of what a seed fixes", least=1)
-    learning_rate: float = constant(1e-3, "Adam's learning rate, falling as 1 / (1 + step / slowdown)")
-    slowdown: float = constant(3000.0, "steps after which the learning rate has halved", least=1)
-    total_steps: int = constant(20_000, "steps of the schedule, unless --steps says otherwise", least=1, most=10**9)
-    train_images: int = constant(0, "training photos that are used, evenly spread; 0: all", most=10**9)
+    opacity_prior: float = constant(0.001, marked("weight of the prior that a pixel is opaque or empty; 0: off"))
+    rays: int = constant(4096, marked("rays per step"), least=1, most=2**20)
+    chunk: int = constant(
+        2**20, marked("samples whose gradient is computed at once; part of what a seed fixes"), least=1
+    )
+    learning_rate: float = constant(1e-3, marked("Adam's learning rate, falling as 1 / (1 + step / slowdown)"))
+    slowdown: float = constant(3000.0, marked("steps after which the learning rate has halved"), least=1)
+    total_steps: int = constant(
+        20_000, marked("steps of the schedule, unless --steps says otherwise"), least=1, most=10**9
+    )
+    train_images: int = constant(0, marked("training photos that are used, evenly spread; 0: all"), most=10**9)
 
     def __post_init__(self) -> None:
         check_ranges(self)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from nerf_core.common.language import marked
 from nerf_core.geometry.rays import Rays
 from nerf_core.methods import METHODS
 from nerf_core.methods.neural_volumes.config import NeuralVolumesConfig
@@ -16,7 +17,7 @@ from nerf_core.methods.stages import Stage
 class NeuralVolumes(NeuralVolumesModel):
     """Neural Volumes of a static scene; see `NeuralVolumesModel`."""
 
-    summary: ClassVar[str] = "Neural Volumes (2019), static scene: decodes a volume and a warp into it."
+    summary: ClassVar[str] = marked("Neural Volumes (2019), static scene: decodes a volume and a warp into it.")
     constants: ClassVar[type[NeuralVolumesConfig]] = NeuralVolumesConfig
     configure = staticmethod(NeuralVolumesConfig.configure)
     restore = staticmethod(NeuralVolumesConfig.restore)

@@ -10,6 +10,7 @@ import torch
 
 from nerf_core.common.configs import changed, check_ranges, constant, restored
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.language import marked
 from nerf_core.geometry.scene import Scene
 
 LEAST, MOST = 2, 512
@@ -21,26 +22,35 @@ class GridConfig:
     as many."""
 
     side: int = constant(
-        128, "vertices along a side of the grid, N; it takes 16 N³ bytes, and in training 64 N³", least=LEAST, most=MOST
+        128,
+        marked("vertices along a side of the grid, N; it takes 16 N³ bytes, and in training 64 N³"),
+        least=LEAST,
+        most=MOST,
     )
-    rays: int = constant(4096, "rays per step", least=1, most=2**20)
-    step: float = constant(0.75, "length of a sample in cells", least=0.05, most=16)
-    coarsest: int = constant(32, "most vertices along a side in the first level", least=LEAST, most=MOST)
+    rays: int = constant(4096, marked("rays per step"), least=1, most=2**20)
+    step: float = constant(0.75, marked("length of a sample in cells"), least=0.05, most=16)
+    coarsest: int = constant(32, marked("most vertices along a side in the first level"), least=LEAST, most=MOST)
     level_steps: int = constant(
-        200, "steps of the first level; each further one has twice as many, the last all the rest", least=1, most=10**6
+        200,
+        marked("steps of the first level; each further one has twice as many, the last all the rest"),
+        least=1,
+        most=10**6,
     )
-    fog: float = constant(0.002, "opacity of a cell of the first level at the start", share="(0, 1)")
-    empty: float = constant(0.005, "opacity that a cell must have to be occupied", share="(0, 1)")
+    fog: float = constant(0.002, marked("opacity of a cell of the first level at the start"), share="(0, 1)")
+    empty: float = constant(0.005, marked("opacity that a cell must have to be occupied"), share="(0, 1)")
     update_every: int = constant(
-        50, "steps of a level between two looks at which cells are occupied", least=1, most=10**6
+        50, marked("steps of a level between two looks at which cells are occupied"), least=1, most=10**6
     )
     smoothness: float = constant(
-        3e-6, "weight of the squared differences between neighbouring vertices, in units of a ray's squared error"
+        3e-6,
+        marked("weight of the squared differences between neighbouring vertices, in units of a ray's squared error"),
     )
-    learning_rate: float = constant(0.2, "Adam's learning rate, falling as 1 / (1 + step / slowdown)")
-    slowdown: float = constant(300.0, "steps after which the learning rate has halved", least=1)
-    total_steps: int = constant(30_000, "steps of the schedule, unless --steps says otherwise", least=1, most=10**9)
-    train_images: int = constant(0, "training photos that are used, evenly spread; 0: all", most=10**9)
+    learning_rate: float = constant(0.2, marked("Adam's learning rate, falling as 1 / (1 + step / slowdown)"))
+    slowdown: float = constant(300.0, marked("steps after which the learning rate has halved"), least=1)
+    total_steps: int = constant(
+        30_000, marked("steps of the schedule, unless --steps says otherwise"), least=1, most=10**9
+    )
+    train_images: int = constant(0, marked("training photos that are used, evenly spread; 0: all"), most=10**9)
 
     def __post_init__(self) -> None:
         check_ranges(self)

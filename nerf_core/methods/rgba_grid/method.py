@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from nerf_core.common.language import marked
 from nerf_core.geometry.rays import Rays
 from nerf_core.methods import METHODS
 from nerf_core.methods.rgba_grid.config import GridConfig
@@ -16,7 +17,7 @@ from nerf_core.methods.stages import Stage
 class RgbaGrid(GridModel):
     """The RGBα grid; see `GridModel`."""
 
-    summary: ClassVar[str] = (
+    summary: ClassVar[str] = marked(
         "A dense grid of colour and opacity, composited and optimised directly: RGBα volume rendering before NeRF."
     )
 

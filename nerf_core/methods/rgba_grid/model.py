@@ -21,6 +21,7 @@ from typing import Self
 import torch
 from torch import Tensor
 
+from nerf_core.common.language import phrase
 from nerf_core.geometry.rays import Rays, Rendering, Trace
 from nerf_core.geometry.scene import Scene
 from nerf_core.geometry.spaces import Space
@@ -94,8 +95,13 @@ class GridModel(Defaults):
     @property
     def stage(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]  only read
         last = len(self.sides) - 1
-        return f"coarse grid of {self.volume.side}³ vertices: level {self.level + 1} of {last + 1}" * (
-            self.level < last
+        if self.level >= last:
+            return ""
+        return phrase(
+            "coarse grid of {side}³ vertices: level {level} of {levels}",
+            side=self.volume.side,
+            level=self.level + 1,
+            levels=last + 1,
         )
 
     # ---- training ---------------------------------------------------------------------------------------------------

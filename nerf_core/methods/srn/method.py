@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from nerf_core.common.language import marked
 from nerf_core.geometry.rays import Rays
 from nerf_core.methods import METHODS
 from nerf_core.methods.srn.config import SrnConfig
@@ -16,7 +17,7 @@ from nerf_core.methods.stages import Stage
 class Srn(SrnModel):
     """Scene Representation Networks of a single scene; see `SrnModel`."""
 
-    summary: ClassVar[str] = (
+    summary: ClassVar[str] = marked(
         "SRN, single scene (2019): a learned marcher finds one point a ray, and its features the colour; blurred."
     )
 

@@ -10,6 +10,7 @@ import torch
 
 from nerf_core.common.configs import LARGEST, changed, check_ranges, constant, restored
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.language import marked
 from nerf_core.geometry.scene import Scene
 
 
@@ -17,68 +18,74 @@ from nerf_core.geometry.scene import Scene
 class VoxelConfig:
     """The grid becomes finer level by level, and the photos are shrunk to match it."""
 
-    rays: int = constant(12288, "rays per step", least=1, most=2**22)
+    rays: int = constant(12288, marked("rays per step"), least=1, most=2**22)
     first_rays: int = constant(
-        4096, "rays per step in the first level, where no space is known to be empty yet", least=1, most=2**22
+        4096, marked("rays per step in the first level, where no space is known to be empty yet"), least=1, most=2**22
     )
-    start: int = constant(40, "cells along the box's longest side in the first level", least=4, most=256)
+    start: int = constant(40, marked("cells along the box's longest side in the first level"), least=4, most=256)
     pixels: float = constant(
-        0.8, "side of the finest cells, in pixels of a photo at the scene's centre", least=0.05, most=10_000
+        0.8, marked("side of the finest cells, in pixels of a photo at the scene's centre"), least=0.05, most=10_000
     )
-    resolution: int = constant(400, "most cells along a side, whatever pixels asks for", least=1, most=1024)
-    planes: int = constant(128, "cells in depth under NDC", least=4, most=1024)
+    resolution: int = constant(400, marked("most cells along a side, whatever pixels asks for"), least=1, most=1024)
+    planes: int = constant(128, marked("cells in depth under NDC"), least=4, most=1024)
     level_steps: int = constant(
-        40, "steps of the first level; each further one has twice as many, the last all the rest", least=1,
+        40, marked("steps of the first level; each further one has twice as many, the last all the rest"), least=1,
         most=10**6,
     )  # fmt: skip
     most_rows: int = constant(
-        3_000_000, "most vertices that are stored, 192 bytes each and 64 more per thread", least=64, most=2**26
+        3_000_000, marked("most vertices that are stored, 192 bytes each and 64 more per thread"), least=64, most=2**26
     )
-    step: float = constant(0.7, "length of a sample in cells", least=0.05, most=16)
-    bias: float = constant(-3.0, "raw density of a new grid", least=-LARGEST)
-    rate_color: float = constant(0.2, "Adam's learning rate for colour, falling as 1 / (1 + step / slowdown)")
-    rate_view: float = constant(0.2, "the same for the part of colour that changes with the view")
-    rate_density: float = constant(0.45, "Adam's learning rate for density, falling alike")
-    slowdown: float = constant(500.0, "steps after which the learning rates have halved", least=1)
-    keep: float = constant(0.9, "Adam's beta1", share="[0, 1)")
-    keep_square: float = constant(0.99, "Adam's beta2", share="[0, 1)")
-    epsilon: float = constant(1e-5, "Adam's epsilon, in units of one ray's gradient", least=1e-12)
+    step: float = constant(0.7, marked("length of a sample in cells"), least=0.05, most=16)
+    bias: float = constant(-3.0, marked("raw density of a new grid"), least=-LARGEST)
+    rate_color: float = constant(0.2, marked("Adam's learning rate for colour, falling as 1 / (1 + step / slowdown)"))
+    rate_view: float = constant(0.2, marked("the same for the part of colour that changes with the view"))
+    rate_density: float = constant(0.45, marked("Adam's learning rate for density, falling alike"))
+    slowdown: float = constant(500.0, marked("steps after which the learning rates have halved"), least=1)
+    keep: float = constant(0.9, marked("Adam's beta1"), share="[0, 1)")
+    keep_square: float = constant(0.99, marked("Adam's beta2"), share="[0, 1)")
+    epsilon: float = constant(1e-5, marked("Adam's epsilon, in units of one ray's gradient"), least=1e-12)
     average: float = constant(
-        0.995, "decay of the EMA of rows that pictures show; smaller early in training", share="[0, 1)"
+        0.995, marked("decay of the EMA of rows that pictures show; smaller early in training"), share="[0, 1)"
     )
-    smoothness: float = constant(2.5e-6, "weight of the smoothness of density in the loss")
-    smoothness_color: float = constant(1e-6, "the same of colour")
+    smoothness: float = constant(2.5e-6, marked("weight of the smoothness of density in the loss"))
+    smoothness_color: float = constant(1e-6, marked("the same of colour"))
     distortion: float = constant(
-        5e-3, "weight of distortion in the loss: it draws the weights along a ray together, out of haze"
+        5e-3, marked("weight of distortion in the loss: it draws the weights along a ray together, out of haze")
     )
     distortion_before: float = constant(
-        1.0, "the same in each level before the last, as a share of that of the level after it", most=1
+        1.0, marked("the same in each level before the last, as a share of that of the level after it"), most=1
     )
     spare: float = constant(
-        0.0035, "most that a training pixel may lose with dropped cells: under one of 255 levels", most=1
+        0.0035, marked("most that a training pixel may lose with dropped cells: under one of 255 levels"), most=1
     )
     spare_error: float = constant(
-        2.0, "the same in RMS errors of the training pixels, where that is more",
+        2.0, marked("the same in RMS errors of the training pixels, where that is more"),
         most=100,
     )  # fmt: skip
     beside: float = constant(
         0.03,
-        "weight (by powers of two) that a cell must have in some training pixel for its neighbours to be kept too",
+        marked(
+            "weight (by powers of two) that a cell must have in some training pixel for its neighbours to be kept too"
+        ),
         least=1e-7,
         most=1,
     )
     split: float = constant(
         0.1,
-        "weight (by powers of two) that a cell must have in two training photos to be divided at the next level",
+        marked(
+            "weight (by powers of two) that a cell must have in two training photos to be divided at the next level"
+        ),
         least=1e-6,
         most=1,
     )
     prune_every: int = constant(
-        400, "steps of the last level until cells are first dropped; each time twice as many as before", least=1,
-        most=10**6,
+        400, marked("steps of the last level until cells are first dropped; each time twice as many as before"),
+        least=1, most=10**6,
     )  # fmt: skip
-    total_steps: int = constant(30_000, "steps of the schedule, unless --steps says otherwise", least=1, most=10**9)
-    train_images: int = constant(0, "training photos that are used, evenly spread; 0: all", most=10**9)
+    total_steps: int = constant(
+        30_000, marked("steps of the schedule, unless --steps says otherwise"), least=1, most=10**9
+    )
+    train_images: int = constant(0, marked("training photos that are used, evenly spread; 0: all"), most=10**9)
 
     def __post_init__(self) -> None:
         check_ranges(self)

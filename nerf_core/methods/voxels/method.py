@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from nerf_core.common.language import marked
 from nerf_core.geometry.rays import Rays
 from nerf_core.methods import METHODS
 from nerf_core.methods.stages import Stage
@@ -16,7 +17,7 @@ from nerf_core.methods.voxels.model import VoxelModel
 class Voxels(VoxelModel):
     """The voxel method; see `VoxelModel`."""
 
-    summary: ClassVar[str] = "A voxel grid with view-dependent colour, trained directly: seconds on a CPU."
+    summary: ClassVar[str] = marked("A voxel grid with view-dependent colour, trained directly: seconds on a CPU.")
 
     constants: ClassVar[type[VoxelConfig]] = VoxelConfig
     configure = staticmethod(VoxelConfig.configure)

@@ -25,6 +25,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from nerf_core.common.language import phrase
 from nerf_core.geometry.cameras import camera_rays
 from nerf_core.geometry.rays import Rays, Rendering, Trace
 from nerf_core.geometry.scene import Scene
@@ -78,7 +79,9 @@ class VoxelModel(Defaults):
     def stage(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]  only read
         if not self.full:
             return ""
-        return f"grid full: only its most seen parts are fine (--set most_rows above {self.config.most_rows:,})"
+        return phrase(
+            "grid full: only its most seen parts are fine (--set most_rows above {rows:,})", rows=self.config.most_rows
+        )
 
     # ---- training ---------------------------------------------------------------------------------------------------
 

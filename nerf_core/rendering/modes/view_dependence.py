@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from nerf_core.common.colormaps import Name
 from nerf_core.common.errors import UserError
+from nerf_core.common.language import marked
 from nerf_core.methods import METHODS, Method, Radiant, lacking
 from nerf_core.rendering.modes import MODES
 
@@ -22,8 +23,8 @@ class ViewDependence:
     """The standard deviation of the emitted colour over the hemisphere of directions that face the camera."""
 
     order: ClassVar[int] = 1
-    label: ClassVar[str] = "View-dependence"
-    tip: ClassVar[str] = (
+    label: ClassVar[str] = marked("View-dependence")
+    tip: ClassVar[str] = marked(
         "how much the colour at a pixel's point differs over the directions that face the camera: 0 is matt"
     )
     low: ClassVar[float] = 0.0
