@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from imgui_bundle import ImVec2, imgui
 
+from nerf_core.common.language import figure, marked, tr, trn
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
 from nerf_core.probe import RayProbe, Sightings
@@ -21,12 +22,14 @@ from ..ui.widgets import hint, mono, nothing_yet, packed, swatch
 PHOTO = 400  # limit for the longer side, in pixels, of the photo shown on hover
 SHOWN = 48  # photos in the table: first those that see the point, each group sorted by angle to the ray
 THUMBNAIL = 33  # side in pixels; odd, so that the point's pixel is in the middle
-COLUMNS = ("photo", "angle", "light", "photo's", "model's", "off", "")
+COLUMNS = (
+    marked("photo"), marked("angle"), marked("light"), marked("photo's"), marked("model's"), marked("off"), "",
+)  # fmt: skip
 
 
 @PANELS.register("evidence")
 class EvidencePanel:
-    title = "Evidence"
+    title = marked("Evidence")
     dock: Literal["bottom_right"] = "bottom_right"
     order = 1
 
@@ -39,9 +42,8 @@ class EvidencePanel:
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
         evidence, scene, ray = state.snapshot.evidence, state.snapshot.scene, state.snapshot.ray
         if evidence is None or scene is None or ray is None:
-            nothing_yet(
-                ui, state.snapshot.method, "Click a pixel: here you will see which photos know the point it shows."
-            )
+            text = tr("Click a pixel: here you will see which photos know the point it shows.")
+            nothing_yet(ui, state.snapshot.method, text)
             return
         if evidence is not self._of:
             self._of, self._sheet = evidence, _sheet(scene, evidence)
@@ -52,7 +54,7 @@ class EvidencePanel:
         if imgui.begin_table("evidence", len(COLUMNS), flags, imgui.get_content_region_avail()):
             imgui.table_setup_scroll_freeze(0, 1)
             for name in COLUMNS:
-                imgui.table_setup_column(name)
+                imgui.table_setup_column(tr(name))
             imgui.table_headers_row()
             angles = _angles(evidence, state.camera.c2w()[:, 3])
             for k in np.lexsort((angles, ~evidence.seen[:SHOWN])).tolist():
@@ -84,7 +86,7 @@ class EvidencePanel:
         draw.add_circle(ImVec2(at.x + x, at.y + y), 0.5 * ui.em, packed(ui.theme.text), thickness=0.12 * ui.em)
         draw.pop_clip_rect()
         imgui.text_unformatted(scene.views[view].name)
-        imgui.text_colored(ui.theme.muted, "the line is the ray; click to fly there")
+        imgui.text_colored(ui.theme.muted, tr("the line is the ray; click to fly there"))
         imgui.end_tooltip()
 
     def _row(self, ui: Ui, scene: Scene, evidence: Sightings, k: int, angle: float, ray: RayProbe) -> Iterator[Action]:
@@ -106,27 +108,34 @@ class EvidencePanel:
         ui.mark(f"evidence.{k}")
         off = float(np.abs(evidence.observed[k] - evidence.predicted[k]).mean())
         with mono(ui):
-            for text in (f"{np.degrees(angle):.0f}°", f"{evidence.transmittance[k]:.2f}"):
+            for text in (f"{np.degrees(angle):.0f}°", figure(evidence.transmittance[k], ".2f")):
                 imgui.table_next_column()
                 imgui.text_unformatted(text)
             for rgb in (evidence.observed[k], evidence.predicted[k]):
                 imgui.table_next_column()
                 partial(swatch, ui, rgb)()
             imgui.table_next_column()
-            imgui.text_unformatted(f"{off:.3f}")
+            imgui.text_unformatted(figure(off, ".3f"))
             imgui.table_next_column()
             if not evidence.seen[k]:
-                imgui.text_colored(ui.theme.muted, "hidden")
+                imgui.text_colored(ui.theme.muted, tr("hidden"))
 
 
 def _summary(evidence: Sightings) -> str:
-    seen, looked = int(evidence.seen.sum()), len(evidence.views)
-    words = [f"{seen:,} of {evidence.asked:,} training photos see the point", f"from {looked - seen:,} it is hidden"]
-    if evidence.framed > looked:
-        words[0] = f"Of {looked:,} training photos that were asked {seen:,} see the point"
-        words.append(f"{evidence.framed - looked:,} more have it in their frame")
-    outside = evidence.asked - evidence.framed
-    return "; ".join([*words, *([f"{outside:,} have it outside their frame"] if outside else [])]) + "."
+    """Which photos see the point, in parts with semicolons between. Each part can stand alone in any language."""
+    seen, looked, framed = int(evidence.seen.sum()), len(evidence.views), evidence.framed
+    if framed > looked:
+        text, of = tr("Of {of} training photos that were asked {seen} see the point"), looked
+    else:
+        text, of = tr("{seen} of {of} training photos see the point"), evidence.asked
+    parts = [text.format(seen=figure(seen, ","), of=figure(of, ","))]
+    parts.append(trn("from {n} it is hidden", "from {n} it is hidden", looked - seen))
+    if framed > looked:
+        parts.append(trn("{n} more have it in their frame", "{n} more have it in their frame", framed - looked))
+    if evidence.asked > framed:
+        outside = evidence.asked - framed
+        parts.append(trn("{n} have it outside their frame", "{n} have it outside their frame", outside))
+    return "; ".join(parts) + "."
 
 
 def _angles(evidence: Sightings, eye: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.common.errors import UserError
+from nerf_core.common.language import figure, marked, phrases, tr
 from nerf_core.common.names import printable
 from nerf_core.common.text import duration, number
 from nerf_core.geometry.paths import PATHS, CameraPath, Option
@@ -25,11 +26,11 @@ from ..model.state import Action, AppState, FilmForm, StartFilmExport
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import button, field_beside, field_width, hint, path_line, same_line_if_fits
 
-CANCEL = f"{icons.ICON_FA_XMARK}  Cancel"
+CANCEL, MODEL = marked("Cancel"), marked("Write model")
 MAX_FRAMES, MAX_FPS, MAX_SIDE = 10_000, 240, 8192
-MODEL = f"{icons.ICON_FA_CUBE}  Write model"
-PNG = "PNG frames"
-LABELS = ("frames", "fps", "width", "height")  # of the fields that every kind of path has
+PNG = marked("PNG frames")
+LABELS = (marked("frames"), marked("fps"), marked("width"), marked("height"))  # of the fields that every path has
+OPTIONS = (marked("elevation"), marked("radius"))  # names of the kinds' own fields, for the catalogues
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class Automatic:
 
 @PANELS.register("export")
 class ExportPanel:
-    title = "Export"
+    title = marked("Export")
     dock: Literal["right"] = "right"
     order = 3
 
@@ -72,12 +73,13 @@ class ExportPanel:
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
         snapshot, form = state.snapshot, state.film
         if snapshot.scene is None:
-            hint(ui, "Open a scene first: then a path through it can be written as a video.")
+            hint(ui, tr("Open a scene first: then a path through it can be written as a video."))
             return
         running = snapshot.export is not None and snapshot.export.state == "running"
         if snapshot.export is not None:
             _progress(ui, snapshot.export)
-        if running and button(ui, CANCEL, "export.cancel", tip="stop and leave no file"):
+        cancel = f"{icons.ICON_FA_XMARK}  {tr(CANCEL)}"
+        if running and button(ui, cancel, "export.cancel", tip=tr("stop and leave no file")):
             yield CancelExport()
         imgui.begin_disabled(running)
         _kind(ui, form)
@@ -88,13 +90,13 @@ class ExportPanel:
         imgui.end_disabled()
         if running:
             return
-        tip = with_keys("training goes on", "file.export")
-        start = f"{icons.ICON_FA_FILM}  Export {kind.label.lower()}"
+        tip = with_keys(tr("training goes on"), "file.export")
+        start = f"{icons.ICON_FA_FILM}  {tr('Export {path}').format(path=tr(kind.label).lower())}"
         possible = bool(form.file.strip()) and not self._own.problem
         if button(ui, start, "export.start", enabled=possible, tip=tip):
             yield StartFilmExport()
         if self._own.problem:
-            hint(ui, self._own.problem, ui.theme.warning)
+            hint(ui, tr(self._own.problem), ui.theme.warning)
         else:
             hint(ui, estimate(form, self._own, snapshot.preview_rays_per_second, snapshot.frame_share))
         yield from _models(ui, state)
@@ -106,36 +108,47 @@ def estimate(form: FilmForm, own: Automatic, speed: float, share: float) -> str:
     share: the export's share of the time while training goes on.
     """
     frames, width, height = form.frames or own.frames, form.width or own.width, form.height or own.height
-    film = f"{frames:,} frames of {width:,} × {height:,}, {frames / form.fps:.1f} s of video"
+    film = tr(
+        phrases(
+            "{n:,} frame of {width:,} × {height:,}, {seconds:.1f} s of video",
+            "{n:,} frames of {width:,} × {height:,}, {seconds:.1f} s of video",
+            frames,
+            width=width,
+            height=height,
+            seconds=frames / form.fps,
+        )
+    )
     if speed <= 0:
-        return f"{film}; the time it takes is not measured yet"
+        return tr("{film}; the time it takes is not measured yet").format(film=film)
     alone = frames * width * height / speed
-    return f"{film}; takes about {duration(alone)}, while training up to {duration(alone / share)}"
+    text = tr("{film}; takes about {alone}, while training up to {training}")
+    return text.format(film=film, alone=tr(duration(alone)), training=tr(duration(alone / share)))
 
 
 def _form(ui: Ui, form: FilmForm, kind: type[CameraPath], own: Automatic) -> None:
-    longest = max((*LABELS, *kind.options), key=len)
+    longest = max((tr(label) for label in (*LABELS, *kind.options)), key=len)
     if imgui.begin_table("form", 2, imgui.TableFlags_.sizing_stretch_same | imgui.TableFlags_.no_pad_outer_x):
         # A kind without a number of its own takes it from the scene, which has no more.
         most = own.frames if kind.default_frames is None else MAX_FRAMES
-        shown = "%.0f" if form.frames else f"auto, {own.frames:,}"
-        tip = "0: as many as the path has"
+        shown = "%.0f" if form.frames else _auto(figure(own.frames, ","))
+        tip = tr("0: as many as the path has")
         form.frames = round(_number(ui, "frames", form.frames, (0, most), shown, longest, tip)[1])
         form.fps = _number(ui, "fps", form.fps, (1, MAX_FPS), "%.4g", longest)[1]
         for name, option in kind.options.items():
             _option(ui, form, name, option, own.options[name], longest)
         for side, photos in (("width", own.width), ("height", own.height)):
             value: int = getattr(form, side)
-            shown, tip = "%.0f px" if value else f"auto, {photos:,}", "0: as the photos were taken"
+            shown, tip = tr("%.0f px") if value else _auto(figure(photos, ",")), tr("0: as the photos were taken")
             setattr(form, side, round(_number(ui, side, value, (0, MAX_SIDE), shown, longest, tip)[1]))
         imgui.end_table()
-    field_beside(ui, PNG, "")  # a box is at most as wide as an empty button
+    png = tr(PNG)
+    field_beside(ui, png, "")  # a box is at most as wide as an empty button
     _, form.file = imgui.input_text_with_hint("##file", "film.mp4", form.file)
     ui.mark("export.file")
-    same_line_if_fits(f"    {PNG}")
-    _, form.png_frames = imgui.checkbox(PNG, form.png_frames)
+    same_line_if_fits(f"    {png}")
+    _, form.png_frames = imgui.checkbox(f"{png}##png", form.png_frames)
     ui.mark("export.png")
-    imgui.set_item_tooltip("also write every frame as a PNG, in a folder beside the video")
+    imgui.set_item_tooltip(tr("also write every frame as a PNG, in a folder beside the video"))
 
 
 def _kind(ui: Ui, form: FilmForm) -> None:
@@ -143,9 +156,9 @@ def _kind(ui: Ui, form: FilmForm) -> None:
     names = list(PATHS.names())
     if len(names) < 2:
         return
-    field_width(ui, "path")
+    field_width(ui, tr("path"))
     at = names.index(form.path) if form.path in names else 0
-    changed, at = imgui.combo("path##export", at, [PATHS.get(name).label for name in names])
+    changed, at = imgui.combo(f"{tr('path')}###path", at, [tr(PATHS.get(name).label) for name in names])
     ui.mark("export.path")
     if changed:
         form.path, form.frames, form.options = names[at], 0, {}  # another kind has other numbers
@@ -153,14 +166,19 @@ def _kind(ui: Ui, form: FilmForm) -> None:
 
 def _option(ui: Ui, form: FilmForm, name: str, option: Option, default: float, longest: str) -> None:
     """A field for an option of this kind of path. A right click goes back to the default."""
-    usual, unit = number(default, 3), option.unit.replace("%", "%%")  # what a field shows is a format
-    shown = f"%.4g{unit}" if name in form.options else f"auto, {usual}{unit}"
+    usual, unit = tr(number(default, 3)), option.unit.replace("%", "%%")  # what a field shows is a format
+    shown = f"%.4g{unit}" if name in form.options else _auto(f"{usual}{unit}")
     value, limits = form.options.get(name, default), (option.least, option.most)
-    changed, value = _number(ui, name, value, limits, shown, longest, f"right click: auto, {usual}{option.unit}")
+    tip = tr("right click: {auto}").format(auto=_auto(f"{usual}{option.unit}"))
+    changed, value = _number(ui, name, value, limits, shown, longest, tip)
     if changed:
         form.options[name] = value
     if imgui.is_item_clicked(imgui.MouseButton_.right):
         form.options.pop(name, None)
+
+
+def _auto(value: str) -> str:
+    return tr("auto, {value}").format(value=value)
 
 
 def _models(ui: Ui, state: AppState) -> Iterator[Action]:
@@ -169,12 +187,13 @@ def _models(ui: Ui, state: AppState) -> Iterator[Action]:
     if not kinds:
         return
     imgui.separator()
-    field_beside(ui, MODEL)
+    write = f"{icons.ICON_FA_CUBE}  {tr(MODEL)}"
+    field_beside(ui, write)
     _, state.model_file = imgui.input_text_with_hint("##model", f"model{kinds[0].suffix}", state.model_file)
     ui.mark("export.model_file")
     imgui.same_line()
-    tip = "; ".join(f"{kind.suffix}: {kind.summary}" for kind in kinds)
-    if button(ui, MODEL, "export.model", enabled=bool(state.model_file.strip()), tip=tip):
+    tip = "; ".join(f"{kind.suffix}: {tr(kind.summary)}" for kind in kinds)
+    if button(ui, write, "export.model", enabled=bool(state.model_file.strip()), tip=tip):
         yield StartExport(ExportModel(Path(state.model_file.strip())))
 
 
@@ -183,14 +202,15 @@ def _number(
 ) -> tuple[bool, float]:
     """The form's next number field: whether the user changed it, and its number within the limits.
 
-    It can be dragged, or edited after a double click. longest: the longest label, which sets the width of all fields.
+    It can be dragged, or edited after a double click. longest: the longest label, as it is drawn, which sets the width
+    of all fields.
     """
     low, high = limits
     imgui.table_next_column()
     field_width(ui, longest)
     speed = min((high - low) / 1000, 0.5)
     changed, value = imgui.drag_float(
-        f"{label}##export", value, speed, low, high, shown, imgui.SliderFlags_.always_clamp
+        f"{tr(label)}###export {label}", value, speed, low, high, shown, imgui.SliderFlags_.always_clamp
     )
     ui.mark(f"export.{label}")
     if tip:
@@ -201,14 +221,17 @@ def _number(
 def _progress(ui: Ui, export: Export) -> None:
     if export.state == "running":
         share = export.done / max(export.total, 1)
-        left = f", {duration(export.seconds_left)} left" if export.seconds_left is not None else ""
         imgui.progress_bar(share, ImVec2(-1, 0), f"{100 * share:.0f} %")
         ui.mark("export.progress")
-        hint(ui, f"Exporting {printable(export.file.name)}: {100 * share:.0f} %{left}")
+        text = tr("Exporting {file}: {percent} %")
+        if export.seconds_left is not None:
+            text = tr("Exporting {file}: {percent} %, {time} left")
+        name, percent, left = printable(export.file.name), figure(100 * share, ".0f"), tr(duration(export.seconds_left))
+        hint(ui, text.format(file=name, percent=percent, time=left))
     elif export.state == "done":
-        hint(ui, "Done:", ui.theme.good)
+        hint(ui, tr("Done:"), ui.theme.good)
         path_line(ui, export.file, "export.copy")
     elif export.state == "cancelled":
-        hint(ui, "Cancelled: nothing was kept.")
+        hint(ui, tr("Cancelled: nothing was kept."))
     else:
-        hint(ui, "The export failed and left no file: see Notices.", ui.theme.error)
+        hint(ui, tr("The export failed and left no file: see Notices."), ui.theme.error)
