@@ -28,6 +28,7 @@ ROOM = 1.25  # the σ axis reaches so far above the densest sample
 LEAST_TOP = 1.0  # and at least to this density
 ROW_EM = 1.05  # height of a row of the strip
 CURVE = 16  # points of the transmittance's curve in a stretch
+FLOOR, CEILING = -0.07, 1.07  # of the σ axis, where 0 is no density and 1 the top: handles have room at both ends
 DENSITY_SHARE = 0.6  # of the plots' height, for that of the densities
 
 
@@ -107,7 +108,7 @@ class HandPlots:
         ray = bench.ray
         self._share_t(ray, implot.AxisFlags_.none)
         implot.setup_axis(Y1, None, implot.AxisFlags_.lock | implot.AxisFlags_.no_highlight)
-        implot.setup_axis_limits(Y1, 0, 1.0, implot.Cond_.always)
+        implot.setup_axis_limits(Y1, FLOOR, CEILING, implot.Cond_.always)
         marks = _round_marks(self._top)
         implot.setup_axis_ticks(Y1, self._place(np.array(marks)).tolist(), [f"{v:g}" for v in marks])
         implot.setup_finish()
@@ -116,23 +117,23 @@ class HandPlots:
         self._mouse(ui, bench)
         ray = bench.ray
         x, y = pixels(ray.edges), self._heights(ray.sigma)
-        floor = implot.get_plot_pos().y + implot.get_plot_size().y
+        floor, top = (implot.plot_to_pixels(0.0, height).y for height in (0.0, 1.0))
         draw, theme = implot.get_plot_draw_list(), ui.theme
         implot.push_plot_clip_rect()
         for i, rgb in enumerate(ray.rgb):
-            chosen, top = i == bench.chosen, ImVec2(float(x[i]), float(y[i]))
+            chosen, left = i == bench.chosen, ImVec2(float(x[i]), float(y[i]))
             corner = ImVec2(float(x[i + 1]), floor)
-            draw.add_rect_filled(top, corner, packed(color_of(rgb, 0.75 if chosen else 0.45)))
+            draw.add_rect_filled(left, corner, packed(color_of(rgb, 0.75 if chosen else 0.45)))
             line = packed(theme.density if chosen else faded(theme.density, 0.6))
-            draw.add_line(top, ImVec2(corner.x, top.y), line, 0.12 * ui.em)
-            draw.add_line(top, ImVec2(top.x, floor), line, 0.08 * ui.em)
+            draw.add_line(left, ImVec2(corner.x, left.y), line, 0.12 * ui.em)
+            draw.add_line(left, ImVec2(left.x, floor), line, 0.08 * ui.em)
         implot.pop_plot_clip_rect()
         at, extent = implot.get_plot_pos(), implot.get_plot_size()
-        implot.push_plot_clip_rect(HANDLE_EM * ui.em)  # half a handle may stand beside the plot
+        implot.push_plot_clip_rect(HANDLE_EM * ui.em)  # a handle may stand out of the plot
         for i in [*(k for k in range(len(ray.t)) if k != bench.chosen), bench.chosen][: len(ray.t)]:
             self._handle(ui, i, ray.rgb[i], ImVec2(float(x[i]), float(y[i])), i == bench.chosen)
         implot.pop_plot_clip_rect()
-        be_item(at.x, at.y, at.x + extent.x, at.y + extent.y)
+        be_item(at.x, top, at.x + extent.x, floor)
         ui.mark("hand.densities")
         end = float(pixels(np.array([ray.far]))[0])
         be_item(end - 2, at.y, end + 2, at.y + extent.y)
@@ -141,8 +142,8 @@ class HandPlots:
 
     def _heights(self, sigma: np.ndarray) -> np.ndarray:
         """The screen y in pixels (N,) of densities in the current plot. Those above the axis lie on its upper end."""
-        at, size = implot.get_plot_pos(), implot.get_plot_size()
-        return at.y + (1 - np.clip(self._place(sigma), 0, 1)) * size.y
+        floor, top = (implot.plot_to_pixels(0.0, height).y for height in (0.0, 1.0))
+        return floor + np.clip(self._place(sigma), 0, 1) * (top - floor)
 
     def _handle(self, ui: Ui, i: int, rgb: np.ndarray, at: ImVec2, chosen: bool) -> None:
         draw, r, text = implot.get_plot_draw_list(), HANDLE_EM * ui.em, str(i + 1)

@@ -22,9 +22,9 @@ from ..ui.contract import PANELS, Ui
 from ..ui.widgets import button, hint, mono, same_line_if_fits, swatch
 
 BESIDE_EM = 33.0  # width of the panel from which the numbers are beside the plots
-APART_EM, TABLE_EM = 74.0, 24.0  # from which the table is beside the numbers, and its width then
+APART_EM, APART_NUMBERS_EM, TABLE_EM = 74.0, 24.0, 22.0  # from which the table is apart; the widths of both then
 NUMBERS_SHARE, NUMBERS_EM = 0.44, (16.0, 28.0)  # of the width, for the numbers, and its limits
-WIDE_TABLE_EM = 23.0  # width of the numbers from which the table has t, σ and δ too
+WIDE_TABLE_EM = 21.0  # width of the numbers from which the table has t, σ and δ too
 TRIPLE_EM = 20.0  # from which the pixels of other samples have their three numbers
 LOW_EM = 19.0  # height of the plots if the numbers are below them
 LEAST_PLOTS_EM = 10.0  # and if they are beside them; a lower panel scrolls
@@ -59,6 +59,8 @@ class ByHandPanel:
         high = max(room.y, LEAST_PLOTS_EM * ui.em) if beside else LOW_EM * ui.em
         still = imgui.WindowFlags_.no_scroll_with_mouse | imgui.WindowFlags_.no_scrollbar
         apart = room.x > APART_EM * ui.em
+        if apart:
+            numbers = APART_NUMBERS_EM * ui.em
         taken = (numbers + ui.em if beside else 0.0) + ((TABLE_EM + 1.0) * ui.em if apart else 0.0)
         if imgui.begin_child("plots", ImVec2(room.x - taken, high), window_flags=still):
             self._plots.draw(ui, bench, self._rows(), imgui.get_content_region_avail())
@@ -241,12 +243,16 @@ class ByHandPanel:
         """A line for each sample; a click chooses it. The background has the last one."""
         ray, theme = self.bench.ray, ui.theme
         wide = imgui.get_content_region_avail().x > WIDE_TABLE_EM * ui.em
-        columns = [("", theme.muted), *([("t", theme.muted), ("σ", theme.density), ("δ", theme.muted)] if wide else [])]
-        columns += [("α", theme.alpha), ("T", theme.transmittance), ("w", theme.fine), ("c", theme.muted)]
-        columns += [("Σ", theme.muted)]
-        if not imgui.begin_table("terms", len(columns), imgui.TableFlags_.sizing_stretch_same):
+        columns = [("", theme.muted, 0.7)]
+        if wide:
+            columns += [("t", theme.muted, 1.0), ("σ", theme.density, 1.25), ("δ", theme.muted, 1.25)]
+        columns += [("α", theme.alpha, 1.0), ("T", theme.transmittance, 1.0), ("w", theme.fine, 1.0)]
+        columns += [("c", theme.muted, 0.6), ("Σ", theme.muted, 0.6)]
+        if not imgui.begin_table("terms", len(columns), imgui.TableFlags_.sizing_stretch_prop):
             return
-        for name, color in columns:
+        for name, _, share in columns:
+            imgui.table_setup_column(name, imgui.TableColumnFlags_.width_stretch, share)
+        for name, color, _ in columns:
             imgui.table_next_column()
             imgui.text_colored(color, name)
         with mono(ui):
@@ -329,7 +335,7 @@ def _terms_of(ui: Ui, bench: HandBench, terms: HandTerms, i: int) -> None:
     words: list[Word] = [(f"T_{k}", theme.transmittance), "="]
     if i:
         words += [["Π_j", " (1 − ", ("α_j", theme.alpha), ")"], "="]
-        words += [f"{'· ' if j else ''}{figure(1 - terms.alpha[j], '.2f')}" for j in range(i)]
+        words += [f"{'· ' if j else ''}{figure(1 - terms.alpha[j], '.3f')}" for j in range(i)]
         words += ["="]
     equation(ui, [*words, light], hang=1.5)
     equation(
