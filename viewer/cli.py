@@ -14,6 +14,7 @@ import tyro
 
 from nerf_core.common.command_line import parse
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.language import languages, use_language
 from nerf_core.common.output import complain, forgiving_output, say, unprinted
 from nerf_core.common.signals import Interrupted, Signals
 from nerf_core.training.options import TrainOptions
@@ -27,6 +28,11 @@ def _modes(default: str) -> str:
     from nerf_core.rendering.modes import mode_names
 
     return f"(default: {default}; one of {', '.join(mode_names())})"
+
+
+def _languages(_: str) -> str:
+    """The hint after the help of --language."""
+    return f"(default: the one chosen last in the View menu, else en; one of {', '.join(languages())})"
 
 
 @dataclass(frozen=True)
@@ -72,6 +78,8 @@ class ViewerOptions:
     """Start from this checkpoint."""
     save: Path | None = None
     """Write a checkpoint when training is done or interrupted."""
+    language: Annotated[str, tyro.conf.arg(metavar="CODE", help_behavior_hint=_languages)] = ""
+    """The language of the window."""
     doctor: bool = False
     """Print what was found (Python, torch, device, GL, display, video) and what to do about what is missing."""
 
@@ -108,6 +116,8 @@ def run(options: ViewerOptions, signals: Signals) -> int:
     load_libraries()  # before anything imports imgui, so that missing system packages are named
     from .session import session as sessions
 
+    if options.language:
+        use_language(options.language)  # or it is refused
     size, settings = sessions.parse_size(options.size), options.train.settings()
     scale = 1.0 if options.scale is None else options.scale
     if not 0.5 <= scale <= 4:
@@ -132,7 +142,7 @@ def run(options: ViewerOptions, signals: Signals) -> int:
     elif options.scale is not None:
         window.close()
         raise UserError(f"--scale {scale:g}: a window takes its screen's scale; this goes with --headless")
-    session = sessions.Session(window, settings, signals, say)
+    session = sessions.Session(window, settings, signals, say, options.language)
     try:
         return session.run(options.data, wishes)
     finally:

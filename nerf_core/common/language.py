@@ -87,6 +87,11 @@ def tr(text: str) -> str:
     return _catalogue(_speaker.language).gettext(text)
 
 
+def said(text: str) -> str:
+    """Return a phrase in the window's language, and any other text as it is: it is data, or already said."""
+    return text.said() if isinstance(text, _Phrase) else text
+
+
 def trn(one: str, many: str, n: int) -> str:
     """Return the form of a text that suits the number n, which replaces {n} in it."""
     return _catalogue(_speaker.language).ngettext(one, many, n).format(n=figure(n, ",d"))

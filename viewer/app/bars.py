@@ -7,14 +7,20 @@ from collections.abc import Iterator
 from imgui_bundle import ImVec2, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from nerf_core.common.text import counted, duration, rate
+from nerf_core.common.language import figure, marked, tr, trn
+from nerf_core.common.text import duration, rate
 from nerf_core.live.messages import Reset
 
 from ..commands.actions.files import saved_first
-from ..commands.registry import MENUS, USER_COMMANDS, Menu, UserCommand, commands, invoke, run, with_keys
+from ..commands.registry import MENUS, SUBMENUS, USER_COMMANDS, Menu, UserCommand, commands, invoke, run, with_keys
 from ..model.state import Action, AppState, nothing_to_train_in
 from ..ui.theme import CLEAR
 from .panel_host import PanelUi
+
+STATES = {
+    "empty": marked("empty"), "loading": marked("loading"), "ready": marked("ready"), "training": marked("training"),
+    "paused": marked("paused"), "finished": marked("finished"), "failed": marked("failed"),
+}  # fmt: skip  # of a run
 
 # ---- above --------------------------------------------------------------------------------------------------------
 
@@ -26,8 +32,9 @@ def draw_menu(ui: PanelUi, state: AppState) -> Iterator[Action]:
     if not begun:
         return
     for menu in MENUS:
-        if imgui.begin_menu(menu):
+        if imgui.begin_menu(f"{tr(menu)}###{menu}"):
             yield from _menu(ui, state, menu)
+            yield from _submenus(ui, state, menu)
             imgui.end_menu()
     yield from _item(ui, state, USER_COMMANDS.get("show.help"), keys=False)
     yield from _training(ui, state)
@@ -42,10 +49,23 @@ def _menu(ui: PanelUi, state: AppState, menu: Menu) -> Iterator[Action]:
         yield from _item(ui, state, command)
 
 
+def _submenus(ui: PanelUi, state: AppState, menu: Menu) -> Iterator[Action]:
+    for below, above in SUBMENUS.items():
+        if above != menu:
+            continue
+        imgui.separator()
+        opened = imgui.begin_menu(f"{tr(below)}###{below}")
+        ui.mark(f"submenu.{below}")
+        if opened:
+            yield from _menu(ui, state, below)
+            imgui.end_menu()
+
+
 def _item(ui: PanelUi, state: AppState, command: UserCommand, keys: bool = True) -> Iterator[Action]:
-    checked = command.checked is not None and command.checked(state)
+    holds = command.checked or command.chosen
+    checked = holds is not None and holds(state)
     shown = ", ".join(command.keys) if keys else ""
-    pressed, _ = imgui.menu_item(command.title, shown, checked, command.enabled(state))
+    pressed, _ = imgui.menu_item(f"{tr(command.title)}###{command.id}", shown, checked, command.enabled(state))
     ui.mark(f"menu.{command.title}")
     if pressed:
         yield from invoke(command, state)
@@ -53,13 +73,13 @@ def _item(ui: PanelUi, state: AppState, command: UserCommand, keys: bool = True)
 
 def _training(ui: PanelUi, state: AppState) -> Iterator[Action]:
     snapshot = state.snapshot
-    training, untrainable = snapshot.status == "training", nothing_to_train_in(snapshot)
+    training, untrainable = snapshot.status == "training", tr(nothing_to_train_in(snapshot))
     imgui.dummy(ImVec2(0.5 * ui.em, 0))
     if snapshot.method:
         imgui.text_colored(ui.theme.muted, snapshot.method)
         imgui.dummy(ImVec2(0.2 * ui.em, 0))
     imgui.begin_disabled(snapshot.scene is None or bool(untrainable))
-    label = f"{icons.ICON_FA_PAUSE}  Pause" if training else f"{icons.ICON_FA_PLAY}  Train"
+    label = f"{icons.ICON_FA_PAUSE}  {tr('Pause')}" if training else f"{icons.ICON_FA_PLAY}  {tr('Train')}"
     imgui.push_style_color(imgui.Col_.button, CLEAR)
     imgui.push_style_color(imgui.Col_.text, ui.theme.text if training else ui.theme.accent)
     pressed = imgui.button(f"{label}###bar.train")
@@ -70,28 +90,30 @@ def _training(ui: PanelUi, state: AppState) -> Iterator[Action]:
         yield from run("training.toggle", state)
     stepped = imgui.button(f"{icons.ICON_FA_FORWARD_STEP}###bar.step")
     ui.mark("bar.step")
-    _tip(untrainable or with_keys("one training step", "training.step"))
+    _tip(untrainable or with_keys(tr("one training step"), "training.step"))
     if stepped:
         yield from run("training.step", state)
     if imgui.button(f"{icons.ICON_FA_ROTATE_LEFT}###bar.reset"):
         imgui.open_popup("forget")
     ui.mark("bar.reset")
-    _tip(untrainable or "start training again")
+    _tip(untrainable or tr("start training again"))
     imgui.pop_style_color()
     imgui.end_disabled()
     if imgui.begin_popup("forget"):
-        imgui.text(f"Starting again forgets {counted(snapshot.step, 'trained step')}.")
-        if imgui.button("Save and start again"):
+        imgui.text(
+            trn("Starting again forgets {n} trained step.", "Starting again forgets {n} trained steps.", snapshot.step)
+        )
+        if imgui.button(tr("Save and start again")):
             imgui.close_current_popup()
             yield saved_first(state, Reset())
         ui.mark("bar.reset_save")
         imgui.same_line()
-        if imgui.button("Forget and start again"):
+        if imgui.button(tr("Forget and start again")):
             imgui.close_current_popup()
             yield Reset()
         ui.mark("bar.reset_confirm")
         imgui.same_line()
-        if imgui.button("Keep"):
+        if imgui.button(tr("Keep")):
             imgui.close_current_popup()
         imgui.end_popup()
 
@@ -123,7 +145,7 @@ def draw_status(ui: PanelUi, state: AppState) -> None:
                 imgui.same_line(0, 0.5 * ui.em)
             imgui.text_colored(color, words)
         if snapshot.preview is not None and snapshot.preview.caption:
-            _caption(ui, snapshot.preview.caption)
+            _caption(ui, tr(snapshot.preview.caption))
         imgui.pop_font()
     imgui.end()
 
@@ -132,10 +154,10 @@ def _caption(ui: PanelUi, text: str) -> None:
     """What the picture shows, in the method's words, at the right end. It is cut short where there is no room."""
     imgui.same_line(0, 1.5 * ui.em)
     room, width = imgui.get_content_region_avail().x, imgui.calc_text_size(text).x
-    shown = text
-    if width > room:
-        kept = max(int(len(text) * room / width) - 1, 0)  # the letters of the mono font are equally wide
-        shown = f"{text[:kept].rstrip()}…" if kept else ""
+    shown, kept = text, len(text)
+    while kept and imgui.calc_text_size(shown).x > room:
+        kept = min(kept - 1, int(len(text) * room / width))  # most letters are equally wide
+        shown = f"{text[:kept].rstrip()}…" if kept > 0 else ""
     if not shown:
         return
     imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + max(room - width, 0.0))
@@ -151,22 +173,22 @@ def _figures(ui: PanelUi, state: AppState) -> list[tuple[str, ImVec4]]:
     found: list[tuple[str, ImVec4]] = []
     untrainable = snapshot.status == "finished" and nothing_to_train_in(snapshot)
     if snapshot.scene is not None and not untrainable:
-        found.append((f"step {snapshot.step:,}", theme.text))
+        found.append((tr("step {step}").format(step=figure(snapshot.step, ",")), theme.text))
     if len(snapshot.history.psnr):
-        found.append((f"{float(snapshot.history.psnr[-1]):.1f} dB", theme.text))
+        found.append((f"{figure(float(snapshot.history.psnr[-1]), '.1f')} {tr('dB')}", theme.text))
     if snapshot.status == "training":
         if snapshot.rays_per_second:
-            found.append((f"{rate(snapshot.rays_per_second)} rays/s", theme.text))
+            found.append((tr("{rate} rays/s").format(rate=tr(rate(snapshot.rays_per_second))), theme.text))
         if snapshot.seconds_left is not None:
-            found.append((f"{duration(snapshot.seconds_left)} left", theme.text))
+            found.append((tr("{time} left").format(time=tr(duration(snapshot.seconds_left))), theme.text))
     elif snapshot.status == "failed":
-        found.append(("failed", theme.error))
+        found.append((tr("failed"), theme.error))
     else:
-        words = "nothing to train" if untrainable else snapshot.status
-        found.append((snapshot.loading or words, theme.muted))
+        words = tr("nothing to train") if untrainable else tr(STATES[snapshot.status])
+        found.append((tr(snapshot.loading) or words, theme.muted))
     if snapshot.memory_bytes:
-        found.append((f"{snapshot.memory_bytes / 2**20:,.0f} MB", theme.muted))
+        found.append((tr("{n} MB").format(n=figure(snapshot.memory_bytes / 2**20, ",.0f")), theme.muted))
     if snapshot.device:
-        found.append((snapshot.device, theme.muted))
-    found.append((f"{state.frames_per_second:.0f} fps", theme.muted))
+        found.append((tr(snapshot.device), theme.muted))
+    found.append((tr("{n} fps").format(n=figure(state.frames_per_second, ".0f")), theme.muted))
     return found

@@ -9,6 +9,7 @@ import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
+from nerf_core.common.language import figure, tr
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
 from nerf_core.live.messages import Snapshot
@@ -156,7 +157,8 @@ class ViewportPanel:
     def _draw_words(self, ui: PanelUi, state: AppState, draw: imgui.ImDrawList, origin: ImVec2, size: ImVec2) -> None:
         snapshot = state.snapshot
         if self._photo_name:
-            words = f"{icons.ICON_FA_IMAGE}  photo {self._photo_name}: the first picture is on its way"
+            words = tr("photo {name}: the first picture is on its way").format(name=self._photo_name)
+            words = f"{icons.ICON_FA_IMAGE}  {words}"
             _chip(ui, draw, ImVec2(origin.x + 0.6 * ui.em, origin.y + size.y - 2.2 * ui.em), words)
             return
         if snapshot.preview is None and state.show_left_off and snapshot.status == "empty":
@@ -166,14 +168,14 @@ class ViewportPanel:
             return
         words = []
         if self.stale:
-            words.append(f"{icons.ICON_FA_CLOCK}  {STALE}")
+            words.append(f"{icons.ICON_FA_CLOCK}  {tr(STALE)}")
         elif snapshot.preview.complete and state.camera.moved and _sees_nothing(snapshot):
-            reset = USER_COMMANDS.get("camera.reset").title
-            words.append(with_keys(f"Nothing is seen from here. {reset}", "camera.reset"))
+            reset = with_keys(tr(USER_COMMANDS.get("camera.reset").title), "camera.reset")
+            words.append(tr("Nothing is seen from here. {command}").format(command=reset))
         if snapshot.preview.quality == "coarse" and snapshot.coarse:
-            words.append(snapshot.coarse)
+            words.append(tr(snapshot.coarse))
         if snapshot.stage:
-            words.append(snapshot.stage)
+            words.append(tr(snapshot.stage))
         if words:
             _chip(ui, draw, ImVec2(origin.x + 0.6 * ui.em, origin.y + size.y - 2.2 * ui.em), "  ·  ".join(words))
         if snapshot.preview.mode != COLOR:
@@ -234,16 +236,17 @@ def _why_empty(state: AppState) -> tuple[str, str]:
     snapshot = state.snapshot
     match snapshot.status:
         case "loading":
-            return "Opening", snapshot.loading
+            return tr("Opening"), tr(snapshot.loading)
         case "failed":
-            return "No picture: the worker failed", "see Notices"
+            return tr("No picture: the worker failed"), tr("see Notices")
         case "empty":
             keys = ", ".join(USER_COMMANDS.get("file.open").keys)
             if state.not_opened:
-                return "Nothing is open", f"{state.not_opened}\n{keys} opens another folder of posed photos"
-            return "Nothing is open", f"{keys} opens a folder of posed photos"
+                another = tr("{keys} opens another folder of posed photos").format(keys=keys)
+                return tr("Nothing is open"), f"{tr(state.not_opened)}\n{another}"
+            return tr("Nothing is open"), tr("{keys} opens a folder of posed photos").format(keys=keys)
         case _:
-            return "The first picture is on its way", ""
+            return tr("The first picture is on its way"), ""
 
 
 def _centred(ui: PanelUi, draw: imgui.ImDrawList, origin: ImVec2, size: ImVec2, lines: tuple[str, str]) -> None:
@@ -270,7 +273,8 @@ def _chip(ui: PanelUi, draw: imgui.ImDrawList, place: ImVec2, words: str) -> Non
 
 def _scale(ui: PanelUi, draw: imgui.ImDrawList, place: ImVec2, mode: type[Mode]) -> None:
     """A mode's name and its colour scale."""
-    words = f"{mode.label}   {mode.low:g}", f"{mode.high:g} or more"
+    more = tr("{number} or more").format(number=figure(mode.high, "g"))
+    words = f"{tr(mode.label)}   {figure(mode.low, 'g')}", more
     widths = [imgui.calc_text_size(text).x for text in words]
     pad, bar, high = 0.45 * ui.em, 8 * ui.em, imgui.get_text_line_height()
     far = ImVec2(place.x + sum(widths) + bar + 4 * pad, place.y + high + pad)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from imgui_bundle import imgui
 
+from nerf_core.common.language import marked
 from nerf_core.live.messages import Inspect, PinRay
 
 from ..draw.warp import same_view
@@ -28,18 +29,18 @@ class Gesture(NamedTuple):
 
 
 GESTURES = (
-    Gesture("Camera", "Orbit", "drag"),
-    Gesture("Camera", "Pan", "right drag, Shift+drag"),
-    Gesture("Camera", "Zoom", "wheel, towards the pointer"),
-    Gesture("Camera", "Focus on a point", "double click"),
-    Gesture("Camera", "Fly", "W A S D"),
-    Gesture("Camera", "Fly down, up", "Q, E"),
-    Gesture("Camera", "Fly faster", "Shift"),
-    Gesture("Ray", "Open a ray", "click"),
-    Gesture("Ray", "Pin a ray", "Ctrl+click"),
-    Gesture("Ray", "Move the radiance point", "drag its line in the ray panel"),
-    Gesture("Plots", "Fit", "double click"),
-    Gesture("Plots", "Move, zoom", "drag, wheel"),
+    Gesture("Camera", marked("Orbit"), marked("drag")),
+    Gesture("Camera", marked("Pan"), marked("right drag, Shift+drag")),
+    Gesture("Camera", marked("Zoom"), marked("wheel, towards the pointer")),
+    Gesture("Camera", marked("Focus on a point"), marked("double click")),
+    Gesture("Camera", marked("Fly"), "W A S D"),
+    Gesture("Camera", marked("Fly down, up"), "Q, E"),
+    Gesture("Camera", marked("Fly faster"), "Shift"),
+    Gesture("Ray", marked("Open a ray"), marked("click")),
+    Gesture("Ray", marked("Pin a ray"), marked("Ctrl+click")),
+    Gesture("Ray", marked("Move the radiance point"), marked("drag its line in the ray panel")),
+    Gesture("Plots", marked("Fit"), marked("double click")),
+    Gesture("Plots", marked("Move, zoom"), marked("drag, wheel")),
 )
 
 

@@ -10,15 +10,21 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from nerf_core.common.language import marked, phrase
 from nerf_core.common.registry import Registry
 from nerf_core.live.messages import Notice
 
 from ..model.state import Action, AppState, ShownNotice
 
-Section = Literal["Camera", "Ray", "Plots", "Picture", "Training", "File", "Show or hide", "Window"]
-Menu = Literal["File", "View"]
+Section = Literal["Camera", "Ray", "Plots", "Picture", "Training", "File", "Show or hide", "Window", "Language"]
+Menu = Literal["File", "View", "Language"]
 SECTIONS: tuple[Section, ...] = get_args(Section)  # in the order of help and palette
-MENUS: tuple[Menu, ...] = get_args(Menu)  # from left to right
+MENUS: tuple[Menu, ...] = "File", "View"  # from left to right
+SUBMENUS: dict[Menu, Menu] = {"Language": "View"}  # the menu at whose end each lies
+TEXTS = (
+    marked("Camera"), marked("Ray"), marked("Plots"), marked("Picture"), marked("Training"), marked("File"),
+    marked("Show or hide"), marked("Window"), marked("Language"), marked("View"),
+)  # fmt: skip  # of sections and menus
 Run = Callable[[AppState], list[Action]]
 
 
@@ -36,6 +42,7 @@ class UserCommand:
     menu: the menu that lists it; there, a line separates the sections.
     enabled: whether it can run now.
     checked: whether the thing that it shows or hides is shown; None: the command is not a switch.
+    chosen: whether it is the one of its menu that holds now; None: the command is not one of a choice.
     """
 
     id: str
@@ -48,6 +55,7 @@ class UserCommand:
     menu: Menu | None
     enabled: Callable[[AppState], bool]
     checked: Callable[[AppState], bool] | None
+    chosen: Callable[[AppState], bool] | None
 
 
 USER_COMMANDS: Registry[UserCommand] = Registry("command", f"{__name__.rpartition('.')[0]}.actions")
@@ -72,11 +80,13 @@ def command(
     menu: Menu | None = None,
     enabled: Callable[[AppState], bool] = always,
     checked: Callable[[AppState], bool] | None = None,
+    chosen: Callable[[AppState], bool] | None = None,
 ) -> Callable[[Run], Run]:
     """Decorator that registers a function as a command. For the arguments see `UserCommand`."""
 
     def keep(run: Run) -> Run:
-        USER_COMMANDS.register(id)(UserCommand(id, title, section, order, run, keys, repeat, menu, enabled, checked))
+        found = UserCommand(id, title, section, order, run, keys, repeat, menu, enabled, checked, chosen)
+        USER_COMMANDS.register(id)(found)
         return run
 
     return keep
@@ -99,13 +109,19 @@ def invoke(found: UserCommand, state: AppState) -> list[Action]:
     try:
         return found.run(state)
     except Exception as error:
-        text = f"the command {found.title} failed ({type(error).__name__}: {error}); the rest goes on"
-        notice = Notice("error", text, detail=traceback.format_exc())
+        words = phrase(
+            "the command {title} failed ({error}); the rest goes on",
+            title=phrase(found.title), error=f"{type(error).__name__}: {error}",
+        )  # fmt: skip
+        notice = Notice("error", words, detail=traceback.format_exc())
         state.notices.append(ShownNotice(notice, state.time))
         return []
 
 
 def with_keys(text: str, id: str) -> str:
-    """Return a tooltip with the keys of a command at its end: "see the whole scene (F)"."""
+    """Return a tooltip with the keys of a command at its end: "see the whole scene (F)".
+
+    text: in the window's language.
+    """
     keys = ", ".join(USER_COMMANDS.get(id).keys)
     return f"{text} ({keys})" if keys else text

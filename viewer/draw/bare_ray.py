@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 
-from nerf_core.common.text import counted, number, triple
+from nerf_core.common.language import figure, said, tr, trn
+from nerf_core.common.text import number, triple
 from nerf_core.methods import lacking
 from nerf_core.probe import RayProbe
 
@@ -71,8 +72,13 @@ class BareRay:
         )
         self._t.follow(low - air, high + air, opened != self._opened)
         self._opened = opened
-        over = "over t (world units)" + ("" if ray.depth_expected is None else "; line: depth")
-        imgui.text_colored(ui.theme.muted, f"{counted(count, 'visit')}, the first on top, {over}")
+        words = trn(
+            "{n} visit, the first on top, over t (world units)",
+            "{n} visits, the first on top, over t (world units)",
+            count,
+        )
+        words += "" if ray.depth_expected is None else tr("; line: depth")
+        imgui.text_colored(ui.theme.muted, words)
         if not implot.begin_plot("##visits", ImVec2(-1, -1), PLOT):
             return
         implot.setup_axis(X1, None, 0)
@@ -114,21 +120,24 @@ def _marked(state: AppState, ray: RayProbe) -> int | None:
 def _words(ui: Ui, state: AppState) -> None:
     asked, opened = state.inspect, state.snapshot.opened
     if asked is not None and asked.id != state.snapshot.opened_id:
-        hint(ui, f"Opening the ray through pixel {asked.pixel[0]:,}, {asked.pixel[1]:,} …")
-    lacks = lacking(opened.method if opened is not None else "", "trace") or "the method keeps no samples along a ray"
-    hint(ui, f"{lacks[0].upper()}{lacks[1:]}: there is no σ, no w and no T, and no verdict.")
+        x, y = (figure(v, ",") for v in asked.pixel)
+        hint(ui, tr("Opening the ray through pixel {x}, {y} …").format(x=x, y=y))
+    lacks = tr(lacking(opened.method if opened is not None else "", "trace"))
+    lacks = lacks or tr("the method keeps no samples along a ray")
+    words = tr("{lacks}: there is no σ, no w and no T, and no verdict.")
+    hint(ui, words.format(lacks=f"{lacks[0].upper()}{lacks[1:]}"))
     ui.mark("ray.lacks")
 
 
 def _figures(ui: Ui, ray: RayProbe) -> None:
     rows: list[Row] = [
-        ("pixel", f"{ray.pixel[0]:,}, {ray.pixel[1]:,}"),
-        ("rendered", triple(ray.rendered_color), partial(swatch, ui, ray.rendered_color)),
-        ("opacity", f"{ray.opacity:.4f}"),
-        ("depth", number(ray.depth_expected, 5)),
-        ("t", f"{number(ray.near)} … {number(ray.far)}"),
+        (tr("pixel"), f"{figure(ray.pixel[0], ',')}, {figure(ray.pixel[1], ',')}"),
+        (tr("rendered"), triple(ray.rendered_color), partial(swatch, ui, ray.rendered_color)),
+        (tr("opacity"), figure(ray.opacity, ".4f")),
+        (tr("depth"), number(ray.depth_expected, 5)),
+        ("t", f"{said(number(ray.near))} … {said(number(ray.far))}"),
     ]
     if ray.begins:
-        rows.append(("t begins", f"{number(ray.near, 3)}, {ray.begins}"))
-    rows.append(("samples", f"none at step {ray.step:,}"))
+        rows.append((tr("t begins"), f"{said(number(ray.near, 3))}, {tr(ray.begins)}"))
+    rows.append((tr("samples"), tr("none at step {step}").format(step=figure(ray.step, ","))))
     figures(ui, "ray figures", rows)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 
+from nerf_core.common.language import figure, marked, tr
 from nerf_core.live.messages import Snapshot
 
 from ..ui.widgets import Limits, axis_name
@@ -33,8 +34,8 @@ class Curve:
     ticks: tuple[float, ...]
 
 
-LOSS = Curve("loss", "training.loss", (1e-4, 1.0), log=True, figure=".3g", ticks=(1.0, 1e-2, 1e-4))
-PSNR = Curve("PSNR (dB)", "training.psnr", (5.0, 40.0), log=False, figure=".2f", ticks=(10.0, 30.0))
+LOSS = Curve(marked("loss"), "training.loss", (1e-4, 1.0), log=True, figure=".3g", ticks=(1.0, 1e-2, 1e-4))
+PSNR = Curve(marked("PSNR (dB)"), "training.psnr", (5.0, 40.0), log=False, figure=".2f", ticks=(10.0, 30.0))
 
 
 class HistoryPlots:
@@ -69,7 +70,7 @@ class HistoryPlots:
         implot.setup_axis_scale(Y1, implot.Scale_.log10 if curve.log else implot.Scale_.linear)
         implot.setup_axis_limits(Y1, *curve.limits, implot.Cond_.always if fresh else implot.Cond_.once)
         if curve.ticks:
-            implot.setup_axis_ticks(Y1, list(curve.ticks), [f"{v:g}" for v in curve.ticks])
+            implot.setup_axis_ticks(Y1, list(curve.ticks), [figure(v, "g") for v in curve.ticks])
         color = ui.theme.accent if curve.log else ui.theme.good
         good = np.isfinite(values) & ((values > 0) if curve.log else True)  # a log axis cannot show 0
         steps, values = steps[good].astype(np.float64), values[good].astype(np.float64)
@@ -78,8 +79,8 @@ class HistoryPlots:
             if implot.is_plot_hovered():
                 _read(ui, curve, steps, values)
         # on the right, which is free: a loss has fallen there, or a PSNR risen
-        label, height = (curve.label, 0.0) if curve.log else (f"{curve.label} over steps", 1.0)
-        axis_name(ui, label, right=True, height=height)
+        label = tr(curve.label) if curve.log else tr("{curve} over steps").format(curve=tr(curve.label))
+        axis_name(ui, label, right=True, height=0.0 if curve.log else 1.0)
         implot.end_plot()
         ui.mark(curve.mark)
 
@@ -88,4 +89,5 @@ def _read(ui: Ui, curve: Curve, steps: np.ndarray, values: np.ndarray) -> None:
     nearest = int(np.abs(steps - implot.get_plot_mouse_pos().x).argmin())
     dot = implot.Spec(marker=implot.Marker_.circle, marker_size=0.22 * ui.em, marker_fill_color=ui.theme.text)
     implot.plot_scatter("##nearest", steps[nearest : nearest + 1], values[nearest : nearest + 1], dot)
-    imgui.set_tooltip(f"step {int(steps[nearest]):,}: {curve.label} {values[nearest]:{curve.figure}}")
+    step, value = figure(int(steps[nearest]), ","), figure(values[nearest], curve.figure)
+    imgui.set_tooltip(tr("step {step}: {curve} {value}").format(step=step, curve=tr(curve.label), value=value))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
 
+from nerf_core.common.language import marked
 from nerf_core.probe import RayProbe
 from nerf_core.probe.axis import Axis
 
@@ -37,9 +38,9 @@ def circle(draw: imgui.ImDrawList, at: ImVec2, r: float, color: int) -> None:
 
 
 DEPTHS: tuple[tuple[str, str, Glyph], ...] = (
-    ("expected", "depth_expected", triangle),
-    ("median", "depth_median", diamond),
-    ("strongest", "depth_strongest", circle),
+    (marked("expected"), "depth_expected", triangle),
+    (marked("median"), "depth_median", diamond),
+    (marked("strongest"), "depth_strongest", circle),
 )
 
 

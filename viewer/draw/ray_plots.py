@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 
+from nerf_core.common.language import figure, tr
 from nerf_core.probe import RayProbe
 from nerf_core.probe.axis import Axis
 
@@ -136,7 +137,7 @@ class RayPlots:
         implot.setup_axis(Y1, None, implot.AxisFlags_.lock)
         implot.setup_axis_limits(Y1, 0, 1.05, implot.Cond_.always)
         implot.setup_axis_ticks(
-            Y1, [0.5, 1.0], ["0.5", "1"]
+            Y1, [0.5, 1.0], [figure(0.5), "1"]
         )  # a label 0 would touch the topmost label of the next plot
         for steps in passes[-1:]:
             filled = implot.Spec(fill_color=faded(ui.theme.fine, 0.55), flags=implot.StairsFlags_.shaded)
@@ -154,7 +155,7 @@ class RayPlots:
         if not passes:  # there are no samples
             ends = opened.axis.place(np.array([opened.ray.near, opened.ray.far]))
             implot.plot_line("transmittance", ends, np.ones(2), line)
-        axis_name(ui, "w / largest w, T, α", right=True, height=0.5)  # T is 1 or 0 there
+        axis_name(ui, tr("w / largest w, T, α"), right=True, height=0.5)  # T is 1 or 0 there
         depth_marks(ui, opened.ray, opened.axis, glyphs=True)
         result = self._drag_point(ui, opened), self._read(ui, passes, opened.marked)
         implot.end_plot()
@@ -175,7 +176,7 @@ class RayPlots:
         implot.setup_axis_limits(Y1, low, high, _when(self._fresh_density))
         if self.log_density:
             decades = [10.0**k for k in range(math.ceil(math.log10(low)), math.floor(math.log10(high)) + 1)][::-2]
-            implot.setup_axis_ticks(Y1, decades, [f"{v:g}" for v in decades])
+            implot.setup_axis_ticks(Y1, decades, [figure(v, "g") for v in decades])
         self._fresh_density = False
         for steps in passes:
             last = steps is passes[-1]
@@ -184,7 +185,7 @@ class RayPlots:
             color = ui.theme.density if last else ui.theme.coarse
             line = implot.Spec(line_color=color, line_weight=(0.12 if last else 0.08) * ui.em)
             implot.plot_stairs(f"{steps.probe.name} density", steps.edges, sigma, line)
-        axis_name(ui, f"σ (1/{opened.units})", right=True)
+        axis_name(ui, tr("σ (1/unit)") if opened.units == "unit" else tr("σ (1/NDC unit)"), right=True)
         depth_marks(ui, opened.ray, opened.axis, glyphs=False)
         result = self._drag_point(ui, opened), self._read(ui, passes, opened.marked)
         implot.end_plot()
@@ -201,7 +202,7 @@ class RayPlots:
         implot.setup_axis_limits(Y1, 0, bounds[-1], implot.Cond_.always)
         named = [0.0, *bounds[len(passes) :]] if passes else bounds  # the ticks of all passes have one name
         places = [(low + high) / 2 for low, high in pairwise(named)]
-        implot.setup_axis_ticks(Y1, places, ["samples", "colour", "× weight"][-len(places) :])
+        implot.setup_axis_ticks(Y1, places, [tr("samples"), tr("colour"), tr("× weight")][-len(places) :])
         implot.setup_finish()
         implot.push_plot_clip_rect()
         for row, steps in enumerate(passes):

@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from nerf_core.common.language import phrases
 from nerf_core.common.text import size
 from nerf_core.live.messages import Notice
 from nerf_core.training import autosaves
@@ -43,8 +44,10 @@ class LeftOff:
             self._notices.extend(Notice("error", reason) for reason in reasons)
             if deleted:
                 freed = size(sum(one.bytes for one in deleted))
-                count = f"{len(deleted)} autosave{'' if len(deleted) == 1 else 's'}"
-                self._notices.append(Notice("info", f"deleted {count}, {freed}"))
+                words = phrases(
+                    "deleted {n} autosave, {freed}", "deleted {n} autosaves, {freed}", len(deleted), freed=freed
+                )
+                self._notices.append(Notice("info", words))
             self._read()
 
         self._do(clear)

@@ -36,17 +36,21 @@ CLOSE_SECONDS = 4.0  # a worker that has nothing to save ends sooner, unless it 
 
 @dataclass
 class Session:
-    """A session. It runs once, and when it closes it saves weights that are not saved yet."""
+    """A session. It runs once, and when it closes it saves weights that are not saved yet.
+
+    language: the code of the window's language; empty: the one that was chosen last in it, else English.
+    """
 
     window: Window
     settings: RunSettings
     signals: Signals
     say: Callable[[str], None]
+    language: str = ""
 
     def __post_init__(self) -> None:
         self.worker = Worker(self.settings, wake=self.window.wake)
         layout = Path(platformdirs.user_config_dir(APP)) / "layout.ini" if self.window.has_display else None
-        self.app = App(self.window, self.worker, layout_file=layout)
+        self.app = App(self.window, self.worker, layout_file=layout, language=self.language)
         # --format is for the capture on the command line; later ones are recognised by their content
         self.app.state.settings = replace(self.settings, load=replace(self.settings.load, format="auto"))
         self._asked: Path | None = None  # the file of --save

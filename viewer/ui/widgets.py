@@ -16,6 +16,7 @@ from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.common.colormaps import Name, colored
 from nerf_core.common.errors import UserError
+from nerf_core.common.language import figure, marked, said, tr
 from nerf_core.common.names import printable
 from nerf_core.common.text import decimal, number, triple
 from nerf_core.common.user_paths import own_path
@@ -27,8 +28,14 @@ if TYPE_CHECKING:
 
     from .contract import Ui
 
-KEEP = "Keep"
-STALE = "An earlier picture, warped, until new pixels are as sharp"  # what the viewport shows
+KEEP = marked("Keep")
+STALE = marked("An earlier picture, warped, until new pixels are as sharp")  # what the viewport shows
+ANSWERS = {
+    "open": (marked("Save and open"), marked("Forget and open")),
+    "load": (marked("Save and load"), marked("Forget and load")),
+    "change": (marked("Save and change"), marked("Forget and change")),
+    "start again": (marked("Save and start again"), marked("Forget and start again")),
+}  # of `Forgetting`, by what would be done then
 SCALE_STEPS = 16  # of a colour scale: about as many as colour maps have stops
 
 # ---- colours -------------------------------------------------------------------------------------------------
@@ -87,7 +94,7 @@ def nothing_yet(ui: Ui, method: str, text: str, needs: Sequence[str] = ("trace",
     needs: what the panel needs of the method; keys of `nerf_core.methods.ABSENT`.
     """
     missing = next(filter(None, (lacking(method, ability) for ability in needs)), "")
-    hint(ui, f"There is nothing to show here: {missing}." if missing else text)
+    hint(ui, tr("There is nothing to show here: {missing}.").format(missing=tr(missing)) if missing else text)
 
 
 def button(ui: Ui, label: str, mark: str, *, enabled: bool = True, tip: str = "", width: float = 0.0) -> bool:
@@ -141,8 +148,8 @@ Row = tuple[str, str] | tuple[str, str, Callable[[], None]]
 def figures(ui: Ui, name: str, rows: Sequence[Row], width: float | None = None) -> None:
     """Draw rows of a label and a figure in the mono font. A third entry of a row draws something before the figure.
 
-    If two columns do not fit, a figure goes under its label. width: None takes the window's remaining width; a tooltip
-    grows with its content and needs a width.
+    Labels are in the window's language; a figure may be a phrase. If two columns do not fit, a figure goes under its
+    label. width: None takes the window's remaining width; a tooltip grows with its content and needs a width.
     """
     width = width or imgui.get_content_region_avail().x
     label_width = max(imgui.calc_text_size(row[0]).x for row in rows) + 0.8 * ui.em
@@ -161,7 +168,7 @@ def figures(ui: Ui, name: str, rows: Sequence[Row], width: float | None = None) 
             imgui.same_line(0, 0.2 * ui.em)
         imgui.push_text_wrap_pos(0.0)  # numbers that do not fit beside each other wrap
         with mono(ui):
-            imgui.text_unformatted(row[1])
+            imgui.text_unformatted(said(row[1]))
         imgui.pop_text_wrap_pos()
     imgui.end_table()
 
@@ -169,15 +176,16 @@ def figures(ui: Ui, name: str, rows: Sequence[Row], width: float | None = None) 
 def sample_tooltip(ui: Ui, p: PassProbe, index: int) -> None:
     """Show a sample's numbers in a tooltip."""
     rows: list[Row] = [
-        ("t", f"{p.t[index]:.5f}"),
+        ("t", figure(p.t[index], ".5f")),
         ("σ", number(float(p.sigma[index]), 5)),
-        ("α", f"{p.alpha[index]:.5f}"),
-        ("T", f"{p.transmittance[index]:.5f}"),
-        ("w", f"{p.weights[index]:.5f}"),
+        ("α", figure(p.alpha[index], ".5f")),
+        ("T", figure(p.transmittance[index], ".5f")),
+        ("w", figure(p.weights[index], ".5f")),
         ("rgb", triple(p.rgb[index]), partial(swatch, ui, p.rgb[index])),
     ]
     if imgui.begin_tooltip():
-        imgui.text_colored(ui.theme.muted, f"{p.name} sample {index + 1:,} of {len(p.t):,}")
+        numbers = {"i": figure(index + 1, ","), "total": figure(len(p.t), ",")}
+        imgui.text_colored(ui.theme.muted, tr("{name} sample {i} of {total}").format(name=tr(p.name), **numbers))
         figures(ui, "sample", rows, 15 * ui.em)
         imgui.end_tooltip()
 
@@ -185,11 +193,12 @@ def sample_tooltip(ui: Ui, p: PassProbe, index: int) -> None:
 def visit_tooltip(ui: Ui, ray: RayProbe, index: int) -> None:
     """Show in a tooltip a place that a method without samples looked at."""
     t = ray.visited
-    rows: list[Row] = [("t", f"{t[index]:.5f}")]
+    rows: list[Row] = [("t", figure(t[index], ".5f"))]
     if index:
-        rows.append(("moved", decimal(float(t[index] - t[index - 1]), 5)))
+        rows.append((tr("moved"), decimal(float(t[index] - t[index - 1]), 5)))
     if imgui.begin_tooltip():
-        imgui.text_colored(ui.theme.muted, f"visit {index + 1:,} of {len(t):,}")
+        numbers = {"i": figure(index + 1, ","), "total": figure(len(t), ",")}
+        imgui.text_colored(ui.theme.muted, tr("visit {i} of {total}").format(**numbers))
         figures(ui, "visit", rows, 15 * ui.em)
         imgui.end_tooltip()
 
@@ -214,12 +223,13 @@ def notice_text(ui: Ui, notice: Notice) -> None:
 
     "saved step 5 to run.safetensors" becomes "saved step 5:", with the path below.
     """
+    text = tr(notice.text)
     color = {"info": ui.theme.good, "warning": ui.theme.warning, "error": ui.theme.error}[notice.level]
     imgui.text_colored(color, LEVELS[notice.level])
     imgui.same_line()
     imgui.push_text_wrap_pos(0.0)
-    before = notice.text.removesuffix(f" {printable(notice.path)}") if notice.path is not None else notice.text
-    imgui.text_unformatted(notice.text if before == notice.text else f"{before.removesuffix(' to')}:")
+    before = text.removesuffix(f" {printable(notice.path)}") if notice.path is not None else text
+    imgui.text_unformatted(text if before == text else f"{before.removesuffix(' ' + tr('to'))}:")
     imgui.pop_text_wrap_pos()
 
 
@@ -234,7 +244,7 @@ def field_beside(ui: Ui, *labels: str) -> None:
 def path_line(ui: Ui, path: Path, mark: str) -> None:
     """Draw a path that wraps, and a button that copies it."""
     shown = printable(path)  # as the fields for paths take it; a clipboard holds no other text
-    if button(ui, icons.ICON_FA_COPY, mark, tip=f"copy the path: {shown}"):
+    if button(ui, icons.ICON_FA_COPY, mark, tip=tr("copy the path: {path}").format(path=shown)):
         imgui.set_clipboard_text(shown)
     imgui.same_line()
     imgui.text_wrapped(shown)
@@ -291,11 +301,11 @@ class Confirmation:
             return ""
         hint(ui, question, ui.theme.warning)
         found, labels = "", [label for label, _ in answers.values()]
-        for (end, (label, tip)), after in zip(answers.items(), [*labels[1:], KEEP], strict=True):
+        for (end, (label, tip)), after in zip(answers.items(), [*labels[1:], tr(KEEP)], strict=True):
             if button(ui, label, f"{mark}_{end}", tip=tip):
                 found = end
             same_line_if_fits(after)
-        if button(ui, KEEP, f"{mark}_keep", tip="change nothing") or found:
+        if button(ui, tr(KEEP), f"{mark}_keep", tip=tr("change nothing")) or found:
             self.asking = False
         if not self._shown:  # it may lie below the visible part of the panel
             imgui.set_scroll_here_y(1.0)
@@ -312,10 +322,11 @@ class Forgetting(Confirmation):
         Args:
             ui: where to draw.
             question: what would be forgotten.
-            verb: what would be done then, "open" say.
+            verb: what would be done then; a key of ANSWERS.
             mark: the widgets' name.
             needed: whether there is anything to forget.
         """
-        answers = {"save": (f"Save and {verb}", "save to a new file first"), "confirm": (f"Forget and {verb}", "")}
+        save, forget = ANSWERS[verb]
+        answers = {"save": (tr(save), tr("save to a new file first")), "confirm": (tr(forget), "")}
         found = self._ask(ui, question, answers, mark, needed)
         return "save" if found == "save" else "forget" if found else ""

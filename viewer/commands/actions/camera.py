@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from nerf_core.common.language import marked
+
 from ...model.state import Action, AppState, FrameScene, GoToView, ResetView
 from ..registry import command, scene_is_open
 
 
-@command("camera.frame", "Frame the scene", "Camera", 1, keys=("F",), menu="View", enabled=scene_is_open)
+@command("camera.frame", marked("Frame the scene"), "Camera", 1, keys=("F",), menu="View", enabled=scene_is_open)
 def frame(_: AppState) -> list[Action]:
     return [FrameScene()]
 
 
-@command("camera.reset", "Reset the view", "Camera", 2, keys=("R",), menu="View", enabled=scene_is_open)
+@command("camera.reset", marked("Reset the view"), "Camera", 2, keys=("R",), menu="View", enabled=scene_is_open)
 def reset(_: AppState) -> list[Action]:
     return [ResetView()]
 
@@ -21,12 +23,14 @@ def has_photos(state: AppState) -> bool:
     return scene is not None and bool(scene.split("train"))
 
 
-@command("camera.next", "Next training photo", "Camera", 3, keys=("→",), repeat=True, enabled=has_photos)
+@command("camera.next", marked("Next training photo"), "Camera", 3, keys=("→",), repeat=True, enabled=has_photos)
 def following(state: AppState) -> list[Action]:
     return [GoToView(_neighbour(state, 1))]
 
 
-@command("camera.previous", "Previous training photo", "Camera", 4, keys=("←",), repeat=True, enabled=has_photos)
+@command(
+    "camera.previous", marked("Previous training photo"), "Camera", 4, keys=("←",), repeat=True, enabled=has_photos
+)
 def previous(state: AppState) -> list[Action]:
     return [GoToView(_neighbour(state, -1))]
 

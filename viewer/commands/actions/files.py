@@ -6,6 +6,7 @@ import itertools
 import os
 from pathlib import Path
 
+from nerf_core.common.language import marked
 from nerf_core.live.messages import InOrder, OfRun, SaveCheckpoint, SaveUnsaved
 from nerf_core.training.autosaves import checkpoint_name
 
@@ -15,7 +16,7 @@ from ..registry import command, scene_is_open
 SCREENSHOT = Path("screenshot.png")
 
 
-@command("file.open", "Open…", "File", 1, keys=("Ctrl+O",), menu="File")
+@command("file.open", marked("Open…"), "File", 1, keys=("Ctrl+O",), menu="File")
 def show_path_field(state: AppState) -> list[Action]:
     """Show the field for the path of a capture."""
     state.show_panels = state.focus_open = True
@@ -23,7 +24,7 @@ def show_path_field(state: AppState) -> list[Action]:
     return []
 
 
-@command("file.left_off", "Continue where you left off…", "File", 1, menu="File")
+@command("file.left_off", marked("Continue where you left off…"), "File", 1, menu="File")
 def show_left_off(state: AppState) -> list[Action]:
     """Offer the autosaves, read anew."""
     state.left_off.read()
@@ -31,7 +32,7 @@ def show_left_off(state: AppState) -> list[Action]:
     return []
 
 
-@command("file.save", "Save checkpoint", "File", 2, keys=("Ctrl+S",), menu="File", enabled=scene_is_open)
+@command("file.save", marked("Save checkpoint"), "File", 2, keys=("Ctrl+S",), menu="File", enabled=scene_is_open)
 def save(state: AppState) -> list[Action]:
     """Save to the file in the form; without one, to a new file with the scene's name, which the form then shows."""
     if not state.checkpoint_file.strip() and state.snapshot.scene is not None:
@@ -58,13 +59,13 @@ def _free(name: str) -> str:
     return next(file for file in numbered if not os.path.lexists(file))
 
 
-@command("file.export", "Export film", "File", 3, keys=("Ctrl+E",), menu="File", enabled=scene_is_open)
+@command("file.export", marked("Export film"), "File", 3, keys=("Ctrl+E",), menu="File", enabled=scene_is_open)
 def export(state: AppState) -> list[Action]:
     """Export what the form describes, and show its panel, which says how long it takes and can cancel it."""
     state.show_panels, state.raise_panel = True, "Export"
     return [StartFilmExport()]
 
 
-@command("file.screenshot", "Save screenshot", "File", 4, menu="File")
+@command("file.screenshot", marked("Save screenshot"), "File", 4, menu="File")
 def screenshot(_: AppState) -> list[Action]:
     return [SaveScreenshot(SCREENSHOT)]
