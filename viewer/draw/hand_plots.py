@@ -317,7 +317,7 @@ def _legend(ui: Ui, names: list[tuple[str, ImVec4]]) -> None:
     at, size = implot.get_plot_pos(), implot.get_plot_size()
     x, draw = at.x + size.x - wide, implot.get_plot_draw_list()
     y = at.y + 0.5 * (size.y - imgui.get_text_line_height())
-    plate = faded(implot.get_style().color_(implot.Col_.plot_bg), 0.75)
+    plate = faded(implot.get_style().color_(implot.Col_.plot_bg), 0.85)
     implot.push_plot_clip_rect()
     corner = ImVec2(at.x + size.x, y + imgui.get_text_line_height())
     draw.add_rect_filled(ImVec2(x - 0.3 * ui.em, y), corner, packed(plate))

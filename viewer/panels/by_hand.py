@@ -10,7 +10,7 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from nerf_core.common.language import figure, localized, tr
+from nerf_core.common.language import figure, localized, marked, tr
 from nerf_core.common.text import number, triple
 from nerf_core.probe import HandTerms, RayProbe, hand_terms, resample_by_weights, sampled_at, spread_evenly
 
@@ -30,6 +30,10 @@ LOW_EM = 19.0  # height of the plots if the numbers are below them
 LEAST_PLOTS_EM = 10.0  # and if they are beside them; a lower panel scrolls
 SHOWN_WEIGHT = 0.005  # a lesser weight would stand as 0.00 in the sum, and is left out there
 DRAWN, MOST_DRAWN = 16, 64  # samples by the weights, at first and at most
+WHY_BOTH = marked(
+    "A sample stands for all up to the next: alone, the drawn ones blur every edge. "
+    "The fine pass keeps the first samples too."
+)
 PICKER = (
     imgui.ColorEditFlags_.no_inputs | imgui.ColorEditFlags_.no_label | imgui.ColorEditFlags_.no_alpha
     | imgui.ColorEditFlags_.no_options
@@ -126,12 +130,12 @@ class ByHandPanel:
             imgui.pop_style_color()
 
     def _rows(self) -> tuple[tuple[str, np.ndarray], ...]:
-        """The samples that the strip shows as ticks: evenly spaced ones, and those by the weights."""
+        """The samples shown as ticks: as many evenly spaced ones as both passes have, and those by the weights."""
         ray = self.bench.ray
         if not self._resampled or not len(ray.t):
             return ()
         return (
-            (tr("even"), spread_evenly(ray, self._count)),
+            (tr("even"), spread_evenly(ray, len(ray.t) + self._count)),
             (tr("by w"), resample_by_weights(ray, self._count)),
         )
 
@@ -218,9 +222,9 @@ class ByHandPanel:
         both = np.unique(np.concatenate([ray.t, drawn]))
         count = str(self._count)
         rows = (
-            (tr("{n} evenly").format(n=count), even),
-            (tr("{n} by the weights").format(n=count), drawn),
-            (tr("both: {n} + {m}").format(n=str(len(ray.t)), m=count), both),
+            (tr("{n} evenly").format(n=str(len(even))), even),
+            (tr("{n} by w alone").format(n=count), drawn),
+            (tr("{n} + {m}, fine pass").format(n=str(len(ray.t)), m=count), both),
         )
         numbered = imgui.get_content_region_avail().x > TRIPLE_EM * ui.em
         if imgui.begin_table("resampled", 4 if numbered else 3, imgui.TableFlags_.sizing_fixed_fit):
@@ -236,7 +240,7 @@ class ByHandPanel:
                     imgui.table_next_column()
                     imgui.text_colored(ui.theme.muted, f"±{figure(np.abs(pixel - terms.pixel).max(), '.3f')}")
             imgui.end_table()
-        hint(ui, tr("A sample stands for all up to the next. So the fine pass keeps the first samples too."))
+        hint(ui, tr(WHY_BOTH))
         ui.mark("hand.resampled")
 
     def _table(self, ui: Ui, terms: HandTerms) -> None:
