@@ -10,7 +10,7 @@ from pathlib import Path
 
 from imgui_bundle import ImVec2, ImVec4, imgui
 
-from nerf_core.common.language import languages, marked, tr
+from nerf_core.common.language import languages, marked, phrase, tr
 
 from .contract import Panel
 from .layout_scale import EMS, READABLE_EM, em_of_menu, fitted
@@ -68,8 +68,10 @@ class Layout:
             try:
                 self._file.replace(backup)
             except OSError as failure:
-                return f"{self._file}: the window layout cannot be read ({error}; {failure}); the default is shown"
-            return f"{self._file}: the window layout was damaged; the default is shown, the old file is {backup.name}"
+                words = marked("{file}: the window layout cannot be read ({error}); the default is shown")
+                return phrase(words, file=self._file, error=f"{error}; {failure}")
+            words = marked("{file}: the window layout was damaged; the default is shown, the old file is {backup}")
+            return phrase(words, file=self._file, backup=backup.name)
         self._stored = body
         self.language = _language_of(body)
         self._build_next = False
@@ -106,7 +108,7 @@ class Layout:
             part.replace(self._file)
         except OSError as error:
             file, self._file = self._file, None
-            return f"{file}: the window layout cannot be kept ({error.strerror})"
+            return phrase("{file}: the window layout cannot be kept ({error})", file=file, error=error.strerror)
         return None
 
     def _text(self) -> str:
