@@ -7,6 +7,8 @@ from typing import Literal
 
 from imgui_bundle import ImVec2, imgui
 
+from nerf_core.common.language import marked, tr
+
 from ..commands.overview import overview
 from ..commands.registry import Section
 from ..model.state import Action, AppState
@@ -15,7 +17,7 @@ from ..ui.widgets import button, keep_in_front, mono
 
 Rows = tuple[Section, list[tuple[str, str]]]
 HEADING = 1.5  # lines for a section's name and the gap after it
-WHAT_EM = 12.0
+WHAT_EM = 12.0  # least width of the column that says what is done
 WIDE_EM = 52.0  # the least width of a window with two columns
 FLAGS = (
     imgui.WindowFlags_.no_title_bar | imgui.WindowFlags_.no_resize | imgui.WindowFlags_.always_auto_resize
@@ -25,7 +27,7 @@ FLAGS = (
 
 @PANELS.register("help")
 class HelpOverlay:
-    title = "Help"
+    title = marked("Help")
     dock: Literal["overlay"] = "overlay"
     order = 1
 
@@ -38,15 +40,17 @@ class HelpOverlay:
         imgui.begin("Help##help", None, FLAGS)
         keep_in_front()
         sections = overview()
+        longest = max(imgui.calc_text_size(tr(what)).x for _, rows in sections for what, _ in rows)
+        wide = max(WHAT_EM * ui.em, longest + ui.em)
         columns = _columns(sections) if screen.size.x > WIDE_EM * ui.em else (sections,)
         for k, column in enumerate(columns):
             if k:
                 imgui.same_line(0, 2 * ui.em)
             imgui.begin_group()
             for section, rows in column:
-                _section(ui, section, rows)
+                _section(ui, section, rows, wide)
             imgui.end_group()
-        if button(ui, "Close", "help.close"):
+        if button(ui, tr("Close"), "help.close"):
             state.show_help = False
         imgui.end()
         yield from ()
@@ -62,11 +66,11 @@ def _columns(sections: list[Rows]) -> tuple[list[Rows], list[Rows]]:
     return sections[:at], sections[at:]
 
 
-def _section(ui: Ui, section: str, rows: list[tuple[str, str]]) -> None:
-    imgui.text_colored(ui.theme.accent, section)
+def _section(ui: Ui, section: str, rows: list[tuple[str, str]], wide: float) -> None:
+    imgui.text_colored(ui.theme.accent, tr(section))
     for what, how in rows:
-        imgui.text_colored(ui.theme.muted, what)
-        imgui.same_line(WHAT_EM * ui.em)
+        imgui.text_colored(ui.theme.muted, tr(what))
+        imgui.same_line(wide)
         with mono(ui):
-            imgui.text_unformatted(how)
+            imgui.text_unformatted(tr(how))
     imgui.dummy(ImVec2(0, 0.3 * ui.em))

@@ -11,6 +11,7 @@ from imgui_bundle import ImVec2, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.common.configs import constants
+from nerf_core.common.language import marked, tr
 from nerf_core.common.text import duration
 from nerf_core.common.user_paths import own_path
 from nerf_core.lab.records import Curve, Look, StudyState, Table
@@ -21,7 +22,7 @@ from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import axis_name, button, field_width, hint, mono, path_line
 
-START, CANCEL = f"{icons.ICON_FA_FLASK}  Start", f"{icons.ICON_FA_XMARK}  Cancel"
+START, CANCEL = marked("Start"), marked("Cancel")
 FORM_EM, RUNNING_EM = 18.0, 13.0  # width of the options, and of the progress while the study runs
 BESIDE_EM = 40.0  # width of the panel from which they are beside what is shown
 LOOK_EM = 5.2  # least width of a picture
@@ -33,12 +34,17 @@ SIGNS = {
     "done": icons.ICON_FA_CHECK,
     "failed": icons.ICON_FA_TRIANGLE_EXCLAMATION,
 }
+OPTIONS = (
+    marked("budget"), marked("calls"), marked("frequencies"), marked("lpips weights"), marked("method"),
+    marked("methods"), marked("preset"), marked("rows"), marked("seed"), marked("seeds"), marked("sides"),
+    marked("sigma"), marked("size"), marked("steps"), marked("views"),
+)  # fmt: skip  # names of the studies' options, for the catalogues
 PLOT = implot.Flags_.no_title | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
 
 
 @PANELS.register("lab")
 class LabPanel:
-    title = "Lab"
+    title = marked("Lab")
     dock: Literal["bottom"] = "bottom"
     order = 5
 
@@ -51,7 +57,7 @@ class LabPanel:
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
         if state.snapshot.status == "loading" and not state.snapshot.loaded:
-            hint(ui, "Studies of the lecture's claims: they appear when PyTorch is loaded.")
+            hint(ui, tr("Studies of the lecture's claims: they appear when PyTorch is loaded."))
             return
         if not imgui.begin_tab_bar("studies"):
             return
@@ -63,7 +69,7 @@ class LabPanel:
                 flags = imgui.TabItemFlags_.set_selected
             if running in (name, ""):
                 self._began = running
-            shown, _ = imgui.begin_tab_item(f"{kind.title}##{name}", None, flags)
+            shown, _ = imgui.begin_tab_item(f"{tr(kind.title)}###{name}", None, flags)
             ui.mark(f"lab.{name}")
             if shown:
                 yield from self._study(ui, state, name, kind)
@@ -82,7 +88,7 @@ class LabPanel:
             imgui.same_line(0, ui.em)
         imgui.begin_child(f"shown {name}", ImVec2(0, 0))
         if study is None or study.name != name:
-            hint(ui, kind.summary)
+            hint(ui, tr(kind.summary))
         else:
             _shown(ui, study)
         imgui.end_child()
@@ -96,9 +102,12 @@ class LabPanel:
         if running and own is not None:
             imgui.progress_bar(own.fraction, ImVec2(-1, 0), f"{100 * own.fraction:.0f} %")
             ui.mark("lab.progress")
-            left = f", {duration(own.seconds_left)} left" if own.seconds_left is not None else ""
-            hint(ui, f"{own.text}{left}")
-            if button(ui, CANCEL, "lab.cancel", tip="what is done stays in the folder; Start goes on from there"):
+            text = tr(own.text)
+            if own.seconds_left is not None:
+                text = tr("{what}, {time} left").format(what=text, time=tr(duration(own.seconds_left)))
+            hint(ui, text)
+            cancel = f"{icons.ICON_FA_XMARK}  {tr(CANCEL)}"
+            if button(ui, cancel, "lab.cancel", tip=tr("what is done stays in the folder; Start goes on from there")):
                 yield CancelStudy()
             yield from self._knobs(ui, own)
             return
@@ -107,24 +116,27 @@ class LabPanel:
         folder = self._folders.get(name, "")
         default = f"lab/{scene.name}-{name}" if kind.of_scene and scene is not None else f"lab/{name}"
         possible = not running and (scene is not None or not kind.of_scene)
-        why = "" if possible else "another study runs: wait for it or cancel it" if running else "open a scene first"
-        tip = why or "training and the window go on meanwhile"
-        if button(ui, START, f"lab.start.{name}", enabled=possible, tip=tip):
+        tip = tr("training and the window go on meanwhile")
+        if not possible:
+            tip = tr("another study runs: wait for it or cancel it") if running else tr("open a scene first")
+        if button(ui, f"{icons.ICON_FA_FLASK}  {tr(START)}", f"lab.start.{name}", enabled=possible, tip=tip):
             photo = own_path(Path(self._photo.strip())) if self._photo.strip() and not kind.of_scene else None
             where = own_path(Path(folder.strip() or default))
             self._turned.clear()
             yield StartStudy(name, dict(self._values.get(name, {})), where, photo)
         self._options(ui, name, kind)
         if not kind.of_scene:
-            self._photo = _text(ui, "photo", self._photo, "the built-in picture", f"lab.{name}.photo", "a photo's file")
-        self._folders[name] = _text(ui, "folder", folder, default, f"lab.{name}.folder", "where the report goes")
+            label, tip, usual = tr("photo"), tr("a photo's file"), tr("the built-in picture")
+            self._photo = _text(ui, label, self._photo, usual, f"lab.{name}.photo", tip)
+        label, tip = tr("folder"), tr("where the report goes")
+        self._folders[name] = _text(ui, label, folder, default, f"lab.{name}.folder", tip)
 
     def _options(self, ui: Ui, name: str, kind: type[Study]) -> None:
         """A field for each constant of the study: empty means its default, which is shown in it."""
         values = self._values.setdefault(name, {})
         for key, (default, about) in constants(kind).items():
-            label = key.replace("_", " ")
-            text = _text(ui, label, values.get(key, ""), str(default), f"lab.{name}.{key}", about.help, name)
+            label = tr(key.replace("_", " "))
+            text = _text(ui, label, values.get(key, ""), str(default), f"lab.{name}.{key}", tr(about.help))
             values.pop(key, None)
             if text.strip():
                 values[key] = text.strip()
@@ -132,12 +144,13 @@ class LabPanel:
     def _knobs(self, ui: Ui, study: StudyState) -> Iterator[Action]:
         """Sliders for what may be turned while the study runs."""
         for knob in study.knobs:
-            field_width(ui, knob.name)
+            field_width(ui, tr(knob.name))
             value = self._turned.get(knob.name, knob.value)
             whole = knob.value == round(knob.value) and knob.least == round(knob.least)
             shown = "%.0f" if whole else "%.3g"
             flags = imgui.SliderFlags_.logarithmic if knob.most > WIDE * knob.least else imgui.SliderFlags_.none
-            changed, value = imgui.slider_float(f"{knob.name}##knob", value, knob.least, knob.most, shown, flags)
+            label = f"{tr(knob.name)}###knob {knob.name}"
+            changed, value = imgui.slider_float(label, value, knob.least, knob.most, shown, flags)
             ui.mark(f"lab.knob.{knob.name}")
             if changed:
                 self._turned[knob.name] = value
@@ -145,9 +158,9 @@ class LabPanel:
                 yield TurnKnob(knob.name, self._turned[knob.name])
 
 
-def _text(ui: Ui, label: str, value: str, default: str, mark: str, tip: str, scope: str = "") -> str:
+def _text(ui: Ui, label: str, value: str, default: str, mark: str, tip: str) -> str:
     field_width(ui, label)
-    _, value = imgui.input_text_with_hint(f"{label}##lab {scope}", default, value)
+    _, value = imgui.input_text_with_hint(f"{label}###{mark}", default, value)
     ui.mark(mark)
     imgui.set_item_tooltip(f"{tip[0].upper()}{tip[1:]}.")
     return value
@@ -155,13 +168,13 @@ def _text(ui: Ui, label: str, value: str, default: str, mark: str, tip: str, sco
 
 def _ended(ui: Ui, study: StudyState) -> None:
     if study.state == "done":
-        hint(ui, "Done:", ui.theme.good)
+        hint(ui, tr("Done:"), ui.theme.good)
         for file in study.files[:1]:
             path_line(ui, file, "lab.copy")
     elif study.state == "cancelled":
-        hint(ui, "Cancelled. Start goes on from what is done.")
+        hint(ui, tr("Cancelled. Start goes on from what is done."))
     else:
-        hint(ui, "The study failed: see Notices.", ui.theme.error)
+        hint(ui, tr("The study failed: see Notices."), ui.theme.error)
 
 
 # ---- what is shown ------------------------------------------------------------------------------------------------
@@ -190,10 +203,10 @@ def _rows(ui: Ui, study: StudyState) -> None:
     for row in study.rows:
         imgui.text_colored(colors[row.state], SIGNS[row.state])
         imgui.same_line(0, 0.5 * ui.em)
-        imgui.text_unformatted(row.label)
+        imgui.text_unformatted(tr(row.label))
         if row.text:
             imgui.same_line(0, ui.em)
-            hint(ui, row.text)
+            hint(ui, tr(row.text))
 
 
 def _looks(ui: Ui, looks: tuple[Look, ...]) -> None:
@@ -212,8 +225,8 @@ def _looks(ui: Ui, looks: tuple[Look, ...]) -> None:
         imgui.image(_texture(ui, look), ImVec2(width, width * high / wide))
         ui.mark(f"lab.look.{look.name}")
         imgui.push_text_wrap_pos(imgui.get_cursor_pos_x() + width)
-        imgui.text_unformatted(look.name)
-        imgui.text_colored(ui.theme.muted, look.note or " ")
+        imgui.text_unformatted(tr(look.name))
+        imgui.text_colored(ui.theme.muted, tr(look.note) or " ")
         imgui.pop_text_wrap_pos()
         imgui.end_group()
 
@@ -238,22 +251,24 @@ def _curves(ui: Ui, curves: tuple[Curve, ...]) -> None:
         for k, curve in enumerate(curves):
             color = ui.theme.pins[k % len(ui.theme.pins)]
             line = implot.Spec(line_color=color, line_weight=0.12 * ui.em)
-            implot.plot_line(curve.name, curve.x.astype(np.float64), curve.y.astype(np.float64), line)
-        axis_name(ui, "PSNR of held-out pixels (dB) over steps", right=True)
+            implot.plot_line(
+                f"{tr(curve.name)}###{curve.name}", curve.x.astype(np.float64), curve.y.astype(np.float64), line
+            )
+        axis_name(ui, tr("PSNR of held-out pixels (dB) over steps"), right=True)
         implot.end_plot()
         ui.mark("lab.curves")
     implot.pop_style_var()
 
 
 def _table(ui: Ui, table: Table, k: int) -> None:
-    imgui.text_unformatted(table.title)
+    imgui.text_unformatted(tr(table.title))
     flags = imgui.TableFlags_.row_bg | imgui.TableFlags_.borders_inner_h | imgui.TableFlags_.sizing_fixed_fit
     flags |= imgui.TableFlags_.scroll_x
     lines = len(table.rows) + 1
     high = lines * imgui.get_text_line_height_with_spacing() * 1.25 + imgui.get_style().scrollbar_size
     if imgui.begin_table(f"table {k}", len(table.columns), flags, ImVec2(0, high)):
         for column, name in enumerate(table.columns):
-            imgui.table_setup_column(f"{name}##{column}")
+            imgui.table_setup_column(f"{tr(name)}###{column}")
         imgui.table_headers_row()
         for row in table.rows:
             imgui.table_next_row()
@@ -261,9 +276,9 @@ def _table(ui: Ui, table: Table, k: int) -> None:
                 imgui.table_next_column()
                 if column:
                     with mono(ui):
-                        imgui.text_unformatted(text)
+                        imgui.text_unformatted(tr(text))
                 else:
-                    imgui.text_unformatted(text)
+                    imgui.text_unformatted(tr(text))
         imgui.end_table()
     for note in table.notes:
-        hint(ui, note)
+        hint(ui, tr(note))

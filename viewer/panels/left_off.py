@@ -10,8 +10,9 @@ from typing import Literal
 from imgui_bundle import ImVec2, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
+from nerf_core.common.language import figure, marked, phrases, tr, trn
 from nerf_core.common.names import printable
-from nerf_core.common.text import counted, duration, size
+from nerf_core.common.text import duration, size
 from nerf_core.live.messages import OpenScene
 from nerf_core.training.autosaves import Autosave
 
@@ -25,6 +26,10 @@ WIDTH_EM, PICTURE_EM, GAP_EM = 42.0, (8.0, 5.0), 0.7
 ROOM_EM = 28.0, 24.0  # the least space for it over the picture
 SPARE_EM = 12.0  # of the height, for what stands around the list
 LEAST_ROWS = 1.4  # of the list: half a row says that there are more
+MONTHS = (
+    marked("Jan"), marked("Feb"), marked("Mar"), marked("Apr"), marked("May"), marked("Jun"),
+    marked("Jul"), marked("Aug"), marked("Sep"), marked("Oct"), marked("Nov"), marked("Dec"),
+)  # fmt: skip
 FLAGS = (
     imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_docking
     | imgui.WindowFlags_.no_saved_settings | imgui.WindowFlags_.no_move | imgui.WindowFlags_.no_nav
@@ -33,7 +38,7 @@ FLAGS = (
 
 @PANELS.register("left_off")
 class LeftOffOverlay:
-    title = "Continue where you left off"
+    title = marked("Continue where you left off")
     dock: Literal["overlay"] = "overlay"
     order = 1
 
@@ -59,25 +64,27 @@ class LeftOffOverlay:
     def _content(self, ui: Ui, state: AppState, room: float) -> Iterator[Action]:
         entries, asked = state.left_off.entries, self._continue.asking or self._clear.asking
         imgui.align_text_to_frame_padding()
-        imgui.text_unformatted(self.title)
+        imgui.text_unformatted(tr(self.title))
         right = imgui.get_cursor_pos_x() + imgui.get_content_region_avail().x
         imgui.same_line(right - imgui.get_frame_height())
-        if button(ui, icons.ICON_FA_XMARK, "left_off.close", tip=with_keys("File shows it again", "file.left_off")):
+        if button(ui, icons.ICON_FA_XMARK, "left_off.close", tip=with_keys(tr("File shows it again"), "file.left_off")):
             state.show_left_off = False
         if entries is None:
-            hint(ui, "Looking for autosaves …")
+            hint(ui, tr("Looking for autosaves …"))
         elif not entries:
-            hint(ui, "There are no autosaves. A window that closes writes unsaved weights to one.")
+            hint(ui, tr("There are no autosaves. A window that closes writes unsaved weights to one."))
         else:
             yield from self._list(ui, state, entries, room)
             yield from self._footer(ui, entries)
         imgui.separator()
-        if button(ui, f"{icons.ICON_FA_FOLDER_OPEN}  Open a folder…", "left_off.open", tip=with_keys("", "file.open")):
+        folder = f"{icons.ICON_FA_FOLDER_OPEN}  {tr('Open a folder…')}"
+        if button(ui, folder, "left_off.open", tip=with_keys("", "file.open")):
             state.show_left_off = False
             yield from run("file.open", state)
         if state.snapshot.scene is None:
-            same_line_if_fits("Demo scene")
-            if button(ui, "Demo scene", "left_off.demo", tip="open the demo scene and train"):
+            demo = tr("Demo scene")
+            same_line_if_fits(demo)
+            if button(ui, demo, "left_off.demo", tip=tr("open the demo scene and train")):
                 yield OpenScene(None, state.settings, train=True)
         if imgui.is_key_pressed(imgui.Key.escape, False) and not asked:  # else it closes the question
             state.show_left_off = False
@@ -96,8 +103,10 @@ class LeftOffOverlay:
             imgui.pop_id()
         imgui.end_child()
         unsaved = unsaved_steps(state.snapshot)
-        question = f"Opening it forgets {counted(unsaved, 'unsaved training step')}."
-        answer = self._continue.ask(ui, question, "open", "left_off", needed=unsaved > 0)
+        question = trn(
+            "Opening it forgets {n} unsaved training step.", "Opening it forgets {n} unsaved training steps.", unsaved
+        )
+        answer = self._continue.ask(ui, question, tr("open"), "left_off", needed=unsaved > 0)
         if answer and self._wanted:
             opening = self._opened(state, self._wanted)
             yield opening if answer == "forget" else saved_first(state, opening)
@@ -111,16 +120,21 @@ class LeftOffOverlay:
 
     def _footer(self, ui: Ui, entries: tuple[Autosave, ...]) -> Iterator[Action]:
         """What the files take, and the question before they are deleted."""
-        count = f"{len(entries)} autosave{'s' if len(entries) > 1 else ''}"
-        takes = f"{count}, {size(sum(one.bytes for one in entries))}"
-        if self._clear.draw(ui, f"Delete {takes}? They cannot be brought back.", "Delete", "left_off.clear", True):
+        takes = tr(
+            phrases(
+                "{n} autosave, {size}", "{n} autosaves, {size}", len(entries), size=size(sum(e.bytes for e in entries))
+            )
+        )
+        question = tr("Delete {takes}? They cannot be brought back.").format(takes=takes)
+        if self._clear.draw(ui, question, tr("Delete"), "left_off.clear", True):
             yield ClearAutosaves()
         if not self._clear.asking:
             imgui.align_text_to_frame_padding()
             imgui.text_colored(ui.theme.muted, takes)
-            same_line_if_fits("Clear…")
-            tip = "delete the files of this list; a scene keeps its newest three and the longest trained, no more"
-            self._clear.asking = button(ui, "Clear…", "left_off.clear", tip=tip)
+            clear = tr("Clear…")
+            same_line_if_fits(clear)
+            tip = tr("delete the files of this list; a scene keeps its newest three and the longest trained, no more")
+            self._clear.asking = button(ui, clear, "left_off.clear", tip=tip)
 
 
 def _entry(ui: Ui, state: AppState, one: Autosave, mark: str) -> bool:
@@ -132,17 +146,19 @@ def _entry(ui: Ui, state: AppState, one: Autosave, mark: str) -> bool:
     imgui.end_disabled()
     ui.mark(mark)
     if imgui.is_item_hovered(imgui.HoveredFlags_.allow_when_disabled | imgui.HoveredFlags_.for_tooltip):
-        imgui.set_tooltip("\n".join(filter(None, (printable(one.file), one.problem))))
+        imgui.set_tooltip("\n".join(filter(None, (printable(one.file), tr(one.problem)))))
     draw = imgui.get_window_draw_list()
     _picture(ui, draw, state, one, at, ImVec2(at.x + wide, at.y + tall))
     theme, line = ui.theme, tall / 4
     left, most = at.x + wide + GAP_EM * ui.em, room - wide - 1.5 * GAP_EM * ui.em
-    where = "the demo scene" if one.capture is None else printable(one.capture)
+    where = tr("the demo scene") if one.capture is None else printable(one.capture)
+    step = tr("step {step}").format(step=figure(one.step, ","))
+    trained = tr("{time} of training").format(time=tr(duration(one.seconds)))
     lines = [
         (one.scene or printable(one.file.name), theme.muted if one.problem else theme.text),
-        (f"{one.method}  ·  step {one.step:,}  ·  {duration(one.seconds)} of training", theme.muted),
-        (f"{_when(one.saved)}  ·  {size(one.bytes)}", theme.muted),
-        (one.problem, theme.warning) if one.problem else (where, theme.muted),
+        (f"{one.method}  ·  {step}  ·  {trained}", theme.muted),
+        (f"{_when(one.saved)}  ·  {tr(size(one.bytes))}", theme.muted),
+        (tr(one.problem), theme.warning) if one.problem else (where, theme.muted),
     ]
     if not one.method:
         del lines[1]
@@ -172,11 +188,11 @@ def _picture(ui: Ui, draw: imgui.ImDrawList, state: AppState, one: Autosave, low
 def _when(saved: float) -> str:
     """ "today 14:05", "yesterday 14:05", "3 May 14:05" or, of another year, "3 May 2025"."""
     then, now = time.localtime(saved), time.localtime()
-    clock, day = time.strftime("%H:%M", then), f"{then.tm_mday} {time.strftime('%b', then)}"
+    clock, day = time.strftime("%H:%M", then), f"{then.tm_mday} {tr(MONTHS[then.tm_mon - 1])}"
     before = time.localtime(time.mktime((now.tm_year, now.tm_mon, now.tm_mday - 1, 12, 0, 0, 0, 0, -1)))
-    for word, other in (("today", now), ("yesterday", before)):
+    for text, other in ((tr("today {clock}"), now), (tr("yesterday {clock}"), before)):
         if then[:3] == other[:3]:
-            return f"{word} {clock}"
+            return text.format(clock=clock)
     return f"{day} {clock}" if then.tm_year == now.tm_year else f"{day} {then.tm_year}"
 
 

@@ -7,6 +7,8 @@ from typing import Literal
 
 from imgui_bundle import ImVec2, imgui
 
+from nerf_core.common.language import marked, tr
+
 from ..commands.registry import UserCommand, commands, invoke
 from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
@@ -14,14 +16,14 @@ from ..ui.widgets import faded, hint, mono
 
 ITSELF = "show.palette"
 POPUP = "palette"
-WIDTH_EM, TITLE_EM = 30.0, 7.0  # of the palette; of its column with the sections
+WIDTH_EM, TITLE_EM = 30.0, 7.0  # of the palette; least width of its column with the sections
 TOP = 0.12  # of the window's height
 MOST_ROWS = 14
 
 
 @PANELS.register("palette")
 class Palette:
-    title = "Commands"
+    title = marked("Commands")
     dock: Literal["overlay"] = "overlay"
     order = 2
 
@@ -60,11 +62,11 @@ class Palette:
             imgui.set_keyboard_focus_here()
             self._focus = False
         imgui.set_next_item_width(-1)
-        changed, self._query = imgui.input_text_with_hint("##query", "type a command", self._query)
+        changed, self._query = imgui.input_text_with_hint("##query", tr("type a command"), self._query)
         ui.mark("palette.query")
         found = matching(self._query)
         if not found:
-            hint(ui, "No command has this in its name.")
+            hint(ui, tr("No command has this in its name."))
             return None
         step = int(imgui.is_key_pressed(imgui.Key.down_arrow)) - int(imgui.is_key_pressed(imgui.Key.up_arrow))
         self._chosen = 0 if changed else (self._chosen + step) % len(found)
@@ -85,7 +87,8 @@ class Palette:
         room = int((1 - TOP) * imgui.get_main_viewport().size.y / row) - 4  # minus the field and the status bar
         imgui.begin_child("list", ImVec2(0, max(min(len(found), MOST_ROWS, room), 1) * row))
         imgui.push_style_color(imgui.Col_.header, faded(ui.theme.accent, 0.3))
-        clicked = None
+        clicked, names = None, [tr(command.section) for command in commands()]
+        wide = max(TITLE_EM * ui.em, max(imgui.calc_text_size(name).x for name in names) + ui.em)
         for k, command in enumerate(found):
             imgui.begin_disabled(not command.enabled(state))
             if imgui.selectable(f"##{command.id}", k == self._chosen)[0]:
@@ -93,22 +96,22 @@ class Palette:
             ui.mark(f"palette.{command.id}")
             if follow and k == self._chosen:
                 imgui.set_scroll_here_y(0.5)
-            _line(ui, state, command)
+            _line(ui, state, command, wide)
             imgui.end_disabled()
         imgui.pop_style_color()
         imgui.end_child()
         return clicked
 
 
-def _line(ui: Ui, state: AppState, command: UserCommand) -> None:
-    """Draw section, title and, on the right, keys over the last item."""
+def _line(ui: Ui, state: AppState, command: UserCommand, wide: float) -> None:
+    """Draw section, title and, on the right, keys over the last item. wide: the column with the sections."""
     imgui.same_line(0.3 * ui.em)
-    imgui.text_colored(ui.theme.muted, command.section)
-    imgui.same_line(TITLE_EM * ui.em)
-    imgui.text_unformatted(command.title)
+    imgui.text_colored(ui.theme.muted, tr(command.section))
+    imgui.same_line(wide)
+    imgui.text_unformatted(tr(command.title))
     if command.checked is not None:
         imgui.same_line(0, 0.5 * ui.em)
-        imgui.text_colored(ui.theme.muted, "shown" if command.checked(state) else "hidden")
+        imgui.text_colored(ui.theme.muted, tr("shown") if command.checked(state) else tr("hidden"))
     if command.keys:
         with mono(ui):
             keys = ", ".join(command.keys)
@@ -117,14 +120,19 @@ def _line(ui: Ui, state: AppState, command: UserCommand) -> None:
 
 
 def matching(query: str) -> list[UserCommand]:
-    """Return the commands whose section and title contain every word of `query`.
+    """Return the commands whose section and title contain every word of `query`, in English or as they are shown.
 
     Those whose title begins with the first word come first.
     """
     words = query.casefold().split()
-    found = [
-        command
-        for command in commands()
-        if command.id != ITSELF and all(word in f"{command.section} {command.title}".casefold() for word in words)
-    ]
-    return sorted(found, key=lambda c: bool(words) and not c.title.casefold().startswith(words[0]))
+
+    def names(command: UserCommand) -> str:
+        return f"{tr(command.section)} {tr(command.title)} {command.section} {command.title}".casefold()
+
+    def later(command: UserCommand) -> bool:
+        return bool(words) and not any(
+            title.casefold().startswith(words[0]) for title in (command.title, tr(command.title))
+        )
+
+    found = [c for c in commands() if c.id != ITSELF and all(word in names(c) for word in words)]
+    return sorted(found, key=later)

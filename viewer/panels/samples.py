@@ -8,6 +8,7 @@ from typing import Literal
 
 from imgui_bundle import ImVec2, imgui
 
+from nerf_core.common.language import figure, marked, tr
 from nerf_core.common.text import number, triple
 from nerf_core.probe import PassProbe
 
@@ -16,13 +17,13 @@ from ..ui.contract import PANELS, Ui
 from ..ui.theme import CLEAR
 from ..ui.widgets import faded, mono, nothing_yet, packed, swatch
 
-COLUMNS = ("", "t", "δ", "σ", "α", "T", "w", "colour")
+COLUMNS = ("", "t", "δ", "σ", "α", "T", "w", marked("colour"))
 WIDTHS_EM = (3.0, 5.0, 5.0, 5.0, 4.5, 4.5, 4.5, 11.0)
 
 
 @PANELS.register("samples")
 class SamplesPanel:
-    title = "Samples"
+    title = marked("Samples")
     dock: Literal["bottom"] = "bottom"
     order = 3
 
@@ -34,14 +35,13 @@ class SamplesPanel:
         yield from ()
         ray = state.snapshot.ray
         if ray is None or not ray.passes:
-            nothing_yet(
-                ui, state.snapshot.method, "Click a pixel: here you will see the samples of its ray in numbers."
-            )
+            text = tr("Click a pixel: here you will see the samples of its ray in numbers.")
+            nothing_yet(ui, state.snapshot.method, text)
             return
         count = len(ray.passes)
         self.one = self.one if 0 <= self.one < count else count - 1
         for k, one in enumerate(ray.passes if count > 1 else ()):
-            if imgui.radio_button(f"{one.name}, {len(one.t):,}", self.one == k):
+            if imgui.radio_button(f"{tr(one.name)}, {figure(len(one.t), ',')}###pass {k}", self.one == k):
                 self.one = k
             ui.mark(f"samples.pass {k}")
             imgui.same_line()
@@ -55,7 +55,7 @@ class SamplesPanel:
             return
         imgui.table_setup_scroll_freeze(0, 1)
         for name, width in zip(COLUMNS, WIDTHS_EM, strict=True):
-            imgui.table_setup_column(name, imgui.TableColumnFlags_.width_fixed, width * ui.em)
+            imgui.table_setup_column(tr(name), imgui.TableColumnFlags_.width_fixed, width * ui.em)
         imgui.table_headers_row()
         style = imgui.get_style()  # a selectable fills exactly its own line
         imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(style.item_spacing.x, 2 * style.cell_padding.y))
@@ -94,11 +94,11 @@ class SamplesPanel:
                 state.pointed_at = ref
             for values, digits in ((one.t, 5), (one.delta, 3), (one.sigma, 4)):
                 imgui.table_next_column()
-                imgui.text_unformatted(number(float(values[i]), digits))
+                imgui.text_unformatted(tr(number(float(values[i]), digits)))
             for values in (one.alpha, one.transmittance, one.weights):
                 imgui.table_next_column()
-                imgui.text_unformatted(f"{float(values[i]):.4f}")
+                imgui.text_unformatted(figure(float(values[i]), ".4f"))
             imgui.table_next_column()
             partial(swatch, ui, one.rgb[i])()
             imgui.same_line(0, 0.2 * ui.em)
-            imgui.text_unformatted(triple(one.rgb[i]))
+            imgui.text_unformatted(tr(triple(one.rgb[i])))

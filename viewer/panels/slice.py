@@ -8,6 +8,8 @@ from typing import Literal
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
 
+from nerf_core.common.language import figure, marked, tr
+
 from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import axis_name, color_of, field_width, hint, nothing_yet
@@ -19,7 +21,7 @@ PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus
 
 @PANELS.register("slice")
 class SlicePanel:
-    title = "Slice"
+    title = marked("Slice")
     dock: Literal["bottom_right"] = "bottom_right"
     order = 2
 
@@ -30,13 +32,13 @@ class SlicePanel:
         yield from ()
         probe, evidence = state.snapshot.radiance, state.snapshot.evidence
         if probe is None:
-            text = "Click a pixel: here you will see how its colour changes along a line of directions."
+            text = tr("Click a pixel: here you will see how its colour changes along a line of directions.")
             nothing_yet(ui, state.snapshot.method, text, ("trace", "radiance"))
             return
-        field_width(ui, "azimuth")
-        _, self.degrees = imgui.slider_float("azimuth", self.degrees, 0.0, 180.0, "%.0f°")
+        field_width(ui, tr("azimuth"))
+        _, self.degrees = imgui.slider_float(f"{tr('azimuth')}###azimuth", self.degrees, 0.0, 180.0, "%.0f°")
         ui.mark("slice.azimuth")
-        hint(ui, f"lines: model; dots: photos within {NEAR_DEGREES:g}° of the slice")
+        hint(ui, tr("lines: model; dots: photos within {angle}° of the slice").format(angle=figure(NEAR_DEGREES, "g")))
         azimuth = float(np.radians(self.degrees))
         angles, rgb = probe.slice(azimuth, state.radiance_of)
         if not implot.begin_plot("##slice", ImVec2(-1, max(imgui.get_content_region_avail().y, 6 * ui.em)), PLOT):
@@ -58,8 +60,9 @@ class SlicePanel:
                     )  # fmt: skip
                     place = np.array([np.degrees(angle)]), np.array([float(evidence.observed[k, c])])
                     implot.plot_scatter(f"photo {k} {c}", *place, dot)
-        axis_name(ui, "colour")
-        middle = "viewer" if probe.normal is None else probe.around
-        axis_name(ui, f"degrees from the {middle}", right=True, height=1.0)
+        axis_name(ui, tr("colour"))
+        around_normal = probe.normal is not None and probe.around == "normal"
+        middle = tr("degrees from the normal") if around_normal else tr("degrees from the viewer")
+        axis_name(ui, middle, right=True, height=1.0)
         implot.end_plot()
         ui.mark("slice.plot")

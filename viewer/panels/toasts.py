@@ -11,6 +11,8 @@ from typing import Literal
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
+from nerf_core.common.language import marked, tr
+
 from ..model.state import Action, AppState, ShownNotice
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import button, keep_in_front, notice_text, path_line
@@ -26,7 +28,7 @@ FLAGS = (
 
 @PANELS.register("toasts")
 class Toasts:
-    title = "Toasts"
+    title = marked("Toasts")
     dock: Literal["overlay"] = "overlay"
     order = 0
 
@@ -54,7 +56,7 @@ class Toasts:
 
 
 def _toast(ui: Ui, shown: ShownNotice, mark: str) -> None:
-    if button(ui, icons.ICON_FA_XMARK, f"{mark}.dismiss", tip="dismiss; Notices keeps it"):
+    if button(ui, icons.ICON_FA_XMARK, f"{mark}.dismiss", tip=tr("dismiss; Notices keeps it")):
         shown.dismissed = True
     imgui.same_line()
     notice_text(ui, shown.notice)
