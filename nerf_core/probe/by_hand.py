@@ -14,6 +14,7 @@ import numpy as np
 from nerf_core.probe.records import PassProbe
 
 FLOOR = 1e-5  # added to each weight, as in nerf_core.volume.sampling: a ray that meets nothing has a distribution too
+MANY = 64  # samples: above it, all pairs are merged at once that are more alike than those beside them
 OPAQUE = 20.0  # optical depth from which a merged stretch counts as opaque: 1 − α is under 1e-8
 
 
@@ -176,9 +177,14 @@ def hand_ray_of(p: PassProbe, near: float, far: float, background: np.ndarray, m
     begin, features = np.arange(len(t)), np.column_stack([middle / max(float(spread), 1e-12), rgb])
     while len(begin) > most:
         a, b = mass[:-1], mass[1:]
-        cost = a * b / np.maximum(a + b, 1e-300) * ((features[1:] - features[:-1]) ** 2).sum(-1)
-        k = int(np.argmin(cost))
-        features[k] = (a[k] * features[k] + b[k] * features[k + 1]) / max(a[k] + b[k], 1e-300)
+        share = b / np.maximum(a + b, 1e-300)
+        cost = a * share * ((features[1:] - features[:-1]) ** 2).sum(-1)
+        k = np.array([np.argmin(cost)])
+        if len(begin) > MANY:  # one by one would take a tenth of a second for a thousand samples
+            padded = np.concatenate([[np.inf], cost, [np.inf]])
+            least = (cost < padded[:-2]) & (cost <= padded[2:]) & (cost <= np.median(cost))
+            k = np.flatnonzero(least) if least.any() else k
+        features[k] += share[k, None] * (features[k + 1] - features[k])
         mass[k] += mass[k + 1]
         begin, mass = np.delete(begin, k + 1), np.delete(mass, k + 1)
         features = np.delete(features, k + 1, axis=0)

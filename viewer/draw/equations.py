@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -46,6 +47,7 @@ def equation(ui: Ui, words: Sequence[Word], hang: float = 0.0) -> None:
         imgui.dummy(ImVec2(max(widest, 1.0), y + high))
 
 
+@lru_cache(1024)
 def _parts(text: str) -> list[tuple[str, bool]]:
     """The parts of a text, in turns on the line and in a subscript."""
     return [(part, bool(k % 2)) for k, part in enumerate(SUBSCRIPT.split(text)) if part]

@@ -9,10 +9,10 @@ import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
 
 from nerf_core.common.language import tr
-from nerf_core.probe import HandRay, HandTerms, hand_cdf, hand_terms
+from nerf_core.probe import HandRay, HandTerms, hand_cdf
 
 from ..model.hand_bench import BEHIND, HandBench
-from ..ui.widgets import axis_name, color_of, faded, packed
+from ..ui.widgets import axis_name, color_of, faded, packed, tints
 from .plot_marks import be_item, pixels, row_of, ticks
 from .ray_steps import wants_log
 
@@ -67,7 +67,7 @@ class HandPlots:
         height = max(size.y - strip - axis - 0.2 * ui.em, 6 * ui.em)
         if implot.begin_aligned_plots("hand"):
             self._densities(ui, bench, ImVec2(size.x, DENSITY_SHARE * height + axis))
-            terms = hand_terms(bench.ray)  # after the mouse has changed the samples
+            terms = bench.terms  # after the mouse has changed the samples
             self._weights(ui, bench, terms, bool(rows), ImVec2(size.x, (1 - DENSITY_SHARE) * height))
             self._strip(ui, bench, terms, rows, ImVec2(size.x, strip))
             implot.end_aligned_plots()
@@ -120,10 +120,11 @@ class HandPlots:
         floor, top = (implot.plot_to_pixels(0.0, height).y for height in (0.0, 1.0))
         draw, theme = implot.get_plot_draw_list(), ui.theme
         implot.push_plot_clip_rect()
-        for i, rgb in enumerate(ray.rgb):
+        fills = tints(ray.rgb, np.where(np.arange(len(ray.t)) == bench.chosen, 0.75, 0.45))
+        for i, fill in enumerate(fills):
             chosen, left = i == bench.chosen, ImVec2(float(x[i]), float(y[i]))
             corner = ImVec2(float(x[i + 1]), floor)
-            draw.add_rect_filled(left, corner, packed(color_of(rgb, 0.75 if chosen else 0.45)))
+            draw.add_rect_filled(left, corner, fill)
             line = packed(theme.density if chosen else faded(theme.density, 0.6))
             draw.add_line(left, ImVec2(corner.x, left.y), line, 0.12 * ui.em)
             draw.add_line(left, ImVec2(left.x, floor), line, 0.08 * ui.em)
@@ -259,10 +260,10 @@ class HandPlots:
         implot.push_plot_clip_rect()
         for row, colors in enumerate(([*ray.rgb, ray.background], [*terms.sums, terms.pixel])):
             top, bottom = row_of(bounds, row)
-            for i, rgb in enumerate(colors):
+            for i, color in enumerate(tints(np.array(colors))):
                 last = i == len(ray.t)
                 left = ImVec2(x[i] + (gap if last else 0.0), top)
-                draw.add_rect_filled(left, ImVec2(x[i + 1], bottom), packed(color_of(rgb)))
+                draw.add_rect_filled(left, ImVec2(x[i + 1], bottom), color)
         for row, (_, t) in enumerate(rows):
             ticks(ui, t, row_of(bounds, 2 + row), ui.theme.fine if row else ui.theme.muted)
         implot.pop_plot_clip_rect()

@@ -11,7 +11,7 @@ import numpy as np
 
 from nerf_core.common.language import marked
 from nerf_core.common.text import number
-from nerf_core.probe import HandRay, RayProbe, hand_ray_of, hand_terms
+from nerf_core.probe import HandRay, HandTerms, RayProbe, hand_ray_of, hand_terms
 from nerf_core.probe.axis import weighty_part
 
 MOST = 10  # samples
@@ -107,10 +107,18 @@ class HandBench:
         self._past: list[_Moment] = []
         self._gesture = ""
         self.changes = 0
+        self._terms_of, self._terms = self.ray, hand_terms(self.ray)
 
     @property
     def ray(self) -> HandRay:
         return self._now.ray
+
+    @property
+    def terms(self) -> HandTerms:
+        """The terms of the ray's colour. They are computed once for each ray: several plots and tables show them."""
+        if self._terms_of is not self.ray:
+            self._terms_of, self._terms = self.ray, hand_terms(self.ray)
+        return self._terms
 
     @property
     def chosen(self) -> int:

@@ -79,7 +79,7 @@ class ByHandPanel:
         if apart:
             imgui.same_line(0, ui.em)
             if imgui.begin_child("terms", ImVec2(0, high)):
-                self._table(ui, hand_terms(bench.ray))
+                self._table(ui, bench.terms)
             imgui.end_child()
         state.hand_changes += bench.changes - before
         yield from ()
@@ -142,7 +142,7 @@ class ByHandPanel:
     # ---- numbers ----------------------------------------------------------------------------------------------------
 
     def _numbers(self, ui: Ui, table: bool) -> None:
-        terms, note = hand_terms(self.bench.ray), self.bench.note
+        terms, note = self.bench.terms, self.bench.note
         with _close(ui):
             self._sum(ui, terms)
         if note.text:
@@ -155,10 +155,10 @@ class ByHandPanel:
             imgui.separator()
             self._sample(ui, self.bench.chosen)
             with _close(ui):
-                _terms_of(ui, self.bench, hand_terms(self.bench.ray), self.bench.chosen)
+                _terms_of(ui, self.bench, self.bench.terms, self.bench.chosen)
         if table:
             imgui.separator()
-            self._table(ui, hand_terms(self.bench.ray))
+            self._table(ui, self.bench.terms)
 
     def _sum(self, ui: Ui, terms: HandTerms) -> None:
         """The equation, and the pixel as the sum of its terms: every weight with its colour."""
