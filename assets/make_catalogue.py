@@ -86,10 +86,18 @@ def updated(text: str, code: str, template: Catalog) -> str:
     return f"{head}\n\n{body.getvalue().decode().strip()}\n"
 
 
+def pairs(catalog: Catalog) -> Iterator[tuple[str, str]]:
+    """Yield every text with its translation, which may be empty, and every form of a plural with the text of many."""
+    for message in catalog:
+        text = message.id if isinstance(message.id, str) else message.id[-1]
+        forms = (message.string,) if isinstance(message.string, str | None) else message.string
+        if text:
+            yield from ((text, form or "") for form in forms)
+
+
 def untranslated(catalog: Catalog) -> list[str]:
     """Return the texts that have no translation, or not all forms of a plural."""
-    forms = {str(one.id): one.string if isinstance(one.string, tuple) else (one.string,) for one in catalog if one.id}
-    return [text for text, translations in forms.items() if not all(translations)]
+    return sorted({text for text, translation in pairs(catalog) if not translation})
 
 
 def header(code: str) -> str:

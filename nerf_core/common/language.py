@@ -27,10 +27,13 @@ from collections.abc import Iterable
 from functools import cache
 from numbers import Real
 from string import Formatter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .assets import assets_dir
 from .errors import UserError
+
+if TYPE_CHECKING:
+    from babel.messages import Catalog
 
 ENGLISH = "en"
 NAME = re.compile(r'^"X-Name: (.+)\\n"$', re.MULTILINE)  # in a catalogue's header: what speakers call the language
@@ -192,11 +195,16 @@ def _catalogue(code: str) -> gettext.NullTranslations:
     """Read a catalogue. It is kept as .po, which people can read and edit, and compiled in memory."""
     if code == ENGLISH:
         return gettext.NullTranslations()
-    from babel.messages.mofile import write_mo
     from babel.messages.pofile import read_po
 
-    compiled = io.BytesIO()
     with (assets_dir() / "languages" / f"{code}.po").open("rb") as file:
-        write_mo(compiled, read_po(file, locale=code))
+        return _compiled(read_po(file, locale=code))
+
+
+def _compiled(catalog: Catalog) -> gettext.GNUTranslations:
+    from babel.messages.mofile import write_mo
+
+    compiled = io.BytesIO()
+    write_mo(compiled, catalog)
     compiled.seek(0)
     return gettext.GNUTranslations(compiled)
