@@ -7,6 +7,7 @@ from imgui_bundle import ImVec2, imgui
 
 from viewer.model.state import Action, AppState
 from viewer.ui.contract import Panel
+from viewer.ui.layout import window_name
 from viewer.ui.theme import DarkTheme
 
 SCREEN = (1280, 800)
@@ -51,7 +52,7 @@ class Screen:
         if panel.dock == "overlay":
             actions += panel.draw(self, state)
         else:
-            imgui.begin(panel.title)
+            imgui.begin(window_name(panel.title))
             actions += panel.draw(self, state)
             imgui.end()
         imgui.render()
