@@ -27,6 +27,7 @@ END_EM = 0.4  # the same for the line at the ray's end
 ROOM = 1.25  # the σ axis reaches so far above the densest sample
 LEAST_TOP = 1.0  # and at least to this density
 ROW_EM = 1.05  # height of a row of the strip
+BESIDE_EM = 0.8  # room beside a plot: half of the label of a tick at its end
 CURVE = 16  # points of the transmittance's curve in a stretch
 FLOOR, CEILING = -0.07, 1.07  # of the σ axis, where 0 is no density and 1 the top: handles have room at both ends
 DENSITY_SHARE = 0.6  # of the plots' height, for that of the densities
@@ -59,7 +60,7 @@ class HandPlots:
         self._regrow(bench.ray)
         pad = 0.25 * ui.em
         implot.push_style_var(implot.StyleVar_.plot_min_size, ImVec2(ui.em, ui.em))
-        implot.push_style_var(implot.StyleVar_.plot_padding, ImVec2(0.3 * ui.em, pad))
+        implot.push_style_var(implot.StyleVar_.plot_padding, ImVec2(BESIDE_EM * ui.em, pad))
         implot.push_style_var(implot.StyleVar_.label_padding, ImVec2(pad, pad))
         imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(0, 0.1 * ui.em))
         strip = (2 + len(rows)) * ROW_EM * ui.em + 2 * pad

@@ -231,6 +231,4 @@ class HandBench:
             self._past = [*self._past[-UNDOS + 1 :], self._now]
             self.changes += 1
         self._gesture = gesture
-        if note is None:
-            note = Note() if self.note.text == BEGIN else self.note
-        self._now = _Moment(ray, chosen, note)
+        self._now = _Moment(ray, chosen, note or Note())  # what was known of the samples holds no longer

@@ -27,7 +27,7 @@ NUMBERS_SHARE, NUMBERS_EM = 0.44, (16.0, 28.0)  # of the width, for the numbers,
 WIDE_TABLE_EM = 21.0  # width of the numbers from which the table has t, σ and δ too
 TRIPLE_EM = 20.0  # from which the pixels of other samples have their three numbers
 LOW_EM = 19.0  # height of the plots if the numbers are below them
-LEAST_PLOTS_EM = 10.0  # and if they are beside them; a lower panel scrolls
+LEAST_PLOTS_EM, ROW_EM = 10.2, 1.1  # and at least, with each row of ticks; a lower panel scrolls
 SHOWN_WEIGHT = 0.005  # a lesser weight would stand as 0.00 in the sum, and is left out there
 DRAWN, MOST_DRAWN = 16, 64  # samples by the weights, at first and at most
 WHY_BOTH = marked(
@@ -60,14 +60,15 @@ class ByHandPanel:
         beside = room.x > BESIDE_EM * ui.em
         least, most = (v * ui.em for v in NUMBERS_EM)
         numbers = min(max(NUMBERS_SHARE * room.x, least), most)
-        high = max(room.y, LEAST_PLOTS_EM * ui.em) if beside else LOW_EM * ui.em
+        rows = self._rows()
+        high = max(room.y, (LEAST_PLOTS_EM + ROW_EM * len(rows)) * ui.em) if beside else LOW_EM * ui.em
         still = imgui.WindowFlags_.no_scroll_with_mouse | imgui.WindowFlags_.no_scrollbar
         apart = room.x > APART_EM * ui.em
         if apart:
             numbers = APART_NUMBERS_EM * ui.em
         taken = (numbers + ui.em if beside else 0.0) + ((TABLE_EM + 1.0) * ui.em if apart else 0.0)
         if imgui.begin_child("plots", ImVec2(room.x - taken, high), window_flags=still):
-            self._plots.draw(ui, bench, self._rows(), imgui.get_content_region_avail())
+            self._plots.draw(ui, bench, rows, imgui.get_content_region_avail())
         imgui.end_child()
         if beside:
             imgui.same_line(0, ui.em)
@@ -324,9 +325,8 @@ def _terms_of(ui: Ui, bench: HandBench, terms: HandTerms, i: int) -> None:
     )
     weight: Piece = figure(terms.weights[i], ".3f"), theme.fine
     end = "far" if last else f"t_{k + 1}"
-    equation(
-        ui, [f"δ_{k}", "=", [end, f" − t_{k}"], "=", [f"{_three(ray.edges[i + 1])} − {_three(ray.t[i])}"], "=", delta]
-    )
+    ends = f"{_as_fine(ray.edges[i + 1], terms.delta[i])} − {_as_fine(ray.t[i], terms.delta[i])}"
+    equation(ui, [f"δ_{k}", "=", [end, f" − t_{k}"], "=", [ends], "=", delta], hang=1.5)
     a: Piece = f"α_{k}", theme.alpha
     equation(
         ui,
@@ -355,6 +355,13 @@ def _terms_of(ui: Ui, bench: HandBench, terms: HandTerms, i: int) -> None:
 
 def _three(value: float) -> str:
     return localized(number(float(value), 3))
+
+
+def _as_fine(t: float, delta: float) -> str:
+    """A distance with as many decimals as three digits of δ have, so that the difference comes out."""
+    decimals = 2 - int(np.floor(np.log10(max(delta, 1e-4))))
+    text = f"{t:.{max(decimals, 0)}f}"
+    return localized(text.rstrip("0").rstrip(".") if "." in text else text)
 
 
 def _can_take(ray: RayProbe | None) -> bool:

@@ -12,7 +12,7 @@ from nerf_core.live.messages import Snapshot
 from nerf_core.probe import hand_terms
 from viewer.model.hand_bench import MOST, HandBench
 from viewer.model.state import AppState
-from viewer.panels.by_hand import ByHandPanel
+from viewer.panels.by_hand import ByHandPanel, _as_fine
 
 
 @pytest.fixture
@@ -113,3 +113,10 @@ def test_one_gesture_is_one_change() -> None:
     assert bench.ray.sigma[0] == 1.5
     bench.undo()
     assert bench.changes == 4
+
+
+def test_distances_are_written_so_that_their_difference_comes_out() -> None:
+    assert [_as_fine(t, 0.0322) for t in (3.4421, 3.40991)] == ["3.4421", "3.4099"]
+    assert [_as_fine(t, 0.6) for t in (4.5, 3.9)] == ["4.5", "3.9"]
+    assert _as_fine(1234.0, 500.0) == "1234"
+    assert _as_fine(10.0, 1.0) == "10"
