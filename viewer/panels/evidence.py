@@ -23,7 +23,7 @@ PHOTO = 400  # limit for the longer side, in pixels, of the photo shown on hover
 SHOWN = 48  # photos in the table: first those that see the point, each group sorted by angle to the ray
 THUMBNAIL = 33  # side in pixels; odd, so that the point's pixel is in the middle
 COLUMNS = (
-    marked("photo"), marked("angle"), marked("light"), marked("photo's"), marked("model's"), marked("off"), "",
+    marked("photo"), marked("angle"), marked("light"), marked("photo's"), marked("model's"), marked("off by"), "",
 )  # fmt: skip
 
 

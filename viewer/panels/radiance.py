@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
 
+from nerf_core.common.language import figure, marked, tr, trn
 from nerf_core.common.text import number, triple, vector
 from nerf_core.probe import (
     DISC_SIZE,
@@ -28,16 +29,20 @@ from ..model.state import Action, AppState, SetDisc, SetPointDepth
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import Row, button, figures, hint, mono, nothing_yet, packed, same_line_if_fits, swatch
 
-CAPTIONS = {"viewer": "facing its camera", "normal": "around the normal"}
-SPHERE_CAPTION = "all directions; hatched: unseen"
+CAPTIONS = {"viewer": marked("facing its camera"), "normal": marked("around the normal")}
+SPHERE_CAPTION = marked("all directions; hatched: unseen")
 CHOICES: tuple[tuple[str, Source, str], ...] = (
     (
-        "This layer",
+        marked("This layer"),
         "layer",
-        "the layer of the point: its samples, mixed by their weights on the ray. It is what one clicked on",
+        marked("the layer of the point: its samples, mixed by their weights on the ray. It is what one clicked on"),
     ),
-    ("This point", "point", "the colour that the point alone emits"),
-    ("Whole ray", "ray", "the pixel if every sample of the ray kept its weight and was looked at from there"),
+    (marked("This point"), "point", marked("the colour that the point alone emits")),
+    (
+        marked("Whole ray"),
+        "ray",
+        marked("the pixel if every sample of the ray kept its weight and was looked at from there"),
+    ),
 )
 ZOOM, HATCH = 3, 9  # factor by which the pictures are enlarged; distance of the stripes in enlarged pixels
 
@@ -90,7 +95,7 @@ def _stripes(shape: tuple[int, int]) -> np.ndarray:
 
 @PANELS.register("radiance")
 class RadiancePanel:
-    title = "Radiance"
+    title = marked("Radiance")
     dock: Literal["bottom_right"] = "bottom_right"
     order = 0
 
@@ -121,7 +126,7 @@ class RadiancePanel:
         imgui.begin_group()
         self.hovered = _disc(ui, pictures, viewer, min(side, avail.x))
         imgui.push_text_wrap_pos(imgui.get_cursor_pos_x() + side)
-        imgui.text_colored(ui.theme.muted, CAPTIONS[probe.around if probe.normal is not None else "viewer"])
+        imgui.text_colored(ui.theme.muted, tr(CAPTIONS[probe.around if probe.normal is not None else "viewer"]))
         imgui.pop_text_wrap_pos()
         imgui.end_group()
         if beside:
@@ -129,11 +134,12 @@ class RadiancePanel:
         imgui.begin_group()
         width = min(imgui.get_content_region_avail().x, 2 * (side if beside else max(avail.y - 7 * line, 4 * ui.em)))
         self.hovered = _sphere(ui, pictures, viewer, width) or self.hovered
-        hint(ui, SPHERE_CAPTION)
+        hint(ui, tr(SPHERE_CAPTION))
         imgui.end_group()
         yield from _point(ui, state, probe)
         if state.snapshot.ray is not None and state.snapshot.ray.depth_strongest is None:
-            hint(ui, "The ray met nothing: this point is empty, and its colour is never seen.", ui.theme.warning)
+            text = tr("The ray met nothing: this point is empty, and its colour is never seen.")
+            hint(ui, text, ui.theme.warning)
         _numbers(ui, pictures)
         _sight(ui, pictures.evidence)
 
@@ -146,19 +152,19 @@ def shown_of(state: AppState, probe: RadianceProbe) -> Source:
 
 def _choices(ui: Ui, state: AppState, probe: RadianceProbe) -> Iterator[Action]:
     """The choices: colours of the layer, the point or the whole ray, and the direction that the disc faces."""
-    shown, labels = shown_of(state, probe), [label for label, _, _ in CHOICES]
-    for (label, of, tip), after in zip(CHOICES, [*labels[1:], "Normal"], strict=True):
+    shown, labels = shown_of(state, probe), [tr(label) for label, _, _ in CHOICES]
+    for (label, of, tip), after in zip(CHOICES, [*labels[1:], tr("Normal")], strict=True):
         imgui.begin_disabled(of == "layer" and probe.layer is None)
-        if imgui.radio_button(label, shown == of):
+        if imgui.radio_button(f"{tr(label)}###{of}", shown == of):
             state.radiance_of = of
         imgui.end_disabled()
         ui.mark(f"radiance.{of}")
-        imgui.set_item_tooltip(tip)
+        imgui.set_item_tooltip(tr(tip))
         same_line_if_fits(after, imgui.get_frame_height())
     around = state.inspect.around if state.inspect is not None else "viewer"
-    changed, normal = imgui.checkbox("Normal", around == "normal")
+    changed, normal = imgui.checkbox(f"{tr('Normal')}###normal", around == "normal")
     ui.mark("radiance.normal")
-    imgui.set_item_tooltip("turn the disc's middle to where the density falls fastest, instead of to the viewer")
+    imgui.set_item_tooltip(tr("turn the disc's middle to where the density falls fastest, instead of to the viewer"))
     if changed:
         yield SetDisc("normal" if normal else "viewer")
 
@@ -167,13 +173,13 @@ def _numbers(ui: Ui, pictures: Pictures) -> None:
     """How view-dependent the layer or the point is, and its mean colour over the directions in which photos saw it."""
     probe, layer = pictures.probe, pictures.source == "layer"
     dependence, back = (probe.layer_dependence, probe.layer_back_rgb) if layer else (probe.dependence, probe.back_rgb)
-    rows: list[Row] = [("view-dependence", number(dependence, 3))]
+    rows: list[Row] = [(tr("view-dependence"), number(dependence, 3))]
     mean = mean_emitted(pictures.evidence, layer) if pictures.evidence is not None else None
     if mean is not None:
-        rows.append(("observed mean", triple(mean), partial(swatch, ui, mean)))
-        rows.append(("difference here", vector(back - mean)))  # signed: it has no colour
+        rows.append((tr("observed mean"), triple(mean), partial(swatch, ui, mean)))
+        rows.append((tr("difference here"), vector(back - mean)))  # signed: it has no colour
     if pictures.source == "ray":
-        hint(ui, "These are of the point alone:")
+        hint(ui, tr("These are of the point alone:"))
     figures(ui, "numbers", rows)
 
 
@@ -183,11 +189,11 @@ def _point(ui: Ui, state: AppState, probe: RadianceProbe) -> Iterator[Action]:
     imgui.text_colored(ui.theme.muted, "t")
     imgui.same_line()
     with mono(ui):
-        imgui.text_unformatted(number(probe.t, 5))
+        imgui.text_unformatted(tr(number(probe.t, 5)))
     moved = state.inspect is not None and state.inspect.point_t is not None
     imgui.same_line()
-    tip = "Back to the surface. Drag the line in the ray panel to choose another depth."
-    if button(ui, "surface", "radiance.surface", enabled=moved, tip=tip):
+    tip = tr("Back to the surface. Drag the line in the ray panel to choose another depth.")
+    if button(ui, tr("surface"), "radiance.surface", enabled=moved, tip=tip):
         yield SetPointDepth(None)
     figures(ui, "point", [("x", vector(probe.point))])
 
@@ -268,10 +274,16 @@ def _sight(ui: Ui, evidence: Sightings | None) -> None:
         return
     count = int(evidence.seen.sum())
     if not count:
-        text = f"None of the {evidence.asked:,} training photos sees this point: its colour is a guess."
+        text = trn(
+            "The only training photo does not see this point: its colour is a guess.",
+            "None of the {n} training photos sees this point: its colour is a guess.",
+            evidence.asked,
+        )
         hint(ui, text, ui.theme.warning)
     else:
-        hint(ui, f"{count:,} of {evidence.asked:,} training photos see it (dots), {evidence.framed:,} have it in frame")
+        text = tr("{seen} of {asked} training photos see it (dots), {framed} have it in frame")
+        numbers = {"seen": count, "asked": evidence.asked, "framed": evidence.framed}
+        hint(ui, text.format(**{name: figure(n, ",") for name, n in numbers.items()}))
 
 
 def _tooltip(ui: Ui, direction: np.ndarray, rgb: np.ndarray) -> None:
@@ -283,8 +295,8 @@ def _tooltip(ui: Ui, direction: np.ndarray, rgb: np.ndarray) -> None:
 
 def _nothing_yet(state: AppState) -> str:
     if state.inspect is not None:
-        return "Looking at this point from all around …"
-    return "Click a pixel: here you will see the colour that its surface emits in every direction."
+        return tr("Looking at this point from all around …")
+    return tr("Click a pixel: here you will see the colour that its surface emits in every direction.")
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from imgui_bundle import ImVec2, imgui
 
+from nerf_core.common.language import figure, marked, phrase, tr
 from nerf_core.common.text import number, triple
 from nerf_core.methods import lacking
 from nerf_core.probe import RayProbe
@@ -25,21 +26,26 @@ from ..ui.widgets import Row, faded, figures, hint, nothing_yet, packed, same_li
 
 BEYOND = 0.01  # weight beyond the end of the axis that is mentioned
 SIDE_EM, SIDE_NEEDS_EM = 17.0, 36.0  # width of the figures' column; the panel's width from which it is beside the plots
-LOG_CHOICES: tuple[tuple[LogChoice, str], ...] = (
-    ("auto", "a log axis where a linear one would flatten most of this ray's density"),
-    ("on", "a log axis for every ray"),
-    ("off", "a linear axis for every ray"),
+LOG_CHOICES: tuple[tuple[LogChoice, str, str], ...] = (
+    ("auto", marked("auto"), marked("a log axis where a linear one would flatten most of this ray's density")),
+    ("on", marked("on"), marked("a log axis for every ray")),
+    ("off", marked("off"), marked("a linear axis for every ray")),
 )
 OVERVIEW_EM = 1.0  # height of the strip of the whole ray
-OVERVIEW = "the whole ray{}; the frame is the part shown above. Click to show all of it, or the part with the weight"
-TO_INFINITY = " to infinity, over contracted distance"
-CONTRACTED = "contracted distance"
+OVERVIEW = marked(
+    "the whole ray; the frame is the part shown above. Click to show all of it, or the part with the weight"
+)
+TO_INFINITY = marked(
+    "the whole ray to infinity, over contracted distance; the frame is the part shown above. Click to show all of it, "
+    "or the part with the weight"
+)
+CONTRACTED = marked("contracted distance")
 LOW_EM = 18.0  # height of the plots if the figures are below them
 
 
 @PANELS.register("ray")
 class RayPanel:
-    title = "Ray"
+    title = marked("Ray")
     dock: Literal["bottom"] = "bottom"
     order = 0
 
@@ -124,7 +130,7 @@ class RayPanel:
             ends = self._axis.place(np.array([ray.near, ray.far])).tolist()
             self.plots.show(*(self._part if self.plots.shows(*ends) else ends))
         ui.mark("ray.overview")
-        imgui.set_item_tooltip(OVERVIEW.format("" if axis.turn is None else TO_INFINITY))
+        imgui.set_item_tooltip(tr(OVERVIEW if axis.turn is None else TO_INFINITY))
         low, end = axis.place(np.array([ray.near, ray.far if axis.turn is None else np.inf])).tolist()
 
         def x(t: np.ndarray) -> list[float]:
@@ -157,90 +163,101 @@ class RayPanel:
             ("α", "line", ui.theme.alpha),
             ("σ", "line", ui.theme.density),
         ]
-        entries.append(("point", "bar", ui.theme.point))
+        entries.append((tr("point"), "bar", ui.theme.point))
         for i, (label, shape, color) in enumerate(entries):
             if i:
                 same_line_if_fits(f"   {label}")
             _key(ui, shape, packed(color), packed(faded(color, 0.55)))
             imgui.same_line(0, 0.3 * ui.em)
             imgui.text_colored(ui.theme.muted, label)
-        over = "over t (world units)" if self._axis.turn is None else "over contracted t (world units)"
+        over = tr("over t (world units)")
+        if self._axis.turn is not None:
+            over = tr("over contracted t (world units)")
         same_line_if_fits(over)
         imgui.text_colored(ui.theme.muted, over)
 
     def _draw_figures(self, ui: Ui, state: AppState, ray: RayProbe) -> None:
         asked = state.inspect
         if asked is not None and asked.id != state.snapshot.opened_id:
-            hint(ui, f"Opening the ray through pixel {asked.pixel[0]:,}, {asked.pixel[1]:,} …")
+            hint(ui, _opening(asked.pixel))
         _verdict(ui, state)
         last = ray.last
         beyond = float(last.weights[last.t > ray.far].sum())
         if beyond > BEYOND:
-            hint(ui, f"{beyond:.0%} of the pixel comes from farther than the plot shows.")
+            text = tr("{share} of the pixel comes from farther than the plot shows.")
+            hint(ui, text.format(share=figure(beyond, ".0%")))
         difference = float(np.abs(ray.color - ray.rendered_color).max())
         rows: list[Row] = [
-            ("pixel", f"{ray.pixel[0]:,}, {ray.pixel[1]:,}"),
-            ("composited", triple(ray.color), partial(swatch, ui, ray.color)),
-            ("rendered", triple(ray.rendered_color), partial(swatch, ui, ray.rendered_color)),
-            ("difference", number(difference, 2)),
-            ("opacity", f"{ray.opacity:.4f}"),
+            (tr("pixel"), f"{ray.pixel[0]:,}, {ray.pixel[1]:,}"),
+            (tr("composited"), triple(ray.color), partial(swatch, ui, ray.color)),
+            (tr("rendered"), triple(ray.rendered_color), partial(swatch, ui, ray.rendered_color)),
+            (tr("difference"), number(difference, 2)),
+            (tr("opacity"), f"{ray.opacity:.4f}"),
         ]
         for label, name, glyph in DEPTHS:
-            met = f" of {ray.opacity:.0%}" if name == "depth_expected" and ray.opacity < MET else ""
-            rows.append((label, number(getattr(ray, name), 5) + met, partial(_glyph, ui, glyph)))
+            depth = number(getattr(ray, name), 5)
+            if name == "depth_expected" and ray.opacity < MET:
+                depth = phrase("{depth} of {opacity:.0%}", depth=depth, opacity=ray.opacity)
+            rows.append((tr(label), depth, partial(_glyph, ui, glyph)))
         if ray.begins:
-            rows.append(("t begins", f"{number(ray.near, 3)}, {ray.begins}"))
+            rows.append((tr("t begins"), f"{tr(number(ray.near, 3))}, {tr(ray.begins)}"))
         counts = " + ".join(f"{len(p.t):,}" for p in ray.passes)
-        rows.append(("samples", f"{counts} at step {ray.step:,}"))
+        rows.append((tr("samples"), phrase("{counts} at step {step:,}", counts=counts, step=ray.step)))
         figures(ui, "ray figures", rows)
 
     def _draw_choices(self, ui: Ui, state: AppState, contracts: bool) -> None:
         imgui.align_text_to_frame_padding()
-        imgui.text_colored(ui.theme.muted, "log σ")
-        for choice, tip in LOG_CHOICES:
+        imgui.text_colored(ui.theme.muted, tr("log σ"))
+        for choice, label, tip in LOG_CHOICES:
             imgui.same_line()
-            if imgui.radio_button(choice, self.plots.log_choice == choice):
+            if imgui.radio_button(f"{tr(label)}###log {choice}", self.plots.log_choice == choice):
                 self.plots.choose_log(choice, self._passes)
             ui.mark(f"ray.log {choice}")
-            imgui.set_item_tooltip(tip)
+            imgui.set_item_tooltip(tr(tip))
         if contracts:
-            changed, contracted = imgui.checkbox(CONTRACTED, self._axis.turn is not None)
+            changed, contracted = imgui.checkbox(f"{tr(CONTRACTED)}###contracted", self._axis.turn is not None)
             if changed:
                 state.axis = "contracted" if contracted else "t"
             ui.mark("ray.contracted")
-            imgui.set_item_tooltip("the axis runs to infinity: far distances come closer together, as in a grid")
+            imgui.set_item_tooltip(tr("the axis runs to infinity: far distances come closer together, as in a grid"))
 
 
 def _verdict(ui: Ui, state: AppState) -> None:
     """The verdict on the pixel: a word and a sentence."""
     verdict = state.snapshot.opened.verdict if state.snapshot.opened is not None else None
     if verdict is None:
-        hint(ui, "Asking the photos …")
+        hint(ui, tr("Asking the photos …"))
         return
     theme = ui.theme
     tones = {"good": theme.good, "neutral": theme.text, "warning": theme.warning, "error": theme.error}
     imgui.push_font(None, 1.15 * ui.em)
-    imgui.text_colored(tones[verdict.tone], verdict.kind.capitalize())
+    imgui.text_colored(tones[verdict.tone], tr(verdict.kind).capitalize())
     imgui.pop_font()
     ui.mark("ray.verdict")
-    for reason in verdict.reasons:
+    for reason in map(tr, verdict.reasons):
         hint(ui, f"{reason[0].upper()}{reason[1:]}.", ui.theme.text)
 
 
 def _weights_of(steps: Steps) -> str:
-    return f"{steps.probe.name} w up to {number(float(steps.weights.max()), 2)}"
+    largest = tr(number(float(steps.weights.max()), 2))
+    return tr("{name} w up to {largest}").format(name=tr(steps.probe.name), largest=largest)
 
 
 def _nothing_yet(state: AppState) -> str:
     if state.inspect is not None:
-        column, row = state.inspect.pixel
-        return f"Opening the ray through pixel {column:,}, {row:,} …"
-    lacks = lacking(state.snapshot.method, "trace")
+        return _opening(state.inspect.pixel)
+    lacks = tr(lacking(state.snapshot.method, "trace"))
     if lacks:
-        return f"Click a pixel: here you will see what is known of its ray. {lacks[0].upper()}{lacks[1:]}."
+        text = tr("Click a pixel: here you will see what is known of its ray. {lacks}.")
+        return text.format(lacks=f"{lacks[0].upper()}{lacks[1:]}")
     if state.snapshot.scene is None:
-        return "No scene yet. Once there is one, click a pixel to see where along its ray the colour comes from."
-    return "Click a pixel: here you will see where along its ray the light comes from, sample by sample."
+        return tr("No scene yet. Once there is one, click a pixel to see where along its ray the colour comes from.")
+    return tr("Click a pixel: here you will see where along its ray the light comes from, sample by sample.")
+
+
+def _opening(pixel: tuple[int, int]) -> str:
+    x, y = (figure(place, ",") for place in pixel)
+    return tr("Opening the ray through pixel {x}, {y} …").format(x=x, y=y)
 
 
 def _point_t(state: AppState, ray: RayProbe) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 
 from nerf_core.common.colormaps import colored
-from nerf_core.common.text import counted
+from nerf_core.common.language import figure, marked, phrases, tr
 from nerf_core.live.messages import Pin
 from nerf_core.methods import lacking
 from nerf_core.probe import RayHistory
@@ -27,7 +27,7 @@ PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus
 
 @PANELS.register("ray_history")
 class RayHistoryPanel:
-    title = "Ray history"
+    title = marked("Ray history")
     dock: Literal["bottom"] = "bottom"
     order = 4
 
@@ -42,10 +42,12 @@ class RayHistoryPanel:
         pin = _shown(state)
         history = pin.history if pin is not None else None
         if pin is not None and history is not None and len(history.steps) == 1:
-            hint(ui, f"{pin.name}: its history begins at step {history.steps[0]:,}. {_outlook(state, history)}")
+            text = tr("{name}: its history begins at step {step}.")
+            text = text.format(name=pin.name, step=figure(history.steps[0], ","))
+            hint(ui, f"{text} {_outlook(state, history)}")
             return
         if pin is None or history is None:
-            hint(ui, "Pin a ray (Ctrl+click): from then on, here is how its weights move while the model learns.")
+            hint(ui, tr("Pin a ray (Ctrl+click): from then on, here is how its weights move while the model learns."))
             return
         fresh = self._of is None or history.edges is not self._of.edges  # another pin, or a new training
         if history is not self._of:
@@ -53,11 +55,18 @@ class RayHistoryPanel:
             self._open = where_weights_are(history)
         imgui.text_colored(ui.theme.pins[pin.color], pin.name)
         imgui.same_line()
-        extent = f"{counted(len(history.steps), 'record')}, steps {history.steps[0]:,} to {history.steps[-1]:,}"
-        imgui.text_colored(ui.theme.muted, extent)
+        extent = phrases(
+            "{n:,} record, steps {first:,} to {last:,}",
+            "{n:,} records, steps {first:,} to {last:,}",
+            len(history.steps),
+            first=int(history.steps[0]),
+            last=int(history.steps[-1]),
+        )
+        imgui.text_colored(ui.theme.muted, tr(extent))
         if weightless(history):
-            lacks = lacking(state.snapshot.method, "trace") or "the method keeps no samples along a ray"
-            hint(ui, f"{lacks[0].upper()}{lacks[1:]}: there are no weights to show, but colour and depth.")
+            lacks = tr(lacking(state.snapshot.method, "trace")) or tr("the method keeps no samples along a ray")
+            text = tr("{lacks}: there are no weights to show, but colour and depth.")
+            hint(ui, text.format(lacks=f"{lacks[0].upper()}{lacks[1:]}"))
             ui.mark("ray_history.lacks")
         else:
             _scale(ui)
@@ -78,10 +87,10 @@ class RayHistoryPanel:
             for axis, limits in ((implot.ImAxis_.x1, self._x), (implot.ImAxis_.y1, self._t)):
                 implot.setup_axis(axis, None, 0)
                 implot.setup_axis_links(axis, limits.low, limits.high)
-            wide = imgui.calc_text_size(f"{last:,}").x + ui.em
+            wide = imgui.calc_text_size(figure(last, ",")).x + ui.em
             steps = ticks(first, last, max(wide / max(room.x - 6 * ui.em, wide), 0.1))
             places = np.log1p(np.array(steps) - first).tolist()
-            implot.setup_axis_ticks(implot.ImAxis_.x1, places, [f"{v:,}" for v in steps])
+            implot.setup_axis_ticks(implot.ImAxis_.x1, places, [figure(v, ",") for v in steps])
             unfit = implot.Spec(flags=implot.ItemFlags_.no_fit)
             low, high = implot.Point(0, float(history.edges[0])), implot.Point(end, float(history.edges[-1]))
             if not weightless(history):
@@ -93,7 +102,7 @@ class RayHistoryPanel:
                 "open", np.array([0.0, end]), np.array(self._open), unseen
             )  # an invisible line, so that a double click fits the axes to this range
             axis_name(ui, _depth_name(history))
-            axis_name(ui, "step, log scale since it was pinned", right=True, height=1.0)
+            axis_name(ui, tr("step, log scale since it was pinned"), right=True, height=1.0)
             if implot.is_plot_hovered():
                 _tooltip(history, x, implot.get_plot_mouse_pos().x)
             left, width = implot.get_plot_pos().x, implot.get_plot_size().x
@@ -123,14 +132,16 @@ def _outlook(state: AppState, history: RayHistory) -> str:
     """What a history of one record will show."""
     untrainable = nothing_to_train_in(state.snapshot)
     if untrainable:
-        return f"It ends there, for there is {untrainable}."
-    return f"Train on to see how its {'colour and depth' if weightless(history) else 'weights'} move."
+        return tr("It ends there, for there is {untrainable}.").format(untrainable=tr(untrainable))
+    if weightless(history):
+        return tr("Train on to see how its colour and depth move.")
+    return tr("Train on to see how its weights move.")
 
 
 def _depth_name(history: RayHistory) -> str:
     if not weightless(history):
-        return "t; white: median depth"
-    return "t; white: depth" if np.isfinite(history.depth).any() else "t; there is no depth"
+        return tr("t; white: median depth")
+    return tr("t; white: depth") if np.isfinite(history.depth).any() else tr("t; there is no depth")
 
 
 def _columns(history: RayHistory) -> np.ndarray:
@@ -192,7 +203,7 @@ def ticks(first: int, last: int, apart: float) -> list[int]:
 
 def _scale(ui: Ui) -> None:
     """The colour scale of the map."""
-    words, width = ("  weight in a bin  0", "1  (square root)"), 6 * ui.em
+    words, width = (f"  {tr('weight in a bin')}  0", f"1  {tr('(square root)')}"), 6 * ui.em
     same_line_if_fits("".join(words), width)
     imgui.text_colored(ui.theme.muted, words[0])
     imgui.same_line()
@@ -209,5 +220,8 @@ def _tooltip(history: RayHistory, x: np.ndarray, at: float) -> None:
         np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 1)
     )  # the map shows a record up to the next one
     depth = history.depth[k]
-    where = f"depth {depth:.4g}" if np.isfinite(depth) else "no depth"
-    imgui.set_tooltip(f"step {history.steps[k]:,}: {where}, opacity {history.opacity[k]:.3f}")
+    text = tr("step {step}: no depth, opacity {opacity}")
+    if np.isfinite(depth):
+        text = tr("step {step}: depth {depth}, opacity {opacity}")
+    step, opacity = figure(history.steps[k], ","), figure(history.opacity[k], ".3f")
+    imgui.set_tooltip(text.format(step=step, depth=figure(depth, ".4g"), opacity=opacity))

@@ -13,7 +13,8 @@ from imgui_bundle import imgui
 
 from nerf_core.common.configs import Constant, constants
 from nerf_core.common.errors import UserError
-from nerf_core.common.text import counted, number
+from nerf_core.common.language import figure, marked, phrase, phrases, tr, trn
+from nerf_core.common.text import number
 from nerf_core.common.user_paths import own_path
 from nerf_core.datasets.recognise import recognise
 from nerf_core.geometry.scene import SPLITS, Scene
@@ -26,14 +27,15 @@ from ..model.state import Action, AppState, unsaved_steps
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import Forgetting, Row, button, field_beside, field_width, figures, hint, same_line_if_fits
 
-DOWNSCALE, MOST = "downscale", 64
-OPEN, PAUSED, DEMO = f"{icons.ICON_FA_FOLDER_OPEN}  Open and train", "Open paused", "Demo"
-CANCEL = f"{icons.ICON_FA_XMARK}  Cancel"
+DOWNSCALE, MOST = marked("downscale"), 64
+OPEN, PAUSED, DEMO, CANCEL = marked("Open and train"), marked("Open paused"), marked("Demo"), marked("Cancel")
+PHOTOS = {"train": marked("{n} train"), "val": marked("{n} val"), "test": marked("{n} test")}  # of the splits
+FASTEST = marked("The one that is fast on this device.")
 
 
 @PANELS.register("scene")
 class ScenePanel:
-    title = "Scene"
+    title = marked("Scene")
     dock: Literal["right"] = "right"
     order = 0
 
@@ -47,46 +49,52 @@ class ScenePanel:
         snapshot, scene = state.snapshot, state.snapshot.scene
         yield from self._open(ui, state)
         if snapshot.status == "loading":
-            words = snapshot.loading or "loading …"
+            words = tr(snapshot.loading) or tr("loading …")
             hint(ui, words[:1].upper() + words[1:], ui.theme.accent)
-            if button(ui, CANCEL, "scene.cancel", tip="stop loading; what is open stays open"):
+            cancel = f"{icons.ICON_FA_XMARK}  {tr(CANCEL)}"
+            if button(ui, cancel, "scene.cancel", tip=tr("stop loading; what is open stays open")):
                 yield CancelLoading()
         elif scene is None:
-            hint(ui, "No scene is open. Type the folder of a capture, or open the demo scene.")
+            hint(ui, tr("No scene is open. Type the folder of a capture, or open the demo scene."))
             _offer_methods(ui, state)
         if scene is not None:
             figures(ui, "scene", _rows(scene))
             yield from _photos(ui, state, scene)
-            same_line_if_fits(f"{DOWNSCALE}  00")
+            same_line_if_fits(f"{tr(DOWNSCALE)}  00")
         _downscale(ui, state)
         if scene is not None:
             yield from self._method(ui, state)
             _constants(ui, state)
             for note in scene.notes:
-                hint(ui, f"{icons.ICON_FA_TRIANGLE_EXCLAMATION}  {note}", ui.theme.warning)
+                hint(ui, f"{icons.ICON_FA_TRIANGLE_EXCLAMATION}  {tr(note)}", ui.theme.warning)
 
     def _open(self, ui: Ui, state: AppState) -> Iterator[Action]:
         if state.focus_open and not state.raise_panel:
             imgui.set_keyboard_focus_here()
             state.focus_open = False
-        field_beside(ui, OPEN)
-        flags = imgui.InputTextFlags_.enter_returns_true
-        entered, state.open_path = imgui.input_text_with_hint("##path", "folder of a capture", state.open_path, flags)
+        train, demo = f"{icons.ICON_FA_FOLDER_OPEN}  {tr(OPEN)}", tr(DEMO)
+        field_beside(ui, train)
+        flags, usual = imgui.InputTextFlags_.enter_returns_true, tr("folder of a capture")
+        entered, state.open_path = imgui.input_text_with_hint("##path", usual, state.open_path, flags)
         ui.mark("scene.path")
-        same_line_if_fits(OPEN)
+        same_line_if_fits(train)
         path = state.open_path.strip()
-        if (button(ui, OPEN, "scene.open", enabled=bool(path)) or entered) and path:
+        if (button(ui, train, "scene.open", enabled=bool(path)) or entered) and path:
             yield from self._ask(state, Path(path), train=True)
         asking = self._confirmation.asking  # a tooltip would cover the question
-        tip = "" if asking else "show the photos and cameras first; Train begins"
-        if button(ui, PAUSED, "scene.open_paused", enabled=bool(path), tip=tip) and path:
+        tip = "" if asking else tr("show the photos and cameras first; Train begins")
+        if button(ui, tr(PAUSED), "scene.open_paused", enabled=bool(path), tip=tip) and path:
             yield from self._ask(state, Path(path), train=False)
-        same_line_if_fits(DEMO)
-        if button(ui, DEMO, "scene.demo", tip="" if asking else "open the demo scene and train"):
+        same_line_if_fits(demo)
+        if button(ui, demo, "scene.demo", tip="" if asking else tr("open the demo scene and train")):
             yield from self._ask(state, None, train=True)
         unsaved = unsaved_steps(state.snapshot)
-        question = f"Opening another scene forgets {counted(unsaved, 'unsaved training step')}."
-        answer = self._confirmation.ask(ui, question, "open", "scene.open", needed=unsaved > 0)
+        question = trn(
+            "Opening another scene forgets {n} unsaved training step.",
+            "Opening another scene forgets {n} unsaved training steps.",
+            unsaved,
+        )
+        answer = self._confirmation.ask(ui, question, tr("open"), "scene.open", needed=unsaved > 0)
         if answer:
             opening = OpenScene(self._wanted, state.settings, train=self._train)
             yield opening if answer == "forget" else saved_first(state, opening)
@@ -95,21 +103,26 @@ class ScenePanel:
         """The method of the open scene, and a choice of another."""
         snapshot, unsaved = state.snapshot, unsaved_steps(state.snapshot)
         wanted = ""
-        field_width(ui, "method")
-        if imgui.begin_combo("method", snapshot.method, imgui.ComboFlags_.height_largest):
+        field_width(ui, tr("method"))
+        if imgui.begin_combo(f"{tr('method')}###method", snapshot.method, imgui.ComboFlags_.height_largest):
             for name, sentence in method_sentences().items():
                 chosen, _ = imgui.selectable(f"{name}##method", name == snapshot.method)
                 ui.mark(f"scene.method.{name}")
-                imgui.set_item_tooltip(sentence)
+                imgui.set_item_tooltip(tr(sentence))
                 if chosen and name != snapshot.method:
                     wanted = self._other = name
             imgui.end_combo()
         ui.mark("scene.method")
-        why = f" ({snapshot.method_reason})" if snapshot.method_reason else ""
-        imgui.set_item_tooltip(method_sentences().get(snapshot.method, "") + why)
+        why = f" ({tr(snapshot.method_reason)})" if snapshot.method_reason else ""
+        imgui.set_item_tooltip(tr(method_sentences().get(snapshot.method, "")) + why)
         self._change.asking = self._change.asking or (bool(wanted) and unsaved > 0)
-        question = f"Changing to {self._other} forgets {counted(unsaved, 'unsaved training step')}."
-        answer = self._change.ask(ui, question, "change", "scene.method", needed=unsaved > 0)
+        question = phrases(
+            "Changing to {method} forgets {n:,} unsaved training step.",
+            "Changing to {method} forgets {n:,} unsaved training steps.",
+            unsaved,
+            method=self._other,
+        )
+        answer = self._change.ask(ui, tr(question), tr("change"), "scene.method", needed=unsaved > 0)
         if answer or (wanted and unsaved == 0):
             changing = UseMethod(self._other, train=True)
             yield saved_first(state, changing) if answer == "save" else changing
@@ -131,17 +144,26 @@ def _can_be_opened(path: Path | None, state: AppState) -> bool:
 
 
 def _rows(scene: Scene) -> list[Row]:
-    counts = [f"{len(scene.split(name)):,} {name}" for name in SPLITS if scene.split(name)]
+    known = {name: len(scene.split(name)) for name in SPLITS}
+    counts = [tr(PHOTOS[name]).format(n=figure(count, ",")) for name, count in known.items() if count]
     sizes = sorted({(v.camera.width, v.camera.height) for v in scene.views})
-    size = f"{sizes[0][0]:,} × {sizes[0][1]:,}" if len(sizes) == 1 else f"{len(sizes):,} sizes"
+    width, height = max((w for w, _ in sizes), default=0), max((h for _, h in sizes), default=0)
+    size = phrase("{width:,} × {height:,} px", width=width, height=height) if sizes else "–"
     if len(sizes) > 1:
-        size += f", up to {max(w for w, _ in sizes):,} × {max(h for _, h in sizes):,}"
+        size = phrases(
+            "{n:,} size, up to {width:,} × {height:,} px",
+            "{n:,} sizes, up to {width:,} × {height:,} px",
+            len(sizes),
+            width=width,
+            height=height,
+        )
+    bounds = phrase("{near} … {far} units", near=number(scene.near), far=number(scene.far))
     return [
-        ("name", scene.name),
-        ("format", f"{scene.format}, in NDC" if scene.ndc is not None else scene.format),
-        ("photos", " · ".join(counts) or "none"),
-        ("size", f"{size} px" if sizes else "–"),
-        ("near … far", f"{number(scene.near)} … {number(scene.far)} units"),
+        (tr("name"), scene.name),
+        (tr("format"), phrase("{format}, in NDC", format=scene.format) if scene.ndc is not None else scene.format),
+        (tr("photos"), " · ".join(counts) or tr("none")),
+        (tr("size"), size),
+        (tr("near … far"), bounds),
     ]
 
 
@@ -152,7 +174,7 @@ def method_sentences() -> dict[str, str]:
 
 def _constants(ui: Ui, state: AppState) -> None:
     """The constants of the open model, read-only; a tooltip has the range and a line of help."""
-    opened = imgui.tree_node_ex("Constants", imgui.TreeNodeFlags_.span_avail_width)
+    opened = imgui.tree_node_ex(f"{tr('Constants')}###constants", imgui.TreeNodeFlags_.span_avail_width)
     ui.mark("scene.constants")
     if not opened:
         return
@@ -161,8 +183,8 @@ def _constants(ui: Ui, state: AppState) -> None:
         for name, (_, about) in known.items():
             imgui.table_next_column()
             imgui.text_colored(ui.theme.muted, name)
-            limits = f"\n{about.range}" if about.range else ""
-            imgui.set_item_tooltip(f"{about.help}{limits}")
+            limits = f"\n{tr(about.range)}" if about.range else ""
+            imgui.set_item_tooltip(f"{tr(about.help)}{limits}")
             imgui.table_next_column()
             imgui.text_unformatted(_value(values, name))
         imgui.end_table()
@@ -183,28 +205,29 @@ def _known_constants(method: str) -> dict[str, tuple[Any, Constant]]:
 
 def _offer_methods(ui: Ui, state: AppState) -> None:
     """The method for the next capture: a box with a sentence on each."""
-    offers, chosen = {"auto": "The one that is fast on this device."} | method_sentences(), state.settings.method
-    field_width(ui, "method")
-    if imgui.begin_combo("method##start", chosen, imgui.ComboFlags_.height_largest):
+    offers, chosen = {"auto": FASTEST} | method_sentences(), state.settings.method
+    field_width(ui, tr("method"))
+    if imgui.begin_combo(f"{tr('method')}###start", chosen, imgui.ComboFlags_.height_largest):
         column = max(imgui.calc_text_size(name).x for name in offers) + 1.5 * ui.em
         for name, sentence in offers.items():
             pressed, _ = imgui.selectable(f"{name}##start", name == chosen)
             ui.mark(f"scene.start.{name}")
             imgui.same_line(column)
-            imgui.text_colored(ui.theme.muted, sentence)
+            imgui.text_colored(ui.theme.muted, tr(sentence))
             if pressed:
                 state.settings = replace(state.settings, method=name, preset="auto", changes={})
         imgui.end_combo()
     ui.mark("scene.start")
-    hint(ui, offers.get(chosen, ""))
+    hint(ui, tr(offers.get(chosen, "")))
 
 
 def _downscale(ui: Ui, state: AppState) -> None:
     load = state.settings.load
     imgui.set_next_item_width(2.6 * ui.em)
-    _, value = imgui.drag_int(DOWNSCALE, load.downscale, 0.05, 1, MOST, "%d", imgui.SliderFlags_.always_clamp)
+    label, clamp = f"{tr(DOWNSCALE)}###downscale", imgui.SliderFlags_.always_clamp
+    _, value = imgui.drag_int(label, load.downscale, 0.05, 1, MOST, "%d", clamp)
     ui.mark("scene.downscale")
-    imgui.set_item_tooltip("of the capture that is opened next: its photos are averaged over so many pixels a side")
+    imgui.set_item_tooltip(tr("of the capture that is opened next: its photos are averaged over so many pixels a side"))
     state.settings = replace(state.settings, load=replace(load, downscale=value))
 
 
@@ -213,13 +236,14 @@ def _photos(ui: Ui, state: AppState, scene: Scene) -> Iterator[Action]:
     train, current = scene.split("train"), state.current_view
     for icon, direction in ((icons.ICON_FA_CHEVRON_LEFT, "previous"), (icons.ICON_FA_CHEVRON_RIGHT, "next")):
         go = f"camera.{direction}"
-        tip = with_keys(f"{direction} training photo", go)
+        tip = with_keys(tr("next training photo") if direction == "next" else tr("previous training photo"), go)
         if button(ui, icon, f"scene.{direction}", enabled=USER_COMMANDS.get(go).enabled(state), tip=tip):
             yield from run(go, state)
         imgui.same_line()
     imgui.align_text_to_frame_padding()
     if current in train and current is not None:
-        imgui.text_unformatted(f"photo {train.index(current) + 1:,} of {len(train):,}")
+        at, count = figure(train.index(current) + 1, ","), figure(len(train), ",")
+        imgui.text_unformatted(tr("photo {i} of {n}").format(i=at, n=count))
         imgui.set_item_tooltip(scene.views[current].name)
     else:
-        imgui.text_colored(ui.theme.muted, f"{len(train):,} training photos")
+        imgui.text_colored(ui.theme.muted, trn("{n} training photo", "{n} training photos", len(train)))

@@ -9,6 +9,7 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 
 from nerf_core.common.colormaps import colored
+from nerf_core.common.language import figure, marked, tr
 from nerf_core.methods.stages import BarCode, Chart, Colors, Marks, Pictures, Stage, Stems, Transfer
 
 from ..draw.picture_stack import picture_stack
@@ -49,7 +50,7 @@ class Space(NamedTuple):
 
 @PANELS.register("walk")
 class WalkPanel:
-    title = "Follow this pixel"
+    title = marked("Follow this pixel")
     dock: Literal["bottom"] = "bottom"
     order = 2
 
@@ -60,7 +61,7 @@ class WalkPanel:
             nothing_yet(
                 ui,
                 state.snapshot.method,
-                "Click a pixel: here you will see it go through the whole method, stage by stage.",
+                tr("Click a pixel: here you will see it go through the whole method, stage by stage."),
                 (),
             )
             return
@@ -85,16 +86,16 @@ class WalkPanel:
 def _draw_stage(ui: Ui, number: int, stage: Stage, bounds: tuple[float, float]) -> None:
     imgui.text_colored(ui.theme.accent, f"{number}")
     imgui.same_line(0, 0.5 * ui.em)
-    imgui.text_unformatted(stage.title)
+    imgui.text_unformatted(tr(stage.title))
     ui.mark(f"walk.{stage.title}")
-    hint(ui, stage.sentence)
+    hint(ui, tr(stage.sentence))
     part, lowest = _plot_height(ui, stage), len(stage.charts) - 1
     for k, chart in enumerate(stage.charts):
         least, most = (em * ui.em for em in (PICTURES_EM if isinstance(chart, Pictures) else CHART_EM))
         high = min(max(_parts(chart) * part - imgui.get_style().item_spacing.y, least), most)
         CHARTS[type(chart)](ui, f"##{number} {k}", chart, Space(high, k == lowest, *bounds))
     if stage.rows:
-        figures(ui, "rows", stage.rows)
+        figures(ui, "rows", [(tr(label), value) for label, value in stage.rows])
 
 
 def _plot_height(ui: Ui, stage: Stage) -> float:
@@ -142,7 +143,8 @@ def _stems(ui: Ui, name: str, chart: Stems, space: Space) -> None:
     if _begin(ui, name, t, top, space):
         if len(t):
             implot.plot_stems("stems", t, y, 0, implot.Spec(line_color=ui.theme.fine, marker=implot.Marker_.none))
-        axis_name(ui, f"{chart.name}, up to {top:.3g}{', over t' if space.numbered else ''}", right=True)
+        text = tr("{name}, up to {top}, over t") if space.numbered else tr("{name}, up to {top}")
+        axis_name(ui, text.format(name=tr(chart.name), top=figure(top, ".3g")), right=True)
         implot.end_plot()
 
 
@@ -156,18 +158,19 @@ def _marks(ui: Ui, name: str, chart: Marks, space: Space) -> None:
         if len(t):
             dots = implot.Spec(line_color=ui.theme.fine, marker=implot.Marker_.circle, marker_size=0.15 * ui.em)
             implot.plot_stems("samples", t, np.full(len(t), 0.5), 0, dots)
-        axis_name(ui, "samples and their bins, over t" if len(edges) else "samples, over t", right=True)
+        axis_name(ui, tr("samples and their bins, over t") if len(edges) else tr("samples, over t"), right=True)
         implot.end_plot()
 
 
 def _bar_code(ui: Ui, name: str, chart: BarCode, _: Space) -> None:
     """A row of bars per name in the diverging colour map, with its scale below."""
-    label = max(imgui.calc_text_size(n).x for n in chart.names) + 0.5 * ui.em
+    names = [tr(text) for text in chart.names]
+    label = max(imgui.calc_text_size(text).x for text in names) + 0.5 * ui.em
     width_left = imgui.get_content_region_avail().x
     high = min(1.1 * ui.em, 8 * ui.em / len(chart.names))
     draw = imgui.get_window_draw_list()
     peak = chart.peak if np.isfinite(chart.peak) and chart.peak > 0 else 1.0
-    for text, values in zip(chart.names, chart.values, strict=True):
+    for text, values in zip(names, chart.values, strict=True):
         at = imgui.get_cursor_screen_pos()
         if high > 0.8 * ui.em:
             draw.add_text(at, packed(ui.theme.muted), text)
@@ -179,14 +182,16 @@ def _bar_code(ui: Ui, name: str, chart: BarCode, _: Space) -> None:
         if imgui.is_item_hovered():
             k = int((imgui.get_mouse_pos().x - at.x - label) // max(width, 1e-6))
             if 0 <= k < len(values):
-                imgui.set_tooltip(f"{text} {k + 1} of {len(values)}: {float(values[k]):.4g}")
-    hint(ui, f"−{peak:.3g} violet … {peak:.3g} orange")
+                value = figure(float(values[k]), ".4g")
+                tip = tr("{name} {i} of {n}: {value}")
+                imgui.set_tooltip(tip.format(name=text, i=k + 1, n=len(values), value=value))
+    hint(ui, tr("−{peak} violet … {peak} orange").format(peak=figure(peak, ".3g")))
 
 
 def _transfer(ui: Ui, name: str, chart: Transfer, space: Space) -> None:
     edges, cdf, u, draws = (np.nan_to_num(v.astype(np.float64)) for v in chart)
     line = imgui.get_text_line_height_with_spacing()  # the title is above it, because the curve needs the whole plot
-    imgui.text_colored(ui.theme.muted, "levels through the inverse CDF, over t")
+    imgui.text_colored(ui.theme.muted, tr("levels through the inverse CDF, over t"))
     if _begin(ui, name, edges, 1.0, space._replace(high=max(space.high - line, CHART_EM[0] * ui.em))):
         some = np.linspace(0, len(u) - 1, min(len(u), 24)).astype(int)
         for k in some.tolist():  # from its level to the curve, then down to its draw
@@ -200,7 +205,7 @@ def _colors(ui: Ui, name: str, chart: Colors, _: Space) -> None:
     for text, rgb in zip(chart.names, chart.rgb, strict=True):
         swatch(ui, rgb)
         imgui.same_line(0, 0.4 * ui.em)
-        imgui.text_colored(ui.theme.muted, text)
+        imgui.text_colored(ui.theme.muted, tr(text))
 
 
 def _pictures(ui: Ui, name: str, chart: Pictures, space: Space) -> None:
