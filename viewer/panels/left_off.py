@@ -106,7 +106,7 @@ class LeftOffOverlay:
         question = trn(
             "Opening it forgets {n} unsaved training step.", "Opening it forgets {n} unsaved training steps.", unsaved
         )
-        answer = self._continue.ask(ui, question, tr("open"), "left_off", needed=unsaved > 0)
+        answer = self._continue.ask(ui, question, "open", "left_off", needed=unsaved > 0)
         if answer and self._wanted:
             opening = self._opened(state, self._wanted)
             yield opening if answer == "forget" else saved_first(state, opening)

@@ -288,7 +288,7 @@ def _sight(ui: Ui, evidence: Sightings | None) -> None:
 
 def _tooltip(ui: Ui, direction: np.ndarray, rgb: np.ndarray) -> None:
     if imgui.begin_tooltip():
-        rows: list[Row] = [("v", vector(direction)), ("rgb", f" {triple(rgb)}", partial(swatch, ui, rgb))]
+        rows: list[Row] = [("v", vector(direction)), ("rgb", f" {tr(triple(rgb))}", partial(swatch, ui, rgb))]
         figures(ui, "direction", rows, 16 * ui.em)
         imgui.end_tooltip()
 

@@ -188,11 +188,11 @@ class RayPanel:
             hint(ui, text.format(share=figure(beyond, ".0%")))
         difference = float(np.abs(ray.color - ray.rendered_color).max())
         rows: list[Row] = [
-            (tr("pixel"), f"{ray.pixel[0]:,}, {ray.pixel[1]:,}"),
+            (tr("pixel"), ", ".join(figure(place, ",") for place in ray.pixel)),
             (tr("composited"), triple(ray.color), partial(swatch, ui, ray.color)),
             (tr("rendered"), triple(ray.rendered_color), partial(swatch, ui, ray.rendered_color)),
             (tr("difference"), number(difference, 2)),
-            (tr("opacity"), f"{ray.opacity:.4f}"),
+            (tr("opacity"), figure(ray.opacity, ".4f")),
         ]
         for label, name, glyph in DEPTHS:
             depth = number(getattr(ray, name), 5)

@@ -94,7 +94,7 @@ class ScenePanel:
             "Opening another scene forgets {n} unsaved training steps.",
             unsaved,
         )
-        answer = self._confirmation.ask(ui, question, tr("open"), "scene.open", needed=unsaved > 0)
+        answer = self._confirmation.ask(ui, question, "open", "scene.open", needed=unsaved > 0)
         if answer:
             opening = OpenScene(self._wanted, state.settings, train=self._train)
             yield opening if answer == "forget" else saved_first(state, opening)
@@ -122,7 +122,7 @@ class ScenePanel:
             unsaved,
             method=self._other,
         )
-        answer = self._change.ask(ui, tr(question), tr("change"), "scene.method", needed=unsaved > 0)
+        answer = self._change.ask(ui, tr(question), "change", "scene.method", needed=unsaved > 0)
         if answer or (wanted and unsaved == 0):
             changing = UseMethod(self._other, train=True)
             yield saved_first(state, changing) if answer == "save" else changing

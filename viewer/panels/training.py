@@ -72,7 +72,7 @@ class TrainingPanel:
         if button(ui, _label(RESET), "training.reset", enabled=snapshot.step > 0, tip=tip):
             self._reset.asking = True
         question = trn("This forgets {n} trained step.", "This forgets {n} trained steps.", snapshot.step)
-        answer = self._reset.ask(ui, question, tr("start again"), "training.reset", needed=snapshot.step > 0)
+        answer = self._reset.ask(ui, question, "start again", "training.reset", needed=snapshot.step > 0)
         if answer:
             yield Reset() if answer == "forget" else saved_first(state, Reset())
 
@@ -127,7 +127,7 @@ class TrainingPanel:
         question = trn(
             "Loading forgets {n} unsaved training step.", "Loading forgets {n} unsaved training steps.", unsaved
         )
-        answer = self._load.ask(ui, question, tr("load"), "training.load", needed=unsaved > 0)
+        answer = self._load.ask(ui, question, "load", "training.load", needed=unsaved > 0)
         if answer or (pressed and unsaved == 0):
             loading = LoadCheckpoint(Path(path))
             yield saved_first(state, loading) if answer == "save" else loading

@@ -95,7 +95,7 @@ def _draw_stage(ui: Ui, number: int, stage: Stage, bounds: tuple[float, float]) 
         high = min(max(_parts(chart) * part - imgui.get_style().item_spacing.y, least), most)
         CHARTS[type(chart)](ui, f"##{number} {k}", chart, Space(high, k == lowest, *bounds))
     if stage.rows:
-        figures(ui, "rows", [(tr(label), value) for label, value in stage.rows])
+        figures(ui, "rows", [(tr(label), tr(value)) for label, value in stage.rows])
 
 
 def _plot_height(ui: Ui, stage: Stage) -> float:
