@@ -1,0 +1,338 @@
+"""The page about positional encoding: four networks learn a picture, and the reader turns what tells them apart."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Literal
+
+import numpy as np
+from imgui_bundle import ImVec2, imgui, implot
+from imgui_bundle import icons_fontawesome_6 as icons
+
+from nerf_core.common.language import figure, marked, tr
+from nerf_core.common.text import NOTHING, duration
+from nerf_core.lab.records import Curve, Knob, StudyState
+from nerf_core.lab.study import STUDIES, Turnable
+from nerf_core.live.messages import CancelStudy, StartStudy, TurnKnob
+
+from ..draw.encoding_pictures import GAP_EM, LINE_EM, PictureRow, Shown
+from ..draw.encoding_waves import WavePlot, bar_code
+from ..draw.paint_canvas import SIDE
+from ..model.state import Action, AppState
+from ..ui.contract import PANELS, Ui
+from ..ui.widgets import axis_name, button, hint, mono
+from .encoding_source import Source
+
+STUDY = "image"
+L, SIGMA = "L", "σ"  # its knobs
+OPTIONS = {L: "frequencies", SIGMA: "sigma"}  # by knob: the study's option
+NAMES = ("none", "basic", "positional", "gaussian")  # its networks
+VIEWS = ("pictures", "spectra", "draw")
+SLIDER_EM = 5.5  # width
+WIDE_EM, SIDE_EM = 60.0, 21.0  # the page's width from which plots lie beside the pictures, and their least width
+PICTURE_EM = 3.0, 22.0  # least and largest width of a picture
+BOTH_EM = 8.5  # height of a picture from which spectra lie under the pictures
+PLOTS_EM = 13.0  # height of the plots under the pictures
+STEP = 1.05  # a slider that is dragged sends σ whenever it has changed by this factor
+LESSON = marked(
+    "Bare coordinates learn a blur: a network learns low frequencies first (spectral bias). With L too small the "
+    "picture stays blurred; with L too large the network fits noise between the training pixels."
+)
+BEFORE = marked(
+    "Four networks learn this picture, pixel by pixel: from (x, y) the colour. They differ only in how the coordinates "
+    "are encoded. Start, or draw a picture of your own."
+)
+PLOT = implot.Flags_.no_title | implot.Flags_.no_menus | implot.Flags_.no_mouse_text | implot.Flags_.no_legend
+
+
+@PANELS.register("encoding")
+class EncodingPanel:
+    title = marked("Encoding")
+    dock: Literal["bottom"] = "bottom"
+    order = 6
+
+    def __init__(self) -> None:
+        self._view = "pictures"
+        self._source = Source()
+        self._pictures, self._waves = PictureRow(), WavePlot()
+        self._values: dict[str, float] = {}  # of the sliders, where they differ from the study's knobs
+        self._sent: dict[str, float] = {}  # turns that the worker has not yet obeyed
+        self._known: dict[str, float] = {}  # the study's knobs in the last frame
+        self._begun: StartStudy | None = None  # the newest study that this page asked for
+
+    def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
+        snapshot = state.snapshot
+        if snapshot.status == "loading" and not snapshot.loaded:
+            hint(ui, tr("Networks that learn a picture: they appear when PyTorch is loaded."))
+            return
+        study = snapshot.study if snapshot.study is not None and snapshot.study.name == STUDY else None
+        other = snapshot.study if snapshot.study is not None and snapshot.study.name != STUDY else None
+        obstacle = ""
+        if other is not None and other.state == "running":
+            name = tr(STUDIES.get(other.name).title)
+            text = tr(
+                "The study “{name}” is running, and there is one at a time: wait for it, or cancel it in the Lab."
+            )
+            obstacle = text.format(name=name)
+        yield from self._toolbar(ui, study, obstacle)
+        imgui.begin_child("page", ImVec2(0, 0))
+        if obstacle:
+            hint(ui, obstacle, ui.theme.warning)
+        if study is not None:
+            _failure(ui, study)
+        if self._view == "draw":
+            if self._source.draw(ui, obstacle):
+                yield from self._begin(study)
+        else:
+            self._learning(ui, study)
+        imgui.end_child()
+
+    # ---- what is done -------------------------------------------------------------------------------------------
+
+    def _begin(self, study: StudyState | None) -> Iterator[Action]:
+        """Learn the chosen picture from the beginning, with what the sliders say."""
+        try:
+            folder = self._source.fresh_folder()
+        except OSError as error:
+            self._source.problem, self._view = str(error), "draw"
+            return
+        if study is not None and study.state == "running":
+            yield CancelStudy()
+        options = {OPTIONS[name]: f"{value:.6g}" for name, value in self._wanted(study).items()}
+        self._begun = StartStudy(STUDY, options, folder, self._source.photo)
+        self._view = "pictures" if self._view == "draw" else self._view
+        yield self._begun
+
+    def _can_go_on(self, study: StudyState) -> bool:
+        """Whether it was stopped, and this page knows how it was begun."""
+        return study.state == "cancelled" and self._begun is not None and self._begun.folder == study.folder
+
+    def _wanted(self, study: StudyState | None) -> dict[str, float]:
+        """Return L and σ as the sliders show them."""
+        return {knob.name: self._values.get(knob.name, knob.value) for knob in _knobs(study)}
+
+    # ---- above --------------------------------------------------------------------------------------------------
+
+    def _toolbar(self, ui: Ui, study: StudyState | None, obstacle: str) -> Iterator[Action]:
+        yield from self._buttons(ui, study, obstacle)
+        running = study is not None and study.state == "running"
+        for knob in _knobs(study):
+            _same_line(ui, (SLIDER_EM + 1.2) * ui.em, 0.7)
+            yield from self._slider(ui, knob, running)
+        names = {"pictures": tr("Pictures"), "spectra": tr("Spectra"), "draw": tr("Draw…")}
+        for k, view in enumerate(VIEWS):
+            _same_line(ui, _button_width(names[view]), 0.25 if k else 0.7)
+            chosen = self._view == view
+            if chosen:
+                imgui.push_style_color(imgui.Col_.button, imgui.get_style().color_(imgui.Col_.button_active))
+            tip = tr("Draw or open a picture of your own, and let the networks learn it.") if view == "draw" else ""
+            if button(ui, names[view], f"encoding.view.{view}", tip=tip):
+                self._view = view
+            if chosen:
+                imgui.pop_style_color()
+        if study is not None and running:
+            percent = f"{figure(100 * study.fraction, '.0f')} %"
+            _same_line(ui, imgui.calc_text_size(percent).x, 0.7)
+            with mono(ui):
+                imgui.align_text_to_frame_padding()
+                imgui.text_colored(ui.theme.accent, percent)
+            ui.mark("encoding.progress")
+            if study.seconds_left is not None:
+                imgui.set_item_tooltip(tr("{time} left").format(time=duration(study.seconds_left)))
+
+    def _buttons(self, ui: Ui, study: StudyState | None, obstacle: str) -> Iterator[Action]:
+        """Draw what begins, stops and continues the study."""
+        restart = icons.ICON_FA_ROTATE_LEFT
+        tip = obstacle or tr("Training and the window go on meanwhile.")
+        if study is None:
+            if button(ui, f"{icons.ICON_FA_PLAY}  {tr('Start')}", "encoding.start", enabled=not obstacle, tip=tip):
+                yield from self._begin(study)
+            return
+        again = tr("Begin again")
+        if study.state == "running":
+            kept = tr("What is learnt is kept: you can go on from there.")
+            if button(ui, f"{icons.ICON_FA_STOP}  {tr('Stop')}", "encoding.stop", tip=kept):
+                yield CancelStudy()
+        elif self._can_go_on(study) and self._begun is not None:
+            if button(ui, f"{icons.ICON_FA_PLAY}  {tr('Go on')}", "encoding.go_on", enabled=not obstacle, tip=tip):
+                yield self._begun
+        else:
+            if button(ui, f"{restart}  {again}", "encoding.again", enabled=not obstacle, tip=tip):
+                yield from self._begin(study)
+            return
+        imgui.same_line()
+        if button(ui, restart, "encoding.again", enabled=not obstacle, tip=obstacle or again):
+            yield from self._begin(study)
+
+    def _slider(self, ui: Ui, knob: Knob, running: bool) -> Iterator[Action]:
+        """Draw a slider that turns its knob while it is dragged: L at every number, σ every few percent."""
+        name = knob.name
+        value = self._values.get(name, knob.value)
+        imgui.set_next_item_width(SLIDER_EM * ui.em)
+        label = f"{name}##encoding.{name}"
+        if name == L:
+            changed, number = imgui.slider_int(label, round(value), round(knob.least), round(knob.most))
+            value = float(number) if changed else value
+        else:
+            flags = imgui.SliderFlags_.logarithmic
+            changed, value = imgui.slider_float(label, value, knob.least, knob.most, "%.3g", flags)
+        ui.mark(f"encoding.{name}")
+        if imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip):
+            imgui.set_tooltip(
+                tr("number of frequencies 1, 2, 4, … of the positional encoding")
+                if name == L
+                else tr("deviation of the Gaussian encoding's frequencies, in cycles per picture")
+            )
+        if changed:
+            self._values[name] = value
+        sent = self._sent.get(name, knob.value)
+        ended = imgui.is_item_deactivated_after_edit()
+        far = value != sent if name == L else abs(math.log(value / sent)) > math.log(STEP)
+        if not running or knob.value == sent:
+            self._sent.pop(name, None)  # the worker has obeyed
+        if running and ((changed and far) or (ended and value != sent)):
+            self._sent[name] = value
+            yield TurnKnob(name, value)
+        if not (imgui.is_item_active() or changed or name in self._sent) and self._known.get(name) != knob.value:
+            self._known[name] = knob.value  # it was turned, here or in the Lab
+            self._values.pop(name, None)
+
+    # ---- pictures and plots -------------------------------------------------------------------------------------
+
+    def _learning(self, ui: Ui, study: StudyState | None) -> None:
+        room = imgui.get_content_region_avail()
+        wide = room.x > WIDE_EM * ui.em
+        curves = {curve.name: curve for curve in study.curves} if study is not None else {}
+        rows = self._rows(ui, study, curves)
+        target = rows["pictures"][0].image
+        shape = target.shape[:2] if target is not None else (SIDE, SIDE)
+        lesson = tr(BEFORE if study is None else LESSON)
+        size, both = _picture_size(ui, room, shape, wide, lesson)
+        across = len(NAMES) + 1
+        grid = across * size[0] + (across - 1) * GAP_EM * ui.em
+        imgui.begin_child("pictures", ImVec2(grid if wide else 0, 0), imgui.ChildFlags_.auto_resize_y)
+        if both or self._view == "pictures":
+            self._pictures.draw(ui, rows["pictures"], size, lambda pixel: self._numbers(ui, study, pixel, shape))
+        if both:
+            self._pictures.draw(ui, rows["spectra"], size, captions=False)
+        elif self._view == "spectra":
+            self._pictures.draw(ui, rows["spectra"], size)
+        hint(ui, lesson)
+        imgui.end_child()
+        pixel = self._pictures.pixel or (shape[1] // 2, shape[0] // 2)
+        count = round(self._wanted(study).get(L, 4))
+        if wide:
+            imgui.same_line(0, ui.em)
+            imgui.begin_child("plots", ImVec2(0, 0))
+            room = imgui.get_content_region_avail()
+            if curves:
+                _curves(ui, curves, room.y * 0.42)
+            left = imgui.get_content_region_avail().y
+            self._waves.draw(ui, count, pixel, max(shape), min(left, 26 * ui.em))
+            imgui.end_child()
+            return
+        half = (room.x - ui.em) / 2 if curves and room.x > 2 * PLOTS_EM * ui.em else 0.0
+        high = PLOTS_EM * ui.em
+        imgui.begin_child("waves", ImVec2(half, 0), imgui.ChildFlags_.auto_resize_y)
+        self._waves.draw(ui, count, pixel, max(shape), high)
+        imgui.end_child()
+        if curves:
+            if half:
+                imgui.same_line(0, ui.em)
+            imgui.begin_child("curves", ImVec2(0, high))
+            _curves(ui, curves, high)
+            imgui.end_child()
+
+    def _rows(self, ui: Ui, study: StudyState | None, curves: Mapping[str, Curve]) -> dict[str, list[Shown]]:
+        """Return the pictures and the spectra, the target's first."""
+        looks = {look.name: look.image for look in study.looks} if study is not None else {}
+        target = looks.get("photo", self._source.preview)
+        wanted = self._wanted(study)
+        count, sigma = str(round(wanted.get(L, 0))), figure(wanted.get(SIGMA, 0), ".3g")
+        captions = {
+            "none": (tr("(x, y) alone"), "(x, y)"),
+            "basic": (tr("basic, L = {n}").format(n="1"), "L = 1"),
+            "positional": (tr("positional, L = {n}").format(n=count), f"L = {count}"),
+            "gaussian": (tr("Gaussian, σ = {value}").format(value=sigma), f"σ = {sigma}"),
+        }
+        size = "" if target is None else f"{target.shape[1]} × {target.shape[0]}"
+        pictures = [Shown("photo", target, (tr("the picture"), tr("target")), (size, ""))]
+        spectra = [Shown("spectrum of photo", looks.get("spectrum of photo"), (tr("its spectrum"), tr("target")))]
+        for name, color in zip(NAMES, ui.theme.pins, strict=False):
+            curve = curves.get(name)
+            reached = float(curve.y[-1]) if curve is not None and len(curve.y) else math.nan
+            number = figure(reached, ".1f") if math.isfinite(reached) else NOTHING
+            notes = (f"{number} dB", number) if math.isfinite(reached) else (number,)
+            pictures.append(Shown(name, looks.get(name), captions[name], notes, color))
+            spectra.append(Shown(f"spectrum of {name}", looks.get(f"spectrum of {name}"), captions[name], notes, color))
+        return {"pictures": pictures, "spectra": spectra}
+
+    def _numbers(self, ui: Ui, study: StudyState | None, pixel: tuple[int, int], shape: tuple[int, ...]) -> None:
+        """Draw, under the enlarged parts, the pixel's 4L numbers."""
+        count = round(self._wanted(study).get(L, 4))
+        text = tr("column {column}, row {row}: {n} numbers of the positional encoding, L = {L}")
+        imgui.text_colored(ui.theme.muted, text.format(column=pixel[0], row=pixel[1], n=4 * count, L=count))
+        bar_code(ui, count, pixel, max(shape), imgui.get_content_region_avail().x)
+
+
+def _knobs(study: StudyState | None) -> tuple[Knob, ...]:
+    """Return L and σ with their ranges and values: the study's, or those that it would begin with."""
+    if study is not None and study.knobs:
+        return study.knobs
+    kind = STUDIES.get(STUDY)()
+    return kind.knobs() if isinstance(kind, Turnable) else ()
+
+
+def _failure(ui: Ui, study: StudyState) -> None:
+    """Say what went wrong."""
+    wrong = next((row.text for row in study.rows if row.state == "failed"), "")
+    if study.state == "failed":
+        hint(ui, tr("The study failed: see Notices."), ui.theme.error)
+    elif wrong:
+        hint(ui, wrong, ui.theme.error)
+
+
+def _picture_size(
+    ui: Ui, room: ImVec2, shape: tuple[int, ...], wide: bool, lesson: str
+) -> tuple[tuple[float, float], bool]:
+    """Return the size of each picture, and whether spectra fit under the pictures."""
+    across = len(NAMES) + 1
+    gaps = (across - 1) * GAP_EM * ui.em
+    width = (room.x - (SIDE_EM + 1) * ui.em * wide - gaps) / across
+    line, spacing = imgui.get_text_line_height_with_spacing(), imgui.get_style().item_spacing.y
+    both = False
+    for _ in range(2):  # narrower pictures make the sentence under them longer
+        words = imgui.calc_text_size(lesson, wrap_width=max(across * width + gaps if wide else room.x, ui.em)).y
+        high = room.y - 2 * line - words - 3 * spacing - 2 * LINE_EM * ui.em  # what captions and the sentence leave
+        both = (high - spacing) / 2 >= BOTH_EM * ui.em
+        high = (high - spacing) / 2 if both else high
+        width = min(max(min(width, high * shape[1] / shape[0]), PICTURE_EM[0] * ui.em), PICTURE_EM[1] * ui.em)
+    width = float(int(width))
+    return (width, width * shape[0] / shape[1]), both
+
+
+def _curves(ui: Ui, curves: Mapping[str, Curve], height: float) -> None:
+    implot.push_style_var(implot.StyleVar_.plot_min_size, ImVec2(ui.em, ui.em))
+    if implot.begin_plot("##psnr", ImVec2(-1, height), PLOT):
+        implot.setup_axis(implot.ImAxis_.x1, None, implot.AxisFlags_.auto_fit)
+        implot.setup_axis(implot.ImAxis_.y1, None, implot.AxisFlags_.auto_fit)
+        for name, color in zip(NAMES, ui.theme.pins, strict=False):
+            if name in curves:
+                x, y = (values.astype(np.float64) for values in (curves[name].x, curves[name].y))
+                implot.plot_line(name, x, y, implot.Spec(line_color=color, line_weight=0.12 * ui.em))
+        axis_name(ui, tr("PSNR of held-out pixels (dB) over steps"))
+        implot.end_plot()
+        ui.mark("encoding.curves")
+    implot.pop_style_var()
+
+
+def _button_width(label: str) -> float:
+    return imgui.calc_text_size(label).x + 2 * imgui.get_style().frame_padding.x
+
+
+def _same_line(ui: Ui, width: float, gap_em: float = 0.5) -> None:
+    """Stay on the line if an item of this width fits on it, after a gap; else start a line."""
+    right = imgui.get_window_pos().x + imgui.get_window_width() - imgui.get_style().window_padding.x
+    if imgui.get_item_rect_max().x + gap_em * ui.em + width <= right:
+        imgui.same_line(0, gap_em * ui.em)
