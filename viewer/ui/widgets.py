@@ -229,7 +229,7 @@ def notice_text(ui: Ui, notice: Notice) -> None:
     imgui.same_line()
     imgui.push_text_wrap_pos(0.0)
     before = text.removesuffix(f" {printable(notice.path)}") if notice.path is not None else text
-    imgui.text_unformatted(text if before == text else f"{before.removesuffix(' ' + tr('to'))}:")
+    imgui.text_unformatted(text if before == text else f"{before.removesuffix(' ' + tr('to')).rstrip(':')}:")
     imgui.pop_text_wrap_pos()
 
 
