@@ -29,7 +29,8 @@ L, SIGMA = "L", "σ"  # its knobs
 OPTIONS = {L: "frequencies", SIGMA: "sigma"}  # by knob: the study's option
 NAMES = ("none", "basic", "positional", "gaussian")  # its networks
 VIEWS = ("pictures", "spectra", "draw")
-SLIDER_EM = 5.5  # width
+SLIDER_EM = 5.5, 3.4  # width, and that in a narrow page
+NARROW_EM = 30.0
 WIDE_EM, SIDE_EM = 60.0, 21.0  # the page's width from which plots lie beside the pictures, and their least width
 PICTURE_EM = 3.0, 22.0  # least and largest width of a picture
 BOTH_EM = 8.5  # height of a picture from which spectra lie under the pictures
@@ -117,8 +118,10 @@ class EncodingPanel:
     def _toolbar(self, ui: Ui, study: StudyState | None, obstacle: str) -> Iterator[Action]:
         yield from self._buttons(ui, study, obstacle)
         running = study is not None and study.state == "running"
+        slider = SLIDER_EM[imgui.get_window_width() < NARROW_EM * ui.em] * ui.em
         for knob in _knobs(study):
-            _same_line(ui, (SLIDER_EM + 1.2) * ui.em, 0.7)
+            _same_line(ui, slider + 1.2 * ui.em, 0.7)
+            imgui.set_next_item_width(slider)
             yield from self._slider(ui, knob, running)
         names = {"pictures": tr("Pictures"), "spectra": tr("Spectra"), "draw": tr("Draw…")}
         for k, view in enumerate(VIEWS):
@@ -169,7 +172,6 @@ class EncodingPanel:
         """Draw a slider that turns its knob while it is dragged: L at every number, σ every few percent."""
         name = knob.name
         value = self._values.get(name, knob.value)
-        imgui.set_next_item_width(SLIDER_EM * ui.em)
         label = f"{name}##encoding.{name}"
         if name == L:
             changed, number = imgui.slider_int(label, round(value), round(knob.least), round(knob.most))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 import threading
+import weakref
 from functools import cache
 from pathlib import Path
 
@@ -62,7 +63,7 @@ class Source:
         self.canvas = PaintCanvas()
         self.problem = ""
         self._path = ""
-        self._home: tempfile.TemporaryDirectory[str] | None = None
+        self._home: str | None = None
         self._folders: list[Path] = []
 
     @property
@@ -75,10 +76,11 @@ class Source:
     def fresh_folder(self) -> Path:
         """Make a folder for a study. Only the one before it stays: a study may still work there. Raises OSError."""
         if self._home is None:
-            self._home = tempfile.TemporaryDirectory(prefix="nerf-viewer-encoding-", ignore_cleanup_errors=True)
+            self._home = tempfile.mkdtemp(prefix="nerf-viewer-encoding-")
+            weakref.finalize(self, shutil.rmtree, self._home, ignore_errors=True)  # at the latest when Python ends
         while len(self._folders) > 1:
             shutil.rmtree(self._folders.pop(0), ignore_errors=True)
-        folder = Path(tempfile.mkdtemp(dir=self._home.name))
+        folder = Path(tempfile.mkdtemp(dir=self._home))
         self._folders.append(folder)
         return folder
 
