@@ -206,7 +206,8 @@ class StudyJob:
     def _store(self, row: Row, result: Result) -> None:
         self._results[row.key] = result
         # what failed is tried again next time, and what somebody turned is not what the options say
-        if "failed" not in result and not self.turned:
+        turned = any(knob.name in self.turned for knob in self.progress.knobs if not knob.of_view)
+        if "failed" not in result and not turned:
             data = json.dumps({"row": row.values, "result": result}, indent=2, allow_nan=False)
             write_atomically(self._file(row), data + "\n")
 
@@ -249,6 +250,7 @@ class StudyJob:
             looks=self._looks(piece),
             curves=piece.curves or self.progress.curves,
             knobs=tuple(k._replace(value=piece.knobs.get(k.name, k.value)) for k in self.progress.knobs),
+            flat=piece.flat or self.progress.flat,
         )
 
     def _looks(self, piece: Advance) -> tuple[Any, ...]:

@@ -9,6 +9,8 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from nerf_core.lab.flatland.view import FlatView
+
 Result = dict[str, Any]  # what a row measured, as JSON values
 
 
@@ -43,12 +45,16 @@ class Curve(NamedTuple):
 
 
 class Knob(NamedTuple):
-    """A number that may be turned while a study runs: its name, its range, and its value at first."""
+    """A number that may be turned while a study runs: its name, its range, and its value at first.
+
+    of_view: whether it only chooses what is shown, and leaves the results as they are.
+    """
 
     name: str
     least: float
     most: float
     value: float
+    of_view: bool = False
 
 
 @dataclass(frozen=True)
@@ -59,6 +65,7 @@ class Advance:
     text: in words.
     looks, curves: what can be looked at by now; empty: as before.
     knobs: the values of the study's knobs that differ from what was turned, by name: those of a resumed row.
+    flat: what a window shows of Flatland; None: as before.
     """
 
     fraction: float
@@ -66,6 +73,7 @@ class Advance:
     looks: tuple[Look, ...] = ()
     curves: tuple[Curve, ...] = ()
     knobs: dict[str, float] = field(default_factory=dict)
+    flat: FlatView | None = None
 
 
 @dataclass(frozen=True)
@@ -138,6 +146,7 @@ class StudyState:
     knobs: what may be turned.
     files: the report and the figures, once they are written.
     figures: the figures' pictures.
+    flat: what a window shows of Flatland.
     """
 
     name: str
@@ -153,3 +162,4 @@ class StudyState:
     knobs: tuple[Knob, ...] = ()
     files: tuple[Path, ...] = ()
     figures: tuple[Look, ...] = ()
+    flat: FlatView | None = None

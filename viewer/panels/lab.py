@@ -144,11 +144,13 @@ class LabPanel:
     def _knobs(self, ui: Ui, study: StudyState) -> Iterator[Action]:
         """Sliders for what may be turned while the study runs."""
         for knob in study.knobs:
+            if knob.of_view:
+                continue  # a panel of its own has it
             field_width(ui, tr(knob.name))
             value = self._turned.get(knob.name, knob.value)
-            whole = knob.value == round(knob.value) and knob.least == round(knob.least)
+            whole = all(v == round(v) for v in (knob.value, knob.least, knob.most))
             shown = "%.0f" if whole else "%.3g"
-            flags = imgui.SliderFlags_.logarithmic if knob.most > WIDE * knob.least else imgui.SliderFlags_.none
+            flags = imgui.SliderFlags_.logarithmic if knob.most > WIDE * knob.least > 0 else imgui.SliderFlags_.none
             label = f"{tr(knob.name)}###knob {knob.name}"
             changed, value = imgui.slider_float(label, value, knob.least, knob.most, shown, flags)
             ui.mark(f"lab.knob.{knob.name}")

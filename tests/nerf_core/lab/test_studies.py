@@ -31,6 +31,7 @@ SMALL: dict[str, dict[str, str]] = {
     "ablate": {"rows": "1,3,9", "budget": "1steps", "views": "1"},
     "memory": {"sides": "4,8", "budget": "2steps", "views": "1"},
     "image": {"size": "16", "steps": "6"},
+    "flatland": {"steps": "3", "cameras": "2", "coarse": "8", "fine": "4"},
     "sampling": {"calls": "12", "budget": "1steps", "views": "1"},
 }
 

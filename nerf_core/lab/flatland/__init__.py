@@ -1,0 +1,1 @@
+"""Flatland: a world of two dimensions, its one-dimensional photos, and a radiance field that learns it from them."""
