@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.language import phrases
 
 MAX_BYTES = 64_000_000  # ten thousand frames take about 10 MB; parsing takes some ten times a file's size
 MAX_VALUES = 2_000_000  # ten thousand frames with a lens each hold 400,000; a parsed value takes some 60 bytes
@@ -114,7 +115,15 @@ def scaled_note(file: Path, lengths: list[float]) -> list[str]:
     odd = [length for length in lengths if abs(length - 1) > LENGTH_TOLERANCE]
     if not odd:
         return []
-    return [f"{file}: {len(odd)} poses have scaled axes (length {odd[0]:.4g}); their rotation is taken without scale"]
+    return [
+        phrases(
+            "{file}: {n} pose has scaled axes (length {length:.4g}); its rotation is taken without scale",
+            "{file}: {n} poses have scaled axes (length {length:.4g}); their rotation is taken without scale",
+            len(odd),
+            file=file,
+            length=odd[0],
+        )
+    ]
 
 
 def read_json(file: Path, needed: str = "an object with frames") -> Fields:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from nerf_core.common.errors import UserError
-from nerf_core.common.text import counted
+from nerf_core.common.language import marked, phrase, phrases
 from nerf_core.datasets.capture import Photo
 from nerf_core.datasets.images import Header
 from nerf_core.geometry.camera import Camera
@@ -44,11 +44,20 @@ def oddities(cameras: Sequence[Camera]) -> list[str]:
         for kind, value in seen[key]:
             found[kind].append(value)
     texts = {
-        "focal": "a focal length of {:.3g} image sizes: check fl_x, w or camera_angle_x",
-        "principal": "a principal point {:.3g} image sizes from the centre: check cx, cy, w and h",
-        "fold": "lens coefficients that fold the image (a pixel is off by {:.3g}): check k1, k2, k3, p1, p2",
+        "focal": marked("{photos} with a focal length of {value:.3g} image sizes: check fl_x, w or camera_angle_x"),
+        "principal": marked(
+            "{photos} with a principal point {value:.3g} image sizes from the centre: check cx, cy, w and h"
+        ),
+        "fold": marked(
+            "{photos} with lens coefficients that fold the image (a pixel is off by {value:.3g}): check k1, k2, k3, "
+            "p1, p2"
+        ),
     }
-    return [f"{counted(len(v), 'photo')} with {texts[k].format(v[0])}" for k, v in found.items() if v]
+    return [
+        phrase(texts[kind], photos=phrases("{n:,} photo", "{n:,} photos", len(values)), value=values[0])
+        for kind, values in found.items()
+        if values
+    ]
 
 
 def _odd(camera: Camera) -> list[tuple[str, float]]:

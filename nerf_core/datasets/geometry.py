@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nerf_core.common.errors import UserError
+from nerf_core.common.language import marked, phrase
 from nerf_core.datasets.capture import Capture, LoadOptions
 from nerf_core.datasets.depths import Depths, known_depths
 from nerf_core.datasets.rig import common_focus, spread, up_direction, upright
@@ -58,7 +59,7 @@ def normalise(capture: Capture, options: LoadOptions) -> Normalised:
         if obstacle and options.ndc == "on":
             raise UserError(f"--ndc on is impossible: {obstacle}; take --ndc auto or off")
         if obstacle:
-            notes = (f"NDC is not taken: {obstacle}",)
+            notes = (phrase("NDC is not taken: {obstacle}", obstacle=obstacle),)
         elif depths is not None:
             return _checked(_in_ndc(capture, poses, depths))
     done = _synthetic(capture, poses) if capture.synthetic else _real(capture, poses, depths)
@@ -182,12 +183,18 @@ def _real(capture: Capture, poses: np.ndarray, depths: Depths | None) -> Normali
     layout = _unfocused(poses, depths) if focus is None else _focused(poses, focus, depths)
     notes = layout.notes
     if len(poses) > 1 and spread(poses) == 0:
-        notes += ("all photos were taken from one place: they tell directions, but no depth",)
+        notes += (marked("all photos were taken from one place: they tell directions, but no depth"),)
     reach = max(layout.far - layout.before, layout.unit)
     scale = min(1.0, max(LONGEST * layout.unit / reach, 1 / SHRINK)) / layout.unit
     limit = max(layout.before + LONGEST / scale, 2 * layout.near)
     if layout.far > limit * (1 + 1e-9):  # the tolerance is for rounding, if `far` just fits
-        notes += (f"content farther than {limit:.4g} of the input's units (up to {layout.far:.4g}) is drawn there",)
+        notes += (
+            phrase(
+                "content farther than {limit:.4g} of the input's units (up to {far:.4g}) is drawn there",
+                limit=limit,
+                far=layout.far,
+            ),
+        )
     up = up_direction(poses) if capture.up is None else capture.up / np.linalg.norm(capture.up)
     cameras, to_input = _placed([p.camera for p in capture.photos], upright(up), layout.center, scale)
     return Normalised(

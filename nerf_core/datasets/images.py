@@ -16,6 +16,7 @@ import numpy as np
 from PIL import ExifTags, Image, ImageCms, ImageFile
 
 from nerf_core.common.errors import UserError
+from nerf_core.common.language import phrases
 from nerf_core.datasets.claims import HEAVY_BYTES, Memory, decoding_memory, least_bytes
 from nerf_core.datasets.exr import exr_header, exr_pixels
 from nerf_core.datasets.profiles import foreign_profile, to_srgb
@@ -102,7 +103,14 @@ def damage_notes(damaged: Sequence[str]) -> tuple[str, ...]:
     """Return a note about skipped photos, or none. damaged: the messages of UnreadableError."""
     if not damaged:
         return ()
-    return (f"{len(damaged)} damaged photo{'s are' if len(damaged) > 1 else ' is'} skipped, first {damaged[0]}",)
+    return (
+        phrases(
+            "{n} damaged photo is skipped, first {first}",
+            "{n} damaged photos are skipped, first {first}",
+            len(damaged),
+            first=damaged[0],
+        ),
+    )
 
 
 def read_photo(

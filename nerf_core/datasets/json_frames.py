@@ -12,7 +12,7 @@ import numpy as np
 
 from nerf_core.common.errors import UserError
 from nerf_core.common.json_files import Fields, scaled_note
-from nerf_core.common.text import counted
+from nerf_core.common.language import phrases
 from nerf_core.datasets.capture import Photo
 from nerf_core.datasets.images import UnreadableError, damage_notes, measure
 from nerf_core.datasets.photo_paths import find_photos, photo_name
@@ -92,8 +92,13 @@ def gather(folder: Path, frames: Sequence[Frame], source: Path) -> Gathered:
     notes = [*found.notes, *scaled_note(source, [length for _, length in poses]), *damage_notes(damaged)]
     if doubles:
         notes.append(
-            f"{source}: {counted(len(doubles), 'photo')} listed more than once (first {doubles[0]}); "
-            "the first pose holds"
+            phrases(
+                "{file}: {n:,} photo listed more than once (first {first}); the first pose holds",
+                "{file}: {n:,} photos listed more than once (first {first}); the first pose holds",
+                len(doubles),
+                file=source,
+                first=doubles[0],
+            )
         )
     return Gathered(tuple(photo for _, photo in photos.values()), tuple(index), tuple(notes))
 

@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from nerf_core.common.errors import UserError, shorten
-from nerf_core.common.language import phrase
+from nerf_core.common.language import phrase, phrases
 from nerf_core.common.names import printable
-from nerf_core.common.text import counted
 from nerf_core.datasets.calibration import fitted, oddities
 from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions
 from nerf_core.datasets.claims import HEAVY_BYTES
@@ -119,8 +118,15 @@ def _sized(
     rotated = sum(h.orientation != 1 for h in headers)
     if rotated:
         notes.append(
-            f"{counted(rotated, 'photo')} with an EXIF rotation: {sum(upright)} turned by it, {rotated - sum(upright)} "
-            "taken as stored, as the calibration says"
+            phrases(
+                "{n:,} photo with an EXIF rotation: {turned} turned by it, {stored} taken as stored, as the "
+                "calibration says",
+                "{n:,} photos with an EXIF rotation: {turned} turned by it, {stored} taken as stored, as the "
+                "calibration says",
+                rotated,
+                turned=sum(upright),
+                stored=rotated - sum(upright),
+            )
         )
     shapes = [(h.height, h.width) if turn else (h.width, h.height) for h, turn in zip(headers, upright, strict=True)]
     downscale = max(
@@ -135,8 +141,14 @@ def _sized(
         sizes = [_target(shape, options, downscale, further) for shape in shapes]
     if further > 1:
         notes.append(
-            f"photos are downscaled by a further {further}, to {sizes[0][0]}×{sizes[0][1]}, to fit into "
-            f"{options.memory_gb:g} GB: raise --memory-gb to keep their size"
+            phrase(
+                "photos are downscaled by a further {further}, to {width}×{height}, to fit into {memory:g} GB: raise "
+                "--memory-gb to keep their size",
+                further=further,
+                width=sizes[0][0],
+                height=sizes[0][1],
+                memory=options.memory_gb,
+            )
         )
     photos = tuple(replace(p, camera=p.camera.resized(*size)) for p, size in zip(capture.photos, sizes, strict=True))
     return replace(capture, photos=photos), upright, eight_bits, notes

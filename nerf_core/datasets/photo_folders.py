@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from nerf_core.common.language import phrase
 from nerf_core.datasets.images import SUFFIXES
 
 FOLDER = re.compile(r"images(?:_([1-9][0-9]{0,3}))?")
@@ -56,12 +57,21 @@ def choose_folder(
     usable = [folder for folder in folders if has[folder] == count] or [max(folders, key=lambda folder: has[folder])]
     chosen = next((folder for folder in usable if folder.reduced == downscale), usable[0])
     notes = tuple(
-        f"{folder.path} has {has[folder]} of {count} photos and is passed over"
+        phrase(
+            "{folder} has {found} of {count} photos and is passed over",
+            folder=folder.path,
+            found=has[folder],
+            count=count,
+        )
         for folder in folders
         if has[folder] != count and folder is not chosen
     )
     if chosen.reduced > downscale:
         notes += (
-            f"{chosen.path} has the largest photos, {chosen.reduced} times smaller than full size: they are used",
+            phrase(
+                "{folder} has the largest photos, {times} times smaller than full size: they are used",
+                folder=chosen.path,
+                times=chosen.reduced,
+            ),
         )
     return chosen, notes

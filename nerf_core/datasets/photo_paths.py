@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.language import phrase, phrases
 from nerf_core.common.names import printable
-from nerf_core.common.text import counted
 from nerf_core.datasets.images import SUFFIXES
 
 
@@ -53,15 +53,34 @@ def find_photos(folder: Path, listed: Sequence[str], source: Path) -> Found:
     moved = [entry for entry, before, now in zip(listed, exact, paths, strict=True) if now and not before]
     if moved:
         notes.append(
-            f"{source}: {counted(len(moved), 'photo')} not where listed but found by name, first {shorten(moved[0])}"
+            phrases(
+                "{file}: {n:,} photo not where listed but found by name, first {first}",
+                "{file}: {n:,} photos not where listed but found by name, first {first}",
+                len(moved),
+                file=source,
+                first=shorten(moved[0]),
+            )
         )
     if missing:
         notes.append(
-            f"{source}: {len(missing)} of {len(listed)} listed photos are missing, first {shorten(missing[0])}"
+            phrase(
+                "{file}: {count} of {total} listed photos are missing, first {first}",
+                file=source,
+                count=len(missing),
+                total=len(listed),
+                first=shorten(missing[0]),
+            )
         )
     outside = [path for path in paths if path and not _inside(folder, path)]
     if outside:
-        notes.append(f"{source}: {len(outside)} listed photos lie outside of the dataset's folder, first {outside[0]}")
+        notes.append(
+            phrase(
+                "{file}: {count} listed photos lie outside of the dataset's folder, first {first}",
+                file=source,
+                count=len(outside),
+                first=outside[0],
+            )
+        )
     return Found(tuple(paths), tuple(notes))
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from nerf_core.common.assets import assets_dir
 from nerf_core.common.errors import UserError
+from nerf_core.common.language import phrase
 from nerf_core.common.text import counted
 from nerf_core.datasets.capture import DATASETS
 from nerf_core.datasets.images import SUFFIXES
@@ -33,8 +34,11 @@ def recognise(path: Path | None, wanted: str) -> tuple[Path, str, tuple[str, ...
     if not fitting:
         raise UserError(_nothing(path))
     others = ", ".join(fitting[1:])
-    notes = (f"{path} holds {fitting[0]} and {others}: took {fitting[0]}; --format chooses",) if others else ()
-    return path, fitting[0], notes
+    if not others:
+        return path, fitting[0], ()
+    note = phrase("{path} holds {first} and {others}: took {first}; --format chooses",
+                  path=path, first=fitting[0], others=others)  # fmt: skip
+    return path, fitting[0], (note,)
 
 
 def _fitting(path: Path) -> list[str]:

@@ -15,7 +15,7 @@ from torch import Tensor
 from nerf_core.common.configs import constants
 from nerf_core.common.device import pick_device, usable_cores
 from nerf_core.common.errors import UserError, shorten
-from nerf_core.common.language import phrase
+from nerf_core.common.language import marked, phrase
 from nerf_core.geometry.scene import IDENTITY, Scene
 from nerf_core.methods import METHODS, Config, Distributed, Method
 from nerf_core.methods.group import ALONE, Group
@@ -329,8 +329,8 @@ def choose_method(asked: str, device: torch.device) -> tuple[str, str]:
     if asked != "auto":
         return asked, ""
     if device.type == "cpu":
-        return "voxels", "auto: it is the fast one on a CPU"
-    return "hash", "auto: it is the fast one on a GPU"
+        return "voxels", marked("auto: it is the fast one on a CPU")
+    return "hash", marked("auto: it is the fast one on a GPU")
 
 
 def psnr_of(mse: float) -> float:

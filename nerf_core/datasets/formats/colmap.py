@@ -13,6 +13,7 @@ from typing import ClassVar
 import numpy as np
 
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.language import phrase
 from nerf_core.common.subprograms import run_limited
 from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions, Photo
 from nerf_core.datasets.colmap_files import AGAIN, check_model, find_models, image_count, photo_names
@@ -81,7 +82,15 @@ def _largest(root: Path) -> tuple[Path, tuple[str, ...]]:
     if len(models) == 1:
         return best, ()
     others = ", ".join(f"{m.name} {n}" for m, n in zip(models, counts, strict=True) if m != best)
-    return best, (f"{best.parent} holds {len(models)} models: took {best.name} with {max(counts)} photos ({others})",)
+    note = phrase(
+        "{folder} holds {count} models: took {name} with {photos} photos ({others})",
+        folder=best.parent,
+        count=len(models),
+        name=best.name,
+        photos=max(counts),
+        others=others,
+    )
+    return best, (note,)
 
 
 def read_model(folder: Path) -> Model:
@@ -161,7 +170,12 @@ def _photo_folder(root: Path, model: Path, names: Sequence[str], downscale: int)
     chosen, notes = choose_folder(folders, downscale, len(wanted), present)
     if len(chosen.files) > len(names):
         notes += (
-            f"{len(names)} of the {len(chosen.files)} photos in {chosen.path} are registered; the others have no pose",
+            phrase(
+                "{count} of the {total} photos in {folder} are registered; the others have no pose",
+                count=len(names),
+                total=len(chosen.files),
+                folder=chosen.path,
+            ),
         )
     return chosen, notes
 

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.json_files import Fields, read_json
-from nerf_core.common.text import counted
+from nerf_core.common.language import phrase, phrases
 from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions
 from nerf_core.datasets.json_frames import Frame, bounds, frames_of, gather
 from nerf_core.geometry.scene import SPLITS
@@ -58,8 +58,20 @@ def _with_named_splits(
     notes = list(capture.notes)
     if unknown:
         notes.append(
-            f"{document.file}: {len(unknown)} names of its splits are in no frame, first {shorten(unknown[0])}"
+            phrase(
+                "{file}: {count} names of its splits are in no frame, first {first}",
+                file=document.file,
+                count=len(unknown),
+                first=shorten(unknown[0]),
+            )
         )
     if len(kept) < len(capture.photos):
-        notes.append(f"{document.file}: {counted(len(capture.photos) - len(kept), 'photo')} in no split, left out")
+        notes.append(
+            phrases(
+                "{file}: {n:,} photo in no split, left out",
+                "{file}: {n:,} photos in no split, left out",
+                len(capture.photos) - len(kept),
+                file=document.file,
+            )
+        )
     return replace(capture, splits=splits, notes=tuple(notes)).keeping(kept)

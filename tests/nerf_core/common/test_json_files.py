@@ -103,7 +103,7 @@ def test_poses_of_three_and_four_rows_lose_scale_but_not_position() -> None:
     rounded, length = pose(np.round(rotation, 5))
     np.testing.assert_allclose(rounded[:, :3] @ rounded[:, :3].T, np.eye(3), atol=1e-12)
     assert scaled_note(Path("f"), [length]) == []
-    assert "1 poses have scaled axes (length 2.5)" in scaled_note(Path("f"), [1.0, 2.5])[0]
+    assert "1 pose has scaled axes (length 2.5)" in scaled_note(Path("f"), [1.0, 2.5])[0]
 
 
 @pytest.mark.parametrize(
