@@ -19,7 +19,7 @@ from nerf_core.common.device import describe, pick_device
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.files import locked_file, write_atomically
 from nerf_core.common.json_files import read_json
-from nerf_core.common.text import counted
+from nerf_core.common.language import listed, marked, phrase, phrases
 from nerf_core.lab.records import Advance, Look, Report, Result, Row, RowState, StudyState
 from nerf_core.lab.study import STUDIES, Bench, Study, Subject, Turnable, described
 
@@ -114,7 +114,7 @@ class StudyJob:
             return False
         if not running:
             self._lock.close()
-            self.progress = replace(self.progress, state="done", fraction=1.0, seconds_left=0.0, text="done")
+            self.progress = replace(self.progress, state="done", fraction=1.0, seconds_left=0.0, text=marked("done"))
         return running
 
     def cancel(self) -> None:
@@ -217,7 +217,7 @@ class StudyJob:
         self._began = time.perf_counter()
         for row in self._rows:
             if row.key in self._results:
-                self._show(row, "done", "kept from before")
+                self._show(row, "done", marked("kept from before"))
         self._tabulate()
         left = tuple(row for row in self._rows if row.key not in self._results)
         known = {row.key: row for row in left}
@@ -230,7 +230,7 @@ class StudyJob:
                 self._show(row, "failed" if "failed" in piece else "done", str(piece.get("failed", "")))
                 self._tabulate()
             yield
-        self.progress = replace(self.progress, text="writing the report")
+        self.progress = replace(self.progress, text=marked("writing the report"))
         yield
         report = self._concluded(figures=True)
         files = self._write(report)
@@ -245,7 +245,7 @@ class StudyJob:
         self.progress = replace(
             self.progress,
             fraction=fraction,
-            text=f"{row.label}: {piece.text}" if piece.text else row.label,
+            text=listed((row.label, piece.text), ": ") if piece.text else row.label,
             seconds_left=spent / done * (1 - fraction) if done > 0.02 else None,
             looks=self._looks(piece),
             curves=piece.curves or self.progress.curves,
@@ -307,7 +307,7 @@ class StudyJob:
 def one_by_one(job: StudyJob, rows: tuple[Row, ...]) -> Rows:
     """Do rows one after the other in this process. Yields (key, piece), and (key, result) after the last piece."""
     for row in rows:
-        yield row.key, Advance(0.0, "begins")
+        yield row.key, Advance(0.0, marked("begins"))
         yield from row_pieces(job.study, job.subject, row, job.bench(row))
 
 
@@ -343,8 +343,10 @@ def failure(job: StudyJob) -> str:
 def summary(job: StudyJob) -> str:
     """Return one line about a study that has ended."""
     failed = sum(row.state == "failed" for row in job.progress.rows)
-    rows = counted(len(job.progress.rows), "row") + (f", {failed} of them failed" if failed else "")
-    return f"{rows}; wrote {job.folder / REPORT_FILE}"
+    rows = phrases("{n:,} row", "{n:,} rows", len(job.progress.rows))
+    if failed:
+        rows = phrase("{rows}, {failed} of them failed", rows=rows, failed=failed)
+    return phrase("{rows}; wrote {file}", rows=rows, file=str(job.folder / REPORT_FILE))
 
 
 def _digest(photo: Path | None) -> str | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from statistics import mean, stdev
 
+from nerf_core.common.language import phrase
 from nerf_core.common.text import NOTHING
 from nerf_core.lab.records import Result
 
@@ -25,7 +26,11 @@ def spread(values: Sequence[float | None], decimals: int) -> str:
 
 def failures(results: Mapping[str, Result], labels: Mapping[str, str]) -> tuple[str, ...]:
     """Return a sentence for each row that failed."""
-    return tuple(f"{labels[key]}: {result['failed']}." for key, result in results.items() if "failed" in result)
+    return tuple(
+        phrase("{row}: {reason}.", row=labels[key], reason=result["failed"])
+        for key, result in results.items()
+        if "failed" in result
+    )
 
 
 def numbers(results: Sequence[Result], name: str) -> list[float | None]:

@@ -12,6 +12,7 @@ import torch
 
 from nerf_core.common.device import pick_device
 from nerf_core.common.errors import UserError
+from nerf_core.common.language import phrase
 from nerf_core.common.pieces import mapped
 from nerf_core.common.text import duration
 from nerf_core.geometry.camera import Camera
@@ -80,7 +81,9 @@ def trained(
                     work = rendering(trainer.method, camera, scene)
                     color, _ = yield from mapped(work, lambda _, share=share: Advance(share))
                     looks = (Look(name, to_bytes(color), duration(trainer.seconds)),)
-                text = f"step {trainer.step_count:,}, {psnr_of(report.loss):.1f} dB in training"
+                text = phrase(
+                    "step {step:,}, {psnr:.1f} dB in training", step=trainer.step_count, psnr=psnr_of(report.loss)
+                )
                 yield Advance(share, text, looks)
                 if trainer.seconds - saved >= SAVE_SECONDS:
                     saved = trainer.seconds
@@ -127,11 +130,18 @@ def measured(
         write_png(picture_path(bench.pictures, name), to_bytes(color))
         every = max(1, max(color.shape) // LOOK_SIDE)
         off = psnr_of(float(np.square(color - truth).mean()))
-        newest[:] = [Look(trainer.method_name, to_bytes(color[::every, ::every]), f"{off:.1f} dB, {name}")]
+        newest[:] = [
+            Look(
+                trainer.method_name,
+                to_bytes(color[::every, ::every]),
+                phrase("{psnr:.1f} dB, {name}", psnr=off, name=name),
+            )
+        ]
 
     def advance(piece: tuple[int, float]) -> Advance:
         done, fraction = piece
-        return Advance(1 - MEASURED * (1 - fraction), f"measured {done} of {len(selection.views)} views", tuple(newest))
+        text = phrase("measured {done} of {total} views", done=done, total=len(selection.views))
+        return Advance(1 - MEASURED * (1 - fraction), text, tuple(newest))
 
     metrics = yield from mapped(evaluating(trainer, selection, lpips, keep), advance)
     yield advance((len(selection.views), 1.0))  # with the last picture

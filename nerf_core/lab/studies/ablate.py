@@ -13,7 +13,7 @@ import torch
 from nerf_core.common.configs import constant
 from nerf_core.common.device import pick_device
 from nerf_core.common.errors import UserError
-from nerf_core.common.language import marked
+from nerf_core.common.language import listed, marked, phrase
 from nerf_core.common.text import NOTHING
 from nerf_core.lab.figures import ablation_plot
 from nerf_core.lab.published import ABLATIONS
@@ -97,10 +97,14 @@ class Ablate:
 
     def plan(self, subject: Subject) -> tuple[Row, ...]:
         return tuple(
-            Row(f"row-{n}-seed-{seed}", f"{n}) {TABLE[n].name}" + (f", seed {seed}" if self.seeds > 1 else ""),
+            Row(f"row-{n}-seed-{seed}", self._label(n, seed),
                 {"row": n, "seed": seed, "changes": self._changes(subject, TABLE[n])})
             for seed in range(self.seeds) for n in self._numbers()
         )  # fmt: skip
+
+    def _label(self, n: int, seed: int) -> str:
+        name = f"{n}) {TABLE[n].name}"
+        return phrase("{name}, seed {seed}", name=name, seed=seed) if self.seeds > 1 else name
 
     def _changes(self, subject: Subject, row: Ablation) -> dict[str, str]:
         """Return the constants in which a row differs from the complete model of the preset."""
@@ -151,13 +155,16 @@ class Ablate:
                 spread(numbers(own, "ssim"), 3), spread(numbers(own, "lpips"), 3), cell(paper.psnr, 2),
                 cell(paper.ssim, 3), cell(paper.lpips, 3),
             ))  # fmt: skip
-        columns = ("", "input", "#Im.", "L", "(N_c, N_f)", "PSNR dB", "SSIM", "LPIPS",
-                   "published PSNR", "SSIM", "LPIPS")  # fmt: skip
-        seeds = f", {self.seeds} seeds, mean ± deviation" if self.seeds > 1 else ""
-        title = f"Ablations of {self.method}, {spelled(self.budget)} of training each{seeds}"
+        columns = ("", marked("input"), "#Im.", "L", "(N_c, N_f)", marked("PSNR dB"), "SSIM", "LPIPS",
+                   marked("published PSNR"), "SSIM", "LPIPS")  # fmt: skip
+        title = phrase(
+            "Ablations of {method}, {budget} of training each", method=self.method, budget=spelled(self.budget)
+        )
+        if self.seeds > 1:
+            title = phrase("{title}, {seeds} seeds, mean ± deviation", title=title, seeds=self.seeds)
         notes = (
             *_orders(groups),
-            "The published means are over eight scenes at 800 × 800 after 500,000 steps or more.",
+            marked("The published means are over eight scenes at 800 × 800 after 500,000 steps or more."),
             *failures(results, {key: key for key in results}),
         )
         table = Table(title, columns, tuple(lines), notes)
@@ -167,18 +174,31 @@ class Ablate:
 def _orders(groups: Mapping[int, Sequence[float]]) -> tuple[str, ...]:
     """Return sentences about the order of the rows by PSNR, here and in the paper."""
     if groups and max(mean(values) for values in groups.values()) < LEARNT:
-        return (f"No row has learnt anything yet (under {LEARNT:g} dB): the order means nothing at this budget.",)
+        return (
+            phrase(
+                "No row has learnt anything yet (under {least:g} dB): the order means nothing at this budget.",
+                least=LEARNT,
+            ),
+        )
     ours = sorted(groups, key=lambda n: mean(groups[n]))
     theirs = sorted(groups, key=lambda n: ABLATIONS[n].psnr)
     if ours == theirs:
-        return ("The order of the rows by PSNR is that of the paper.",)
-    found = [f"Rows by PSNR from the worst: here {_listed(ours)}; in the paper {_listed(theirs)}."]
+        return (marked("The order of the rows by PSNR is that of the paper."),)
+    found = [
+        phrase(
+            "Rows by PSNR from the worst: here {ours}; in the paper {theirs}.",
+            ours=_listed(ours),
+            theirs=_listed(theirs),
+        )
+    ]
     if COMPLETE in groups:
         complete = mean(groups[COMPLETE])
         better = [n for n in ours if mean(groups[n]) > complete]
         if better:
-            gains = (f"{n}) by {mean(groups[n]) - complete:.2f} dB" for n in better)
-            found.append(f"Other than in the paper, better than the complete model at this budget: {', '.join(gains)}.")
+            gains = listed(phrase("{row}) by {gain:.2f} dB", row=n, gain=mean(groups[n]) - complete) for n in better)
+            found.append(
+                phrase("Other than in the paper, better than the complete model at this budget: {gains}.", gains=gains)
+            )
     return tuple(found)
 
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from nerf_core.common.configs import constant
 from nerf_core.common.errors import UserError
-from nerf_core.common.language import marked
-from nerf_core.common.text import counted, number, size
+from nerf_core.common.language import listed, marked, phrase, phrases
+from nerf_core.common.text import number, size
 from nerf_core.geometry.scene import Scene
 from nerf_core.lab.figures import comparison
 from nerf_core.lab.published import published_for
@@ -69,8 +69,13 @@ class Compare:
     def report(self, subject: Subject, results: Mapping[str, Result], pictures: Path, figures: bool) -> Report:
         name, published = published_for(subject.capture())
         done = {key: result for key, result in results.items() if "failed" not in result}
-        columns = ("method", "PSNR dB", "SSIM", "training s", "steps", "memory")
-        columns += (f"published PSNR, {name}", "published SSIM", "published LPIPS") if name else ()
+        columns = (marked("method"), marked("PSNR dB"), "SSIM", marked("training s"), marked("steps"), marked("memory"))
+        if name:
+            columns += (
+                phrase("published PSNR, {name}", name=name),
+                marked("published SSIM"),
+                marked("published LPIPS"),
+            )
         lines = []
         for key, result in done.items():
             line = (key, cell(result["psnr"], 2), cell(result["ssim"], 3), cell(result["seconds"], 0),
@@ -87,8 +92,8 @@ class Compare:
         if done:
             notes = (*_seen(done), _aside(subject.capture(), self._selection(subject)), *notes)
         selection = self._selection(subject)
-        views = counted(len(selection.views), f"{selection.split} view")
-        title = f"Results, {spelled(self.budget)} of training each, {views}"
+        views = phrases("{n:,} {split} view", "{n:,} {split} views", len(selection.views), split=selection.split)
+        title = phrase("Results, {budget} of training each, {views}", budget=spelled(self.budget), views=views)
         table = Table(title, columns, tuple(lines), notes)
         if not (figures and done):
             return Report((table,))
@@ -103,16 +108,18 @@ def _seen(done: Mapping[str, Result]) -> tuple[str, ...]:
     """Return what the table shows, in sentences."""
     best = max(done, key=lambda key: done[key]["psnr"])
     others = [key for key in done if key not in NERF_FAMILY]
-    text = f"First by PSNR is {best}."
+    text = [phrase("First by PSNR is {best}.", best=best)]
     if others and best in NERF_FAMILY:
         rival = max(others, key=lambda key: done[key]["psnr"])
         ahead = done[best]["psnr"] - done[rival]["psnr"]
-        text += f" The best of the others is {rival}, {ahead:.1f} dB behind."
-    text += " Memory is that of the parameters alone."
+        text.append(phrase("The best of the others is {rival}, {ahead:.1f} dB behind.", rival=rival, ahead=ahead))
+    text.append(phrase("Memory is that of the parameters alone."))
     return (
-        text,
-        "The published means are of another protocol: all scenes, whole test sets, hours of training. Beside mpi "
-        "stands LLFF, whose network is not used here; beside neural-volumes and srn the papers' whole systems.",
+        listed(text, " "),
+        marked(
+            "The published means are of another protocol: all scenes, whole test sets, hours of training. Beside mpi "
+            "stands LLFF, whose network is not used here; beside neural-volumes and srn the papers' whole systems."
+        ),
     )
 
 
@@ -121,7 +128,10 @@ def _aside(scene: Scene, selection: Selection) -> str:
     eyes = scene.poses[:, :, 3]
     train = eyes[list(scene.split("train"))]
     apart = sorted(float(np.linalg.norm(train - eyes[view], axis=-1).min()) for view in selection.views)
-    return (
-        f"The drawn views lie {number(apart[0], 2)} to {number(apart[-1], 2)} units from the nearest training camera; "
-        f"the scene's radius is {number(scene.radius, 2)}."
+    return phrase(
+        "The drawn views lie {nearest} to {farthest} units from the nearest training camera; the scene's radius is "
+        "{radius}.",
+        nearest=number(apart[0], 2),
+        farthest=number(apart[-1], 2),
+        radius=number(scene.radius, 2),
     )

@@ -18,7 +18,7 @@ from nerf_core.common.configs import constant
 from nerf_core.common.device import pick_device
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.files import write_atomically
-from nerf_core.common.language import marked
+from nerf_core.common.language import marked, phrase
 from nerf_core.datasets.images import UnreadableError, measure, read_photo
 from nerf_core.lab.image_figure import Learned, draw_figure
 from nerf_core.lab.image_fit import MAPPINGS, ImageConfig, ImageFit
@@ -69,11 +69,11 @@ class _Progress:
         train, test = self._fit.psnr(name, picture)
         for values, new in zip(self.curves[name], (self._fit.steps[name], train, test), strict=True):
             values.append(new)
-        return Look(name, to_bytes(picture), f"{test:.1f} dB"), self.spectrum(name, picture)
+        return Look(name, to_bytes(picture), phrase("{psnr:.1f} dB", psnr=test)), self.spectrum(name, picture)
 
     def spectrum(self, name: str, picture: np.ndarray) -> Look:
         """Return the logarithmic spectrum of a picture (H, W, 3), in the range of the photo's."""
-        return Look(f"spectrum of {name}", to_bytes(colored(spectrum(picture), *self._range)))
+        return Look(phrase("spectrum of {name}", name=phrase(name)), to_bytes(colored(spectrum(picture), *self._range)))
 
     def begin_again(self, name: str, value: float) -> None:
         """Begin a network again with another L or σ."""
@@ -155,7 +155,9 @@ class Image:
     def plan(self, subject: Subject) -> tuple[Row, ...]:
         if subject.data is not None:
             photo_of(subject.data, self.size)  # raises UserError for what is no photo
-        return tuple(Row(f"seed-{seed}", f"seed {seed}", {"seed": seed}) for seed in range(self.seeds))
+        return tuple(
+            Row(f"seed-{seed}", phrase("seed {seed}", seed=seed), {"seed": seed}) for seed in range(self.seeds)
+        )
 
     def _fit(self, subject: Subject, seed: int) -> ImageFit:
         return ImageFit(photo_of(subject.data, self.size), self._config(), seed, pick_device(subject.device))
@@ -173,7 +175,7 @@ class Image:
         every, turned = max(1, self.steps // LOOKS), dict[str, float]()
         try:
             knobs = {L: float(fit.config.frequencies), SIGMA: fit.config.sigma}
-            yield replace(progress.advance("begins", progress.first_looks()), knobs=knobs)
+            yield replace(progress.advance(marked("begins"), progress.first_looks()), knobs=knobs)
             while min(fit.steps.values()) < self.steps:
                 for knob, value in bench.turned.items():
                     if turned.get(knob) != value:
@@ -183,7 +185,7 @@ class Image:
                     if fit.steps[name] < self.steps:
                         fit.step(name)
                         due = fit.steps[name] % every == 0 or fit.steps[name] == self.steps
-                        text = f"step {min(fit.steps.values()):,} of {self.steps:,}"
+                        text = phrase("step {step:,} of {steps:,}", step=min(fit.steps.values()), steps=self.steps)
                         yield progress.advance(text, progress.look(name) if due else ())
         except GeneratorExit:  # cancelled between two steps
             progress.store(file)
@@ -196,7 +198,7 @@ class Image:
             steps, learnt, held_out = progress.curves[name]
             measured[name] = {"train": train, "test": test, "parameters": fit.parameters(name),
                               "steps": steps, "learnt": learnt, "held_out": held_out}  # fmt: skip
-            yield progress.advance(f"measured {name}")
+            yield progress.advance(phrase("measured {name}", name=name))
         write_png(bench.pictures / "photo.png", to_bytes(fit.photo))
         height, width = fit.photo.shape[:2]
         return {"encodings": measured, "L": fit.config.frequencies, "sigma": fit.config.sigma,
@@ -209,19 +211,32 @@ class Image:
             own = [result["encodings"][name] for result in done.values()]
             lines.append((name, f"{own[0]['parameters']:,}", spread([one["train"] for one in own], 2),
                           spread([one["test"] for one in own], 2), f"{PUBLISHED[name]:.2f}"))  # fmt: skip
-        columns = ("encoding", "parameters", "PSNR of training pixels, dB", "of test pixels", "published, test pixels")
+        columns = (
+            marked("encoding"), marked("parameters"), marked("PSNR of training pixels, dB"), marked("of test pixels"),
+            marked("published, test pixels"),
+        )  # fmt: skip
         notes: tuple[str, ...] = ()
         if done:
             first = next(iter(done.values()))
             ratio = first["encodings"]["none"]["parameters"] / first["pixels"]
             notes = (
-                "Training pixels have an even row and an even column, test pixels an odd row and an odd column. "
-                f"L = {first['L']}, σ = {first['sigma']:g}.",
-                "The Gaussian encoding has 512 inputs, and so the larger first layer.",
-                f"The network of bare coordinates has {ratio:.1f} parameters for each pixel, and still learns a blur.",
-                "The published means are over 16 photos of 512 × 512, after 2,000 steps over all training pixels.",
+                phrase(
+                    "Training pixels have an even row and an even column, test pixels an odd row and an odd column. "
+                    "L = {L}, σ = {sigma:g}.",
+                    L=first["L"],
+                    sigma=first["sigma"],
+                ),
+                marked("The Gaussian encoding has 512 inputs, and so the larger first layer."),
+                phrase(
+                    "The network of bare coordinates has {ratio:.1f} parameters for each pixel, and still learns a "
+                    "blur.",
+                    ratio=ratio,
+                ),
+                marked(
+                    "The published means are over 16 photos of 512 × 512, after 2,000 steps over all training pixels."
+                ),
             )
-        table = Table(f"An image, {self.steps:,} steps each", columns, tuple(lines), notes)
+        table = Table(phrase("An image, {steps:,} steps each", steps=self.steps), columns, tuple(lines), notes)
         if not (figures and done):
             return Report((table,))
         key, first = next(iter(done.items()))

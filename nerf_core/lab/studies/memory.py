@@ -9,7 +9,7 @@ from typing import ClassVar
 
 from nerf_core.common.configs import constant
 from nerf_core.common.errors import UserError
-from nerf_core.common.language import marked
+from nerf_core.common.language import marked, phrase
 from nerf_core.common.text import number, size
 from nerf_core.lab.figures import memory_plot
 from nerf_core.lab.records import Report, Result, Row, Table
@@ -77,14 +77,25 @@ class Memory:
              cell(r["seconds"], 0), f"{r['steps']:,}")
             for r in done
         )  # fmt: skip
-        notes = [f"The grid takes N³ × {VALUES_BYTES} bytes; with gradient and Adam's moments, four times that."]
+        notes = [
+            phrase(
+                "The grid takes N³ × {bytes} bytes; with gradient and Adam's moments, four times that.",
+                bytes=VALUES_BYTES,
+            )
+        ]
         if len(done) > 2:
             a, b = done[-2:]
             notes.append(
-                f"From N = {a['side']} to {b['side']}, memory grows by {(b['side'] / a['side']) ** 3:.1f} times and "
-                f"PSNR by {number(b['psnr'] - a['psnr'], 2)} dB."
+                phrase(
+                    "From N = {begin} to {end}, memory grows by {times:.1f} times and PSNR by {gain} dB.",
+                    begin=a["side"],
+                    end=b["side"],
+                    times=(b["side"] / a["side"]) ** 3,
+                    gain=number(b["psnr"] - a["psnr"], 2),
+                )
             )
         notes += failures(results, {key: key.replace("side-", "N = ") for key in results})
-        columns = ("N", "memory", "PSNR dB", "SSIM", "training s", "steps")
-        table = Table(f"A dense RGBα grid, {spelled(self.budget)} of training each", columns, lines, tuple(notes))
+        columns = ("N", marked("memory"), marked("PSNR dB"), "SSIM", marked("training s"), marked("steps"))
+        title = phrase("A dense RGBα grid, {budget} of training each", budget=spelled(self.budget))
+        table = Table(title, columns, lines, tuple(notes))
         return Report((table,), {"memory": memory_plot(done, VALUES_BYTES)} if figures and done else {})

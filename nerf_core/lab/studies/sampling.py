@@ -9,7 +9,7 @@ from typing import ClassVar
 
 from nerf_core.common.configs import constant
 from nerf_core.common.errors import UserError
-from nerf_core.common.language import marked
+from nerf_core.common.language import marked, phrase, phrases
 from nerf_core.lab.figures import sampling_plot
 from nerf_core.lab.records import Report, Result, Row, Table
 from nerf_core.lab.study import STUDIES, Bench, Subject, Work, budget, checked, spelled
@@ -18,7 +18,7 @@ from nerf_core.lab.training import measured, trained
 from nerf_core.training.evaluate import select
 from nerf_core.training.settings import RunSettings
 
-WAYS = ("uniform", "hierarchical")
+WAYS = (marked("uniform"), marked("hierarchical"))
 
 
 @STUDIES.register("sampling")
@@ -60,10 +60,14 @@ class Sampling:
 
     def plan(self, subject: Subject) -> tuple[Row, ...]:
         return tuple(
-            Row(f"{way}-{n}-{seed}", f"{way}, {n} calls" + (f", seed {seed}" if self.seeds > 1 else ""),
+            Row(f"{way}-{n}-{seed}", self._label(way, n, seed),
                 {"way": way, "calls": n, "seed": seed})
             for n in self._calls() for way in WAYS for seed in range(self.seeds)
         )  # fmt: skip
+
+    def _label(self, way: str, calls: int, seed: int) -> str:
+        name = phrases("{way}, {n} call", "{way}, {n} calls", calls, way=phrase(way))
+        return phrase("{name}, seed {seed}", name=name, seed=seed) if self.seeds > 1 else name
 
     def work(self, subject: Subject, row: Row, bench: Bench) -> Work:
         selection, n = select(subject.capture(), count=self.views), row.values["calls"]
@@ -85,11 +89,12 @@ class Sampling:
                     lines.append((f"{n}", way, f"({c}, {f or '–'})", spread(numbers(own, "psnr"), 2),
                                   spread(numbers(own, "ssim"), 3), spread(numbers(own, "steps"), 0)))  # fmt: skip
         notes = (
-            "Calls: a hierarchical ray asks the coarse network N_c times and the fine one N_c + N_f times.",
+            marked("Calls: a hierarchical ray asks the coarse network N_c times and the fine one N_c + N_f times."),
             *failures(results, {key: key for key in results}),
         )
-        columns = ("calls per ray", "samples", "(N_c, N_f)", "PSNR dB", "SSIM", "steps")
-        table = Table(f"Uniform and hierarchical sampling, {spelled(self.budget)} each", columns, tuple(lines), notes)
+        columns = (marked("calls per ray"), marked("samples"), "(N_c, N_f)", marked("PSNR dB"), "SSIM", marked("steps"))
+        title = phrase("Uniform and hierarchical sampling, {budget} each", budget=spelled(self.budget))
+        table = Table(title, columns, tuple(lines), notes)
         return Report((table,), {"sampling": sampling_plot(groups)} if figures and groups else {})
 
 
