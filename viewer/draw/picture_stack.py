@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
 
+from nerf_core.common.language import figure, tr, trn
 from nerf_core.methods.stages import Pictures
 
 from ..ui.widgets import faded, packed
@@ -63,7 +64,7 @@ def picture_stack(ui: Ui, key: str, chart: Pictures, room: tuple[float, float]) 
     over = imgui.is_item_hovered()
     ui.mark(f"walk.pictures {key.removeprefix('##')}")
     if not chart.images:
-        imgui.text_colored(ui.theme.muted, "no pictures")
+        imgui.text_colored(ui.theme.muted, tr("no pictures"))
         return None
     boxes = cards([(image.shape[1], image.shape[0]) for image in chart.images], room)
     boxes += np.array([at.x, at.y, at.x, at.y])
@@ -156,8 +157,9 @@ def _names(chart: Pictures, hovered: int | None) -> str:
     if count == 1:
         return chart.names[0]
     if hovered is not None:
-        return f"{hovered + 1} of {count}: {chart.names[hovered]}"
-    return f"{count} pictures, front to back"
+        numbers = {"i": figure(hovered + 1, ","), "total": figure(count, ",")}
+        return tr("{i} of {total}: {name}").format(name=tr(chart.names[hovered]), **numbers)
+    return trn("{n} picture, front to back", "{n} pictures, front to back", count)
 
 
 def _fitting(text: str, width: float) -> str:
