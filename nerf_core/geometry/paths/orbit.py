@@ -29,7 +29,7 @@ class Orbit:
     label: ClassVar[str] = marked("Orbit")
     summary: ClassVar[str] = "around the scene"
     default_frames: ClassVar[int] = 60
-    options: ClassVar[Mapping[str, Option]] = {"elevation": ELEVATION, "radius": RADIUS}
+    options: ClassVar[Mapping[str, Option]] = {marked("elevation"): ELEVATION, marked("radius"): RADIUS}
 
     @staticmethod
     def cameras(

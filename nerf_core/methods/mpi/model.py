@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nerf_core.common.language import phrase
+from nerf_core.common.language import marked, phrase
 from nerf_core.common.text import size
 from nerf_core.geometry.rays import Rays, Rendering, Trace
 from nerf_core.geometry.scene import Scene
@@ -156,7 +156,7 @@ class MpiModel(Defaults):
             passes.append(plane_samples(self.name(k), self.scene.ndc, rays, crossed.t, seen.weights, rgb, real))
             merged.append((crossed.t, share * seen.weights, rgb, real))
         every = (torch.cat(values) for values in zip(*merged, strict=True))
-        passes.append(plane_samples("planes", self.scene.ndc, rays, *every))
+        passes.append(plane_samples(marked("planes"), self.scene.ndc, rays, *every))
         return Trace(self.rendered(blend), tuple(passes))
 
     def name(self, k: int) -> str:

@@ -10,6 +10,7 @@ from typing import Self
 import torch
 from torch import Tensor, nn
 
+from nerf_core.common.language import marked
 from nerf_core.geometry.rays import Rays, Rendering, Samples, Trace
 from nerf_core.geometry.scene import Scene
 from nerf_core.geometry.spaces import Space
@@ -153,7 +154,7 @@ class NeuralVolumesModel(Defaults):
         empty = transmittance <= 0
         alpha = torch.where(empty, 0, weights / torch.where(empty, 1, transmittance))
         sigma = opacity / torch.where(march.real, delta, 1)
-        samples = Samples("volume", t, delta, sigma, alpha, transmittance, weights, rgb, march.real.sum(-1))
+        samples = Samples(marked("volume"), t, delta, sigma, alpha, transmittance, weights, rgb, march.real.sum(-1))
         return Trace(Rendering(color.clamp(0, 1), total, expected_depth(weights, t)), (samples,))
 
     def render(self, rays: Rays, quality: str = "fine") -> Rendering:

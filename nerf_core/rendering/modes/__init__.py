@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 import numpy as np
 
 from nerf_core.common.colormaps import Name, colored
+from nerf_core.common.language import marked
 from nerf_core.common.registry import Registry
 from nerf_core.methods import lacking
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from nerf_core.geometry.rays import Rays, Trace
     from nerf_core.methods import Method
 
-COLOR = "colour"  # the rendered colour, which needs no `Mode`
+COLOR = marked("colour")  # the rendered colour, which needs no `Mode`
 
 
 class Mode(Protocol):

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 NOTHING = 0.05  # under this opacity a ray has hit nothing visible, and the pixel has no number
 
 
-@MODES.register("view-dependence")
+@MODES.register(marked("view-dependence"))
 class ViewDependence:
     """The standard deviation of the emitted colour over the hemisphere of directions that face the camera."""
 
