@@ -80,6 +80,12 @@ class ViewerOptions:
     """Write a checkpoint when training is done or interrupted."""
     language: Annotated[str, tyro.conf.arg(metavar="CODE", help_behavior_hint=_languages)] = ""
     """The language of the window."""
+    tour: bool = False
+    """Begin the tour "How a NeRF works", which is also in the menu Help."""
+    tour_from: Path | None = None
+    """Begin a tour of your own: a folder of Markdown files; see docs/tours.md."""
+    presenter: bool = False
+    """Large type and strong contrast, for a lecture hall (F5)."""
     doctor: bool = False
     """Print what was found (Python, torch, device, GL, display, video) and what to do about what is missing."""
 
@@ -114,6 +120,7 @@ def run(options: ViewerOptions, signals: Signals) -> int:
     from .window import DisplayError, load_libraries, open_offscreen, open_window
 
     load_libraries()  # before anything imports imgui, so that missing system packages are named
+    from .model.state import TourWish
     from .session import session as sessions
 
     if options.language:
@@ -126,9 +133,13 @@ def run(options: ViewerOptions, signals: Signals) -> int:
         load=options.load, steps=options.train.steps, seconds=options.train.seconds, save=options.save,
         camera=options.camera, mode=options.mode, pins=tuple(options.pin), clicks=tuple(options.click),
         inspect=tuple(options.inspect), axis=options.axis, render=options.render, orbit=options.orbit,
-        screenshot=options.screenshot,
+        screenshot=options.screenshot, tour=options.tour or options.tour_from is not None,
     )  # fmt: skip
     wishes.check()
+    if options.tour_from is not None:
+        from .tour.steps import read_tour
+
+        read_tour(options.tour_from)  # or it is refused, before a window opens
     if options.load is not None:
         _agrees(options.load, settings)
     try:
@@ -143,6 +154,9 @@ def run(options: ViewerOptions, signals: Signals) -> int:
         window.close()
         raise UserError(f"--scale {scale:g}: a window takes its screen's scale; this goes with --headless")
     session = sessions.Session(window, settings, signals, say, options.language)
+    session.app.state.presenter = options.presenter
+    if wishes.tour:
+        session.app.state.tour = TourWish("begin", options.tour_from)
     try:
         return session.run(options.data, wishes)
     finally:

@@ -25,8 +25,8 @@ ORDER = (
     "nerf_core.common", "nerf_core.geometry", "nerf_core.volume", "nerf_core.datasets", "nerf_core.kernels",
     "nerf_core.methods", "nerf_core.rendering", "nerf_core.training", "nerf_core.probe", "nerf_core.lab",
     "nerf_core.live", "nerf_core.commands", "nerf_core.cli",
-    "viewer.window", "viewer.model", "viewer.ui", "viewer.draw", "viewer.commands", "viewer.panels", "viewer.app",
-    "viewer.session", "viewer.cli",
+    "viewer.window", "viewer.model", "viewer.ui", "viewer.draw", "viewer.commands", "viewer.panels", "viewer.tour",
+    "viewer.app", "viewer.session", "viewer.cli",
 )  # fmt: skip
 # The edges of the program are windows, dataset formats, videos and the command line. Only they need these libraries.
 EDGES = {

@@ -24,6 +24,8 @@ from ..draw.textures import TextureCache
 from ..model.left_off import LeftOff
 from ..model.link import Link
 from ..model.state import Action, AppState
+from ..tour.guide import Guide
+from ..tour.side_bar import SideBar
 from ..ui.contract import Panel
 from ..ui.layout import Layout
 from ..ui.theme import DarkTheme
@@ -35,6 +37,7 @@ from .panel_host import PanelHost, PanelUi, Rect
 from .view_requests import ViewRequests
 from .viewport_panel import ViewportPanel
 
+PRESENTED = 1.4  # by which type is larger in a lecture hall
 SHORTEST = 1e-4  # seconds: imgui needs time to pass between frames, even if the clock stands still
 
 
@@ -85,6 +88,9 @@ class App:
         self._pacer = Pacer(watched=window.has_display)
         self._actions = Actions(self.state, link)
         self._views = ViewRequests(link)
+        self._tour = SideBar(
+            Guide(layout_file.with_name("tour.json") if layout_file is not None else None, window.wake)
+        )
         self._answered = 0  # the newest request to open a ray that has been answered
         self._drawn_at = self.state.time
         self._frame_times: deque[float] = deque(maxlen=120)
@@ -191,9 +197,10 @@ class App:
     # ---- drawing ----------------------------------------------------------------------------------------------
 
     def _draw(self, now: float) -> None:
-        if self.window.scale() != self._scale:
-            self._scale = self.window.scale()
-            self.theme.apply(self._scale)
+        scale = self.window.scale() * (PRESENTED if self.state.presenter else 1.0)
+        if scale != self._scale:
+            self._scale = scale
+            self.theme.apply(scale, strong=self.state.presenter)
             self._layout.fit(self.theme.em, self._size)
         io = imgui.get_io()
         io.display_size = ImVec2(*self._size)
@@ -232,6 +239,9 @@ class App:
         self._pacer.note(self.state.time, user=flying or held)
         actions = list(bars.draw_menu(ui, state))
         bars.draw_status(ui, state)
+        state.in_front = self._host.in_front
+        actions += list(self._tour.draw(ui, state))
+        self._pacer.note(state.time, user=self._tour.guide.busy)
         self._wishes()
         if state.show_panels:
             self._layout.dock(self._host.panels, ui.em, self._host.in_front)

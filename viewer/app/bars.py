@@ -36,7 +36,6 @@ def draw_menu(ui: PanelUi, state: AppState) -> Iterator[Action]:
             yield from _menu(ui, state, menu)
             yield from _submenus(ui, state, menu)
             imgui.end_menu()
-    yield from _item(ui, state, USER_COMMANDS.get("show.help"), keys=False)
     yield from _training(ui, state)
     imgui.end_main_menu_bar()
 
@@ -61,10 +60,10 @@ def _submenus(ui: PanelUi, state: AppState, menu: Menu) -> Iterator[Action]:
             imgui.end_menu()
 
 
-def _item(ui: PanelUi, state: AppState, command: UserCommand, keys: bool = True) -> Iterator[Action]:
+def _item(ui: PanelUi, state: AppState, command: UserCommand) -> Iterator[Action]:
     holds = command.checked or command.chosen
     checked = holds is not None and holds(state)
-    shown = ", ".join(command.keys) if keys else ""
+    shown = ", ".join(command.keys)
     pressed, _ = imgui.menu_item(f"{tr(command.title)}###{command.id}", shown, checked, command.enabled(state))
     ui.mark(f"menu.{command.title}")
     if pressed:

@@ -58,7 +58,7 @@ class PanelHost:
         """Draw the panels that have a window."""
         in_front: list[str] = []
         for panel in self.panels:
-            if panel.dock == "overlay":
+            if panel.dock == "overlay" or (state.only_panels and panel.title not in state.only_panels):
                 continue
             flags = imgui.WindowFlags_.no_background if panel.title in self._docked else imgui.WindowFlags_.none
             if imgui.begin(window_name(panel.title), None, flags)[0]:  # False for a tab behind another

@@ -16,14 +16,14 @@ from nerf_core.live.messages import Notice
 
 from ..model.state import Action, AppState, ShownNotice
 
-Section = Literal["Camera", "Ray", "Plots", "Picture", "Training", "File", "Show or hide", "Window", "Language"]
-Menu = Literal["File", "View", "Language"]
+Section = Literal["Camera", "Ray", "Plots", "Picture", "Training", "File", "Show or hide", "Window", "Language", "Help"]
+Menu = Literal["File", "View", "Help", "Language"]
 SECTIONS: tuple[Section, ...] = get_args(Section)  # in the order of help and palette
-MENUS: tuple[Menu, ...] = "File", "View"  # from left to right
+MENUS: tuple[Menu, ...] = "File", "View", "Help"  # from left to right
 SUBMENUS: dict[Menu, Menu] = {"Language": "View"}  # the menu at whose end each lies
 TEXTS = (
     marked("Camera"), marked("Ray"), marked("Plots"), marked("Picture"), marked("Training"), marked("File"),
-    marked("Show or hide"), marked("Window"), marked("Language"), marked("View"),
+    marked("Show or hide"), marked("Window"), marked("Language"), marked("View"), marked("Help"),
 )  # fmt: skip  # of sections and menus
 Run = Callable[[AppState], list[Action]]
 

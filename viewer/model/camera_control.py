@@ -244,6 +244,17 @@ class CameraControl:
         distance = max(capture_distance(self.scene), NEAREST * self._unit)
         self._jump(_around(np.asarray(self.scene.center, np.float64), rotation, distance, self._home.fov_y_degrees))
 
+    def look(self, rotation: np.ndarray, radii: float | None = None) -> None:
+        """Look at the scene's middle.
+
+        rotation: (3, 3) camera to world. radii: the distance in radii of the scene; None: the one of the photos.
+        """
+        if self.scene is None:
+            return
+        distance = capture_distance(self.scene) if radii is None else radii * self._unit
+        center = np.asarray(self.scene.center, np.float64)
+        self._jump(_around(center, rotation, max(distance, NEAREST * self._unit), self._home.fov_y_degrees))
+
     def focus(self, point: np.ndarray) -> None:
         """Turn to a world point (3,) and orbit it from now on. Ignore a point that is not finite: nothing was hit."""
         if not np.isfinite(point).all():

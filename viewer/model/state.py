@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -84,6 +84,17 @@ Action = (
 )  # fmt: skip
 
 
+@dataclass(frozen=True)
+class TourWish:
+    """What the user asks of the tour.
+
+    to: "begin", "next", "back" or "leave". folder: of the steps of the tour to begin; None: the program's own.
+    """
+
+    to: Literal["begin", "next", "back", "leave"]
+    folder: Path | None = None
+
+
 @dataclass
 class FilmForm:
     """The fields of the export panel.
@@ -155,6 +166,11 @@ class AppState:
     settings: RunSettings = field(default_factory=RunSettings)  # * settings for the next capture
     focus_open: bool = False  # * give the scene panel's path field the keyboard in the next frame
     raise_panel: str = ""  # * title of the panel whose tab comes to the front in the next frame
+    in_front: tuple[str, ...] = ()  # titles of the panels that were not behind another's tab in the last frame
+    only_panels: tuple[str, ...] = ()  # titles of the panels that are shown; empty: all
+    presenter: bool = False  # * large type and strong contrast, for a lecture hall
+    tour: TourWish | None = None  # * what the user asks of the tour
+    in_tour: bool = False
     show_cameras: bool = False  # * training cameras in the viewport
     show_samples: bool = True  # * the inspected ray and its samples in the viewport
     mode: str = COLOR  # * the viewport's render mode; see nerf_core.rendering.modes

@@ -21,6 +21,7 @@ class Wishes:
     """The files to write, and what to do before; see `viewer.cli.ViewerOptions`.
 
     folder: where the files go if the user asked for none; None: the user did.
+    tour: whether a tour begins, so that nothing is offered before it.
     orbit_seconds: make the orbit's frames small enough to take about so long; None: as large as the photos.
     """
 
@@ -39,6 +40,7 @@ class Wishes:
     orbit: Path | None = None
     orbit_seconds: float | None = None
     screenshot: Path | None = None
+    tour: bool = False
 
     def any_file(self) -> bool:
         return bool(self.files())

@@ -81,8 +81,15 @@ class DarkTheme:
         atlas.add_font_from_file_ttf(icons, TEXT_PIXELS, merged(0.82))
         imgui.get_io().font_default = self.roboto
 
-    def apply(self, scale: float) -> None:
-        """Set imgui's and implot's style for a screen of this scale; call again when the scale changes."""
+    def apply(self, scale: float, strong: bool = False) -> None:
+        """Set imgui's and implot's style for a screen of this scale; call again when the scale changes.
+
+        strong: strong contrast, for a projector in a bright room.
+        """
+        kind = type(self)
+        self.ground, self.surface = (_rgb("000000"), _rgb("050506")) if strong else (kind.ground, kind.surface)
+        self.raised, self.hairline = (_rgb("2c2f36"), _rgb("5a6069")) if strong else (kind.raised, kind.hairline)
+        self.text, self.muted = (_rgb("ffffff"), _rgb("c9ced6")) if strong else (kind.text, kind.muted)
         self.em = round(TEXT_PIXELS * scale)
         style = imgui.get_style()
         # Panels push fonts by `em` in pixels, which contains the scale; so imgui's own factor stays 1.

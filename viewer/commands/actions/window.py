@@ -28,7 +28,7 @@ def panels(state: AppState) -> list[Action]:
     return []
 
 
-@command("show.help", marked("Help"), "Show or hide", 4, keys=("H",), checked=lambda s: s.show_help)
+@command("show.help", marked("Mouse and keys"), "Help", 9, keys=("H",), menu="Help", checked=lambda s: s.show_help)
 def help_(state: AppState) -> list[Action]:
     state.show_help = not state.show_help
     return []

@@ -1,0 +1,223 @@
+"""What a step of a tour does when it is shown: directives that become actions. An addition is one function."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from nerf_core.common.errors import UserError
+from nerf_core.geometry.turntable import rotation_from
+from nerf_core.lab.study import STUDIES
+from nerf_core.live.messages import Inspect, Pause, StartStudy, Train
+from nerf_core.methods import METHODS
+from nerf_core.rendering.modes import mode_names
+
+from ..commands.registry import USER_COMMANDS, run
+from ..model.state import Action, AppState, GoToView
+from ..ui.contract import PANELS
+
+DEMO = "demo"
+
+
+@dataclass(frozen=True)
+class Deed:
+    """Something that is done once the step is shown.
+
+    do: changes the state, and returns what the app or the worker should do.
+    panel: the title of the panel that it brings to the front, one a frame; empty: none.
+    still: whether it waits until the camera stands still.
+    scene: of `@scene`: the capture that this step and the following ones are about.
+    method, changes: of `@method`: the model of this step and the following ones.
+    """
+
+    do: Callable[[AppState], list[Action]] = lambda _: []
+    panel: str = ""
+    still: bool = False
+    scene: str = ""
+    method: str = ""
+    changes: tuple[tuple[str, str], ...] = ()
+
+
+def _numbers(text: str, least: int, most: int) -> list[float]:
+    try:
+        found = [float(word) for word in text.split()]
+    except ValueError:
+        found = []
+    if not least <= len(found) <= most or not all(map(math.isfinite, found)):
+        many = f"{least}" if least == most else f"{least} to {most}"
+        raise ValueError(f"give {many} number{'' if most == 1 else 's'}")
+    return found
+
+
+def _nothing(text: str) -> None:
+    if text:
+        raise ValueError("takes no words")
+
+
+def _pairs(words: list[str]) -> tuple[tuple[str, str], ...]:
+    pairs = [word.partition("=") for word in words]
+    if not all(name and equals and value for name, equals, value in pairs):
+        raise ValueError("write options as name=value")
+    return tuple((name, value) for name, _, value in pairs)
+
+
+def _photo(text: str) -> Deed:
+    """`@photo N`: fly to training photo N, from 0."""
+    (number,) = _numbers(text, 1, 1)
+    if number < 0 or number != int(number):
+        raise ValueError("give a whole number from 0")
+
+    def fly(state: AppState) -> list[Action]:
+        scene = state.snapshot.scene
+        photos = scene.split("train") if scene is not None else ()
+        return [GoToView(photos[int(number) % len(photos)])] if photos else []
+
+    return Deed(fly)
+
+
+def _orbit(text: str) -> Deed:
+    """`@orbit AZIMUTH ELEVATION [DISTANCE]`: look at the scene's middle; degrees, and scene radii."""
+    azimuth, elevation, *distance = _numbers(text, 2, 3)
+    if not -89 <= elevation <= 89 or (distance and distance[0] <= 0):
+        raise ValueError("the elevation is between -89 and 89, the distance greater than 0")
+
+    def fly(state: AppState) -> list[Action]:
+        scene = state.snapshot.scene
+        if scene is not None:
+            rotation = rotation_from(math.radians(azimuth), math.radians(elevation), 0.0, np.asarray(scene.up))
+            state.camera.look(rotation, distance[0] if distance else None)
+            state.current_view = None
+        return []
+
+    return Deed(fly)
+
+
+def _mode(text: str) -> Deed:
+    """`@mode NAME`: what the viewport shows of each pixel."""
+    if text not in mode_names():
+        raise ValueError(f"choose of {', '.join(mode_names())}")
+
+    def show(state: AppState) -> list[Action]:
+        state.mode = text
+        return []
+
+    return Deed(show)
+
+
+def _switch(name: str) -> Callable[[str], Deed]:
+    def make(text: str) -> Deed:
+        if text not in ("on", "off"):
+            raise ValueError("write on or off")
+
+        def show(state: AppState) -> list[Action]:
+            setattr(state, name, text == "on")
+            return []
+
+        return Deed(show)
+
+    return make
+
+
+def _panel(text: str) -> Deed:
+    """`@panel TITLE`: bring a panel to the front."""
+    panels = [PANELS.get(name)() for name in PANELS.names()]
+    titles = [panel.title for panel in panels if panel.dock != "overlay"]
+    if text not in titles:
+        raise ValueError(f"choose of {', '.join(sorted(titles))}")
+
+    def show(state: AppState) -> list[Action]:
+        state.show_panels, state.raise_panel = True, text
+        return []
+
+    return Deed(show, panel=text)
+
+
+def _open(text: str) -> Deed:
+    """`@open X Y Z`: open the ray through a point of the capture's own coordinates."""
+    point = np.array([*_numbers(text, 3, 3), 1.0])
+
+    def look(state: AppState) -> list[Action]:
+        scene = state.snapshot.scene
+        if scene is None:
+            return []
+        width, height = state.viewport
+        camera = state.camera.camera(width, height)
+        world = np.linalg.solve(np.asarray(scene.to_input, np.float64), point)[:3]
+        x, y, z = np.linalg.solve(camera.c2w[:, :3], world - camera.c2w[:, 3])
+        if z >= 0:
+            return []  # behind the camera
+        column = int(camera.cx - camera.fx * x / z)
+        row = int(camera.cy + camera.fy * y / z)
+        inside = 0 <= column < width and 0 <= row < height
+        return [Inspect(camera, (column, row))] if inside else []
+
+    return Deed(look, still=True)
+
+
+def _train(text: str) -> Deed:
+    """`@train`: train on, unless all steps are done."""
+    _nothing(text)
+
+    def train(state: AppState) -> list[Action]:
+        return [Train()] if state.snapshot.status in ("ready", "paused") else []
+
+    return Deed(train)
+
+
+def _pause(text: str) -> Deed:
+    """`@pause`: pause the training."""
+    _nothing(text)
+    return Deed(lambda _: [Pause()])
+
+
+def _scene(text: str) -> Deed:
+    """`@scene demo` or `@scene PATH`: what this step and the following ones are about; PATH from the tour's folder."""
+    if not text:
+        raise ValueError("write demo, or the path of a capture")
+    return Deed(scene=text)
+
+
+def _method(text: str) -> Deed:
+    """`@method NAME [name=value …]`: the model of this step and the following ones."""
+    name, *options = text.split() or [""]
+    if name not in METHODS.names():
+        raise ValueError(f"choose of {', '.join(METHODS.names())}")
+    return Deed(method=name, changes=_pairs(options))
+
+
+def _study(text: str) -> Deed:
+    """`@study NAME [name=value …]`: start a study of the lab, unless it runs."""
+    name, *options = text.split() or [""]
+    if name not in STUDIES.names():
+        raise ValueError(f"choose of {', '.join(STUDIES.names())}")
+    pairs = dict(_pairs(options))
+
+    def start(state: AppState) -> list[Action]:
+        study = state.snapshot.study
+        if study is not None and study.state == "running":
+            return []
+        return [StartStudy(name, pairs, Path(tempfile.mkdtemp(prefix=f"nerf-viewer-tour-{name}-")))]
+
+    return Deed(start)
+
+
+def _do(text: str) -> Deed:
+    """`@do COMMAND`: a command of the window by its id."""
+    try:
+        USER_COMMANDS.get(text)
+    except UserError as error:
+        raise ValueError(str(error)) from None
+    return Deed(lambda state: run(text, state))
+
+
+# By their words after @; docs/tours.md lists them.
+DEEDS: dict[str, Callable[[str], Deed]] = {
+    "scene": _scene, "method": _method, "train": _train, "pause": _pause,
+    "photo": _photo, "orbit": _orbit, "mode": _mode, "cameras": _switch("show_cameras"),
+    "samples": _switch("show_samples"), "open": _open, "panel": _panel, "study": _study, "do": _do,
+}  # fmt: skip

@@ -1,0 +1,265 @@
+"""Where the reader is in a tour: it performs the steps, notices what is done, and remembers the place."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from nerf_core.common.assets import assets_dir
+from nerf_core.common.errors import UserError
+from nerf_core.common.files import write_atomically
+from nerf_core.common.language import ENGLISH, language
+from nerf_core.live.messages import InOrder, OpenScene, SaveUnsaved, Snapshot, UseMethod
+
+from ..model.state import Action, AppState, unsaved_steps
+from .conditions import Before, before
+from .deeds import DEMO, Deed
+from .steps import Step, Task, read_tour
+
+Model = tuple[str, str, tuple[tuple[str, str], ...]]  # scene, method and changed constants, as a tour writes them
+PATIENCE = 5.0  # seconds for the worker to begin to open a model; if it refuses, the tour goes on with what is open
+SHIPPED = "shipped"  # the key of the program's own tour in the file that remembers places
+
+
+def shipped() -> Path:
+    """Return the folder of the program's own tour, in the window's language if it is there, else in English."""
+    folder = assets_dir() / "tour"
+    return own if (own := folder / language()).is_dir() else folder / ENGLISH
+
+
+class Guide:
+    """A tour, on or not. Owned by the GUI thread; a thread of its own reads the files, because that loads PyTorch.
+
+    places: the file that remembers where the reader was; None: nothing is read or written.
+    wake: called from the thread when it is done.
+
+    Attributes:
+        on: whether a tour is shown.
+        steps: its steps; empty while they are read.
+        at: the index of the step that is shown.
+        ticks: the tasks that were done, by the step's name and the task's number.
+        answered: the questions whose answers are shown, likewise by block.
+        error: why the tour cannot be shown; empty: it can.
+        saved: whether the reader's own model was saved when the tour began.
+    """
+
+    def __init__(self, places: Path | None = None, wake: Callable[[], None] = lambda: None) -> None:
+        self.on = False
+        self.steps: tuple[Step, ...] = ()
+        self.at = 0
+        self.ticks: set[tuple[str, int]] = set()
+        self.answered: set[tuple[str, int]] = set()
+        self.error = ""
+        self.saved = False
+        self._places, self._wake = places, wake
+        self._folder: Path | None = None  # of a tour that is not the program's own
+        self._language = ""
+        self._read: deque[tuple[Step, ...] | UserError] = deque()
+        self._deeds: deque[Deed] = deque()
+        self._before: Before | None = None
+        self._model: Model | None = None  # of the tour, as it was opened last
+        self._awaited: tuple[int, str, float] | None = None  # while a model opens: `loaded` before, method, when asked
+        self._ours = -1  # `loaded` of the model that this tour opened; −1: none
+
+    @property
+    def step(self) -> Step | None:
+        """Return the step that is shown."""
+        return self.steps[self.at] if self.on and self.steps else None
+
+    @property
+    def busy(self) -> bool:
+        """Return whether something of the step is still to be done, so that frames are needed."""
+        return self.on and bool(self._deeds or self._read)
+
+    # ---- beginning, turning pages, leaving ----------------------------------------------------------------------
+
+    def begin(self, folder: Path | None = None) -> None:
+        """Show a tour where the reader left it. folder: of its steps; None: the program's own tour."""
+        self.on, self._folder, self.steps, self.at, self.error = True, folder, (), 0, ""
+        self.saved, self._model, self._awaited, self._ours = False, None, None, -1
+        self._before, self._language = None, language()
+        self._deeds.clear()
+        source = folder or shipped()
+
+        def read() -> None:
+            try:
+                self._read.append(read_tour(source))
+            except UserError as error:
+                self._read.append(error)
+            self._wake()
+
+        threading.Thread(target=read, name="tour", daemon=True).start()
+
+    def go(self, index: int) -> None:
+        """Show another step."""
+        if self.steps:
+            self.at = min(max(index, 0), len(self.steps) - 1)
+            self._show()
+            self._remember()
+
+    def leave(self, state: AppState) -> None:
+        """End the tour. If the reader's own model was put aside, offer to return to it."""
+        self.on, state.only_panels = False, ()
+        self._deeds.clear()
+        if self.saved:
+            state.left_off.read()
+            state.show_left_off = True
+
+    # ---- in each frame --------------------------------------------------------------------------------------------
+
+    def act(self, state: AppState) -> list[Action]:
+        """Do what is due: take the files that were read, perform deeds, notice what is done."""
+        if not self.on:
+            return []
+        if self._language != language() and self._folder is None:
+            self._reread()
+        self._take()
+        step = self.step
+        state.only_panels = step.panels if step is not None and state.presenter else ()
+        if step is None:
+            return []
+        actions = self._perform(state)
+        if not self._deeds and self._awaited is None:
+            if self._before is None and not state.camera.flying:
+                self._before = before(state)
+            if self._before is not None:
+                self._notice(state, step, self._before)
+        return actions
+
+    def _reread(self) -> None:
+        """Read the steps in another language; the place and the ticks stay, and no deed is done again."""
+        self._language = language()
+        try:
+            steps = read_tour(shipped())
+        except UserError as error:
+            self.error = str(error)
+            return
+        if [step.name for step in steps] == [step.name for step in self.steps]:
+            self.steps = steps
+
+    def _take(self) -> None:
+        while self._read:
+            found = self._read.popleft()
+            if isinstance(found, UserError):
+                self.error = str(found)
+                continue
+            self.steps = found
+            names = [step.name for step in found]
+            name, self.ticks = self._recall()
+            self.at = names.index(name) if name in names else 0
+            self._show()
+
+    def _show(self) -> None:
+        self._deeds = deque(self.steps[self.at].deeds)
+        self._before = None
+
+    def _perform(self, state: AppState) -> list[Action]:
+        """Open the step's model if another one is open; then do the deeds, as far as they can be done now."""
+        snapshot = state.snapshot
+        if self._awaited is not None:
+            loaded, method, asked = self._awaited
+            opened = not snapshot.loading and (snapshot.loaded != loaded or snapshot.method == method)
+            if not opened and (snapshot.loading or state.time - asked < PATIENCE):
+                return []
+            self._awaited, self._ours = None, snapshot.loaded
+        wanted = self._wanted()
+        if self._deeds and any(wanted) and wanted != self._model:
+            self._model = wanted
+            if not self._is_open(snapshot, wanted):
+                # with a scene, what counts is its number; another method keeps that number
+                self._awaited = snapshot.loaded, "" if wanted[0] else wanted[1], state.time
+                return [self._opening(state, wanted)]
+        actions: list[Action] = []
+        while self._deeds:
+            deed = self._deeds[0]
+            if deed.still and (state.camera.flying or snapshot.scene is None or snapshot.loading):
+                break
+            if deed.panel and state.raise_panel:
+                break
+            self._deeds.popleft()
+            actions += deed.do(state)
+            if deed.panel:
+                break  # one panel a frame
+        return actions
+
+    def _wanted(self) -> Model:
+        """The model of the step: the last `@scene` and `@method` at or before it."""
+        scene, method, changes = "", "", ()
+        for step in self.steps[: self.at + 1]:
+            for deed in step.deeds:
+                if deed.scene:
+                    scene = deed.scene
+                if deed.method:
+                    method, changes = deed.method, deed.changes
+        return scene, method, changes
+
+    def _opening(self, state: AppState, wanted: Model) -> Action:
+        """The command that opens a model; one of the reader's that is not saved yet is saved before."""
+        scene, method, changes = wanted
+        if scene:
+            folder = self._folder or shipped()
+            path = None if scene == DEMO else folder / scene
+            load = replace(state.settings.load, format="auto")
+            settings = replace(
+                state.settings, load=load, method=method or "auto", preset="auto", changes=dict(changes), steps=0
+            )
+            command = OpenScene(path, settings, train=True)
+        else:
+            command = UseMethod(method, train=True)
+        if unsaved_steps(state.snapshot) and state.snapshot.loaded != self._ours:
+            self.saved = True
+            return InOrder((SaveUnsaved(), command))
+        return command
+
+    @staticmethod
+    def _is_open(snapshot: Snapshot, wanted: Model) -> bool:
+        """Whether the model is open anyway: the demo scene, with a fitting method as it is configured."""
+        scene, method, changes = wanted
+        demo = snapshot.scene is not None and snapshot.scene.format == DEMO
+        return scene == DEMO and demo and not changes and method in ("", snapshot.method)
+
+    def _notice(self, state: AppState, step: Step, begun: Before) -> None:
+        for number, task in enumerate(step.tasks):
+            key = step.name, number
+            if key not in self.ticks and isinstance(task, Task) and task.until and task.until.holds(state, begun):
+                self.ticks.add(key)
+                self._remember()
+
+    # ---- the place ------------------------------------------------------------------------------------------------
+
+    def _key(self) -> str:
+        return SHIPPED if self._folder is None else str(self._folder.absolute())
+
+    def _all_places(self) -> dict[str, Any]:
+        if self._places is None:
+            return {}
+        try:
+            found = json.loads(self._places.read_text("utf-8"))
+        except (OSError, ValueError):  # what cannot be read is no place; the tour begins at its first step
+            return {}
+        return found if isinstance(found, dict) else {}
+
+    def _recall(self) -> tuple[str, set[tuple[str, int]]]:
+        """Return the name of the step where the reader was, and the ticks; empty if nothing fit is known."""
+        place = self._all_places().get(self._key())
+        if not isinstance(place, dict):
+            return "", set()
+        ticks = place.get("ticks")
+        pairs = [tick for tick in ticks if isinstance(tick, list) and len(tick) == 2] if isinstance(ticks, list) else []
+        return str(place.get("step", "")), {(str(name), int(n)) for name, n in pairs if isinstance(n, int)}
+
+    def _remember(self) -> None:
+        if self._places is None or self.step is None:
+            return
+        place = {"step": self.step.name, "ticks": sorted(map(list, self.ticks))}
+        text = json.dumps(self._all_places() | {self._key(): place}, ensure_ascii=False, indent=1)
+        try:
+            self._places.parent.mkdir(parents=True, exist_ok=True)
+            write_atomically(self._places, text.encode())
+        except (OSError, UserError):  # the place is a comfort, and the disk's fault is told where work is saved
+            self._places = None
