@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from nerf_core.common.language import marked, phrase
+from nerf_core.common.language import listed, marked, phrase
 from nerf_core.common.text import number
 from nerf_core.geometry.rays import Rays
 from nerf_core.methods.stages import (
@@ -51,7 +51,7 @@ def explain(model: VoxelModel, rays: Rays) -> tuple[Stage, ...]:
             ),
             (BarCode((marked("blend"), "s"), (weights, raw), max(1.0, float(np.abs(raw).max()))),),
             ((marked("cell"), ", ".join(str(v) for v in cell[0].tolist())),
-             (marked("density"), f"softplus({number(float(row[DENSITY]))} {sign} {number(abs(model.config.bias))})")),
+             (marked("density"), listed(("softplus(", number(float(row[DENSITY])), f" {sign} ", number(abs(model.config.bias)), ")"), "")),
         ),
         Stage(
             marked("Colour"),

@@ -68,7 +68,10 @@ class VerdictClass(Protocol):
 
     @staticmethod
     def reasons(facts: Facts) -> tuple[str, ...]:
-        """Return lines that say, with numbers, why the pixel is of this class; empty if it is not."""
+        """Return lines that say, with numbers, why the pixel is of this class; empty if it is not.
+
+        A line may be a phrase (`nerf_core.common.language`), which the window says in its language.
+        """
         ...
 
 
