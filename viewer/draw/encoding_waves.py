@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from imgui_bundle import ImVec2, imgui
 
@@ -9,7 +11,7 @@ from nerf_core.common.colormaps import colored
 from nerf_core.common.language import figure, tr
 
 from ..ui.contract import Ui
-from ..ui.widgets import color_of, color_scale, hint, packed
+from ..ui.widgets import color_scale, hint, packed, tints
 
 SUPERSCRIPT = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 LABEL_EM, CELL_EM, GAP_EM = 2.4, 1.5, 0.4
@@ -69,6 +71,10 @@ class WavePlot:
         high = 2 * count * row
         p = tuple(place(one, longest) for one in pixel)
         columns = tuple(left + wide + gap + k * (cell + gap) for k in range(2))
+        if not imgui.is_rect_visible(ImVec2(room, line + high)):  # scrolled away
+            imgui.dummy(ImVec2(room, line + high))
+            _legend(ui, count, p)
+            return
         draw.add_text(ImVec2(left, at.y), muted, "p = −1")
         end = imgui.calc_text_size("1").x
         draw.add_text(ImVec2(left + wide - end, at.y), muted, "1")
@@ -78,7 +84,7 @@ class WavePlot:
         for name, x, one, color in zip("xy", columns, p, (ui.theme.accent, ui.theme.warning), strict=True):
             extent = imgui.calc_text_size(name).x
             draw.add_text(ImVec2(x + (cell - extent) / 2, at.y), packed(color), name)
-            _cells(draw, waves(one, count), x, top, cell, row)
+            _cells(draw, _colors(one, count), x, top, cell, row)
             cut = left + wide * (one + 1) / 2
             draw.add_line(ImVec2(cut, top - 0.3 * ui.em), ImVec2(cut, top + high), packed(color), max(1, ui.em / 8))
         each = 1 if 2 * row > 0.95 * ui.em else int(np.ceil(0.95 * ui.em / (2 * row)))
@@ -139,10 +145,16 @@ def _signed(value: float) -> str:
     return figure(round(value, 3) or 0.0, ".3f").replace("-", "−")
 
 
-def _cells(draw: imgui.ImDrawList, values: np.ndarray, x: float, top: float, wide: float, row: float) -> None:
-    for k, rgb in enumerate(colored(values.reshape(-1), -1, 1, "signed").tolist()):
+@lru_cache(maxsize=4)  # two coordinates of the pixel, in two places
+def _colors(p: float, count: int) -> list[int]:
+    """Return the packed colours of the 2L numbers of one coordinate."""
+    return tints(colored(waves(p, count).reshape(-1), -1, 1, "signed"))
+
+
+def _cells(draw: imgui.ImDrawList, colors: list[int], x: float, top: float, wide: float, row: float) -> None:
+    for k, color in enumerate(colors):
         low = ImVec2(x, top + k * row)
-        draw.add_rect_filled(low, ImVec2(x + wide, low.y + max(row - 1, 1)), packed(color_of(rgb)))
+        draw.add_rect_filled(low, ImVec2(x + wide, low.y + max(row - 1, 1)), color)
 
 
 def _legend(ui: Ui, count: int, p: tuple[float, ...]) -> None:
@@ -167,7 +179,7 @@ def bar_code(ui: Ui, count: int, pixel: tuple[int, int], longest: int, wide: flo
         at = imgui.get_cursor_screen_pos()
         draw.add_text(ImVec2(at.x, at.y - 0.15 * ui.em), packed(color), name)
         bar = (wide - label) / (2 * count)
-        for k, rgb in enumerate(colored(waves(place(one, longest), count).reshape(-1), -1, 1, "signed").tolist()):
+        for k, shade in enumerate(_colors(place(one, longest), count)):
             low = ImVec2(at.x + label + k * bar, at.y)
-            draw.add_rect_filled(low, ImVec2(low.x + max(bar - 1, 1), at.y + high), packed(color_of(rgb)))
+            draw.add_rect_filled(low, ImVec2(low.x + max(bar - 1, 1), at.y + high), shade)
         imgui.dummy(ImVec2(wide, high))

@@ -142,7 +142,7 @@ class EncodingPanel:
                 imgui.text_colored(ui.theme.accent, percent)
             ui.mark("encoding.progress")
             if study.seconds_left is not None:
-                imgui.set_item_tooltip(tr("{time} left").format(time=duration(study.seconds_left)))
+                imgui.set_item_tooltip(tr("{time} left").format(time=tr(duration(study.seconds_left))))
 
     def _buttons(self, ui: Ui, study: StudyState | None, obstacle: str) -> Iterator[Action]:
         """Draw what begins, stops and continues the study."""
@@ -292,7 +292,7 @@ def _failure(ui: Ui, study: StudyState) -> None:
     if study.state == "failed":
         hint(ui, tr("The study failed: see Notices."), ui.theme.error)
     elif wrong:
-        hint(ui, wrong, ui.theme.error)
+        hint(ui, tr(wrong), ui.theme.error)
 
 
 def _picture_size(
