@@ -41,6 +41,7 @@ def explain(model: VoxelModel, rays: Rays) -> tuple[Stage, ...]:
     basis = view_basis(d)[0].numpy()
     coefficients = row[:DENSITY].view(3, 4).numpy()
     sign = "−" if model.config.bias < 0 else "+"
+    softplus = "softplus(", number(float(row[DENSITY])), f" {sign} ", number(abs(model.config.bias)), ")"
     return (
         skipped,
         Stage(
@@ -51,7 +52,7 @@ def explain(model: VoxelModel, rays: Rays) -> tuple[Stage, ...]:
             ),
             (BarCode((marked("blend"), "s"), (weights, raw), max(1.0, float(np.abs(raw).max()))),),
             ((marked("cell"), ", ".join(str(v) for v in cell[0].tolist())),
-             (marked("density"), listed(("softplus(", number(float(row[DENSITY])), f" {sign} ", number(abs(model.config.bias)), ")"), "")),
+             (marked("density"), listed(softplus, ""))),
         ),
         Stage(
             marked("Colour"),
