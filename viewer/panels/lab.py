@@ -35,9 +35,10 @@ SIGNS = {
     "failed": icons.ICON_FA_TRIANGLE_EXCLAMATION,
 }
 OPTIONS = (
-    marked("budget"), marked("calls"), marked("frequencies"), marked("lpips weights"), marked("method"),
-    marked("methods"), marked("preset"), marked("rows"), marked("seed"), marked("seeds"), marked("sides"),
-    marked("sigma"), marked("size"), marked("steps"), marked("views"),
+    marked("budget"), marked("calls"), marked("cameras"), marked("coarse"), marked("directions"), marked("fine"),
+    marked("frequencies"), marked("lpips weights"), marked("method"), marked("methods"), marked("noise"),
+    marked("preset"), marked("rows"), marked("seed"), marked("seeds"), marked("sides"), marked("sigma"),
+    marked("size"), marked("steps"), marked("views"),
 )  # fmt: skip  # names of the studies' options, for the catalogues
 PLOT = implot.Flags_.no_title | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
 
