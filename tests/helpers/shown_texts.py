@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import gettext
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, NamedTuple
 
 import pytest
 from imgui_bundle import imgui, implot
 
+from nerf_core.common.configs import constants
+from nerf_core.methods import METHODS
 from viewer.ui.theme import TEXT_PIXELS
+from viewer.ui.widgets import Confirmation
 
 # Which arguments are shown, by the function. A name with a number format also has texts in that.
 TEXTS: dict[str, tuple[int | str, ...]] = {
@@ -33,7 +38,27 @@ NO_ITEM = {
     "begin_tab_item",
 }
 FORMAT = re.compile(r"%[-+ #0]*\d*(?:\.\d+)?[dfgeus%]")
+# What is not translated: files, symbols, keys, options with their values, and names of made-up data.
+DATA = re.compile(
+    r"Traceback[\s\S]*|\S*/\S*|\w+_\w+|\d+steps|\S+\.(?:png|npy|mp4|json|csv|npz|safetensors|md|ply|\w*lab)\b|\b(?:Ctrl|Shift|Space|Tab|Esc|Enter)\b"
+    r"|\b(?:auto|all|complete|None|English|Русский|spheres|blender|ball|scripted|chair|photos \\xff|the wall)\b"
+    r"|\b(?:PSNR|SSIM|NDC|sin|cos|exp|rgb|RGB|nan|bg|near|far|GPU|CPU|CUDA)\b"
+)
+OPTIONS = {
+    part for name in METHODS.names() for key in constants(METHODS.get(name).constants) for part in key.split(".")
+}
+NAMES = re.compile("|".join(rf"\b{re.escape(name)}\b" for name in sorted({*METHODS.names(), *OPTIONS}, key=len)[::-1]))
 SLACK = 1.5  # pixels: rounding
+
+
+class Brackets(gettext.NullTranslations):
+    """A language that says each text in brackets, so that one shows where a text was not looked up."""
+
+    def gettext(self, message: str) -> str:
+        return f"⟦{message}⟧"
+
+    def ngettext(self, msgid1: str, msgid2: str, n: int) -> str:
+        return f"⟦{msgid1 if n == 1 else msgid2}⟧"
 
 
 class Cut(NamedTuple):
@@ -63,18 +88,30 @@ class Shown:
     def table(self) -> None:
         self._columns = []
 
-    def measure(self, text: str) -> None:
+    def measure(self, name: str, text: str) -> None:
         """Note a text whose item reaches beyond what is visible of its window, unless that can be scrolled to."""
         clip = imgui.get_window_draw_list().get_clip_rect_max().x
         window = imgui.internal.get_current_window()
-        beyond = imgui.get_item_rect_max().x - clip
+        right = imgui.get_item_rect_max().x
+        if name == "selectable":  # it may span all columns
+            right = imgui.get_item_rect_min().x + imgui.calc_text_size(text).x
+        beyond = right - clip
         if window.scroll_max.x <= 0 and beyond > SLACK * imgui.get_font_size() / TEXT_PIXELS:
             self.cut.add(Cut(text, round(beyond, 1)))
 
 
+def outside(text: str) -> list[str]:
+    """The words of a text that stand outside of brackets and are no data."""
+    inner = ""
+    while inner != text:
+        inner, text = text, re.sub(r"⟦[^⟦⟧]*⟧", "", text)
+    text = DATA.sub("", text)
+    return re.findall(r"[A-Za-zА-яё]{2,}", NAMES.sub("", text))
+
+
 @contextmanager
-def recorded(*, hovered: bool = False) -> Iterator[Shown]:
-    """Record what is shown. hovered: everything is, so that all tooltips are recorded; none is drawn."""
+def recorded(*, everything: bool = False) -> Iterator[Shown]:
+    """Record what is shown. everything: also what shows only when it is hovered, unfolded or asked."""
     shown = Shown()
     with pytest.MonkeyPatch.context() as patch:
         for module, names in ((imgui, TEXTS), (implot, PLOT_TEXTS)):
@@ -83,25 +120,53 @@ def recorded(*, hovered: bool = False) -> Iterator[Shown]:
         patch.setattr(imgui.ImDrawList, "add_text", _drawing(shown, imgui.ImDrawList.add_text))
         for name, noted in (("table_headers_row", shown.headers), ("begin_table", shown.table)):
             patch.setattr(imgui, name, _before(noted, getattr(imgui, name)))
-        if hovered:
-            patch.setattr(imgui, "is_item_hovered", lambda *_: True)
-            patch.setattr(implot, "is_plot_hovered", lambda *_: True)
+        if everything:
+            _unfold(patch)
         yield shown
 
 
+def _unfold(patch: pytest.MonkeyPatch) -> None:
+    """Draw all that hovering, a click or a question would show, into the window itself."""
+    patch.setattr(implot, "is_plot_hovered", lambda *_: True)
+    for name in ("is_item_hovered", "begin_tooltip", "begin_popup", "begin_tab_bar"):
+        patch.setattr(imgui, name, lambda *_: True)
+    for name in ("begin_menu", "begin_combo", "tree_node", "tree_node_ex"):
+        patch.setattr(imgui, name, _instead(getattr(imgui, name), True))
+    patch.setattr(imgui, "begin_tab_item", _instead(imgui.begin_tab_item, (True, None)))
+    for name in ("tooltip", "popup", "tab_bar", "menu", "combo", "tab_item"):
+        patch.setattr(imgui, f"end_{name}", lambda: None)
+    for name in ("tree_pop", "close_current_popup"):
+        patch.setattr(imgui, name, lambda: None)
+    ask = Confirmation._ask
+
+    def asking(self: Confirmation, *args: Any, **options: Any) -> str:
+        self.asking = True
+        options.pop("needed", None)
+        return ask(self, *args[:4], needed=True)
+
+    patch.setattr(Confirmation, "_ask", asking)
+
+
+def _instead(recording: Callable[..., Any], result: object) -> Callable[..., Any]:
+    """Record the texts of a call, and return a result instead of doing it."""
+    return partial(recording, instead=result)
+
+
 def _recording(shown: Shown, name: str, real: Callable[..., Any], places: tuple[int | str, ...]) -> Callable[..., Any]:
-    def call(*args: Any, **options: Any) -> Any:
+    def call(*args: Any, instead: object = None, **options: Any) -> Any:
         found: list[str] = []
         for place in places:
             value = options.get(place) if isinstance(place, str) else args[place] if place < len(args) else None
             found += [value] if isinstance(value, str) else value if isinstance(value, list) else []
         texts = [label for text in found if (label := _label(text))]
+        if name == "begin" and len(args) > 2 and args[2] & imgui.WindowFlags_.no_title_bar:
+            texts = []
         shown.note(name, texts)
-        if name == "set_tooltip":
-            return None
+        if instead is not None or name == "set_tooltip":
+            return instead
         result = real(*args, **options)
         if texts and name in TEXTS and name not in NO_ITEM and imgui.is_item_visible():
-            shown.measure(texts[0])
+            shown.measure(name, texts[0])
         return result
 
     return call

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-import gettext
 import itertools
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import scripted
 from imgui_bundle import imgui
-from shown_texts import recorded
+from shown_texts import Brackets, outside, recorded
 
 from nerf_core.common import language
 from nerf_core.common.language import ENGLISH, use_language
+from nerf_core.live.messages import Snapshot
 from viewer.app.app import App
 from viewer.ui.layout import VIEWPORT
 from viewer.window import Window
@@ -22,21 +24,11 @@ Offscreen = Callable[..., Window]
 Open = Callable[..., App]
 
 
-class Marked(gettext.NullTranslations):
-    """A language that says each text in brackets, so that one shows where a text was not looked up."""
-
-    def gettext(self, message: str) -> str:
-        return f"⟦{message}⟧"
-
-    def ngettext(self, msgid1: str, msgid2: str, n: int) -> str:
-        return f"⟦{msgid1 if n == 1 else msgid2}⟧"
-
-
 @pytest.fixture
 def in_brackets(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """What "ru" is while a test runs."""
     real = language._catalogue
-    monkeypatch.setattr(language, "_catalogue", lambda code: real(code) if code == ENGLISH else Marked())
+    monkeypatch.setattr(language, "_catalogue", lambda code: real(code) if code == ENGLISH else Brackets())
     yield
     use_language(ENGLISH)
 
@@ -99,3 +91,27 @@ def test_a_language_is_chosen_in_the_view_menu_and_remembered(opened: Open, tmp_
     assert "View" in texts(once)
     once.close()
     assert "\n; language: ru\n" in file.read_text("utf-8")
+
+
+def test_no_untranslated_text_in_the_viewport(opened: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+    app = opened(code="ru")
+    full = app.link.snapshot()
+    assert full.preview is not None
+    app.state.camera.orbit(5.0, 5.0, 400)
+    preview = replace(full.preview, complete=True, camera=app.state.camera.camera(*app.state.viewport))
+    unseen = replace(preview, depth=np.full_like(preview.depth, np.nan))
+    shaded = replace(preview, mode="view-dependence")
+    states = {
+        "Nothing is open": Snapshot(loaded=full.loaded),
+        "Opening": Snapshot(status="loading", loaded=full.loaded),
+        "No picture: the worker failed": Snapshot(status="failed", loaded=full.loaded),
+        "photo {name}: the first picture is on its way": replace(full, preview=None),
+        "Nothing is seen from here. {command}": replace(full, preview=unseen, method="nerf"),
+        "View-dependence": replace(full, preview=shaded),
+    }
+    for text, snapshot in states.items():
+        monkeypatch.setattr(app.link, "snapshot", lambda snapshot=snapshot: snapshot)
+        app.settle(2)
+        found = texts(app)
+        assert any(text.partition("{")[0] in one for one in found), (text, found)
+        assert not [one for one in found if outside(one)]

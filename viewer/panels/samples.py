@@ -50,7 +50,7 @@ class SamplesPanel:
         self._table(ui, state, ray.passes[self.one])
 
     def _table(self, ui: Ui, state: AppState, one: PassProbe) -> None:
-        flags = imgui.TableFlags_.scroll_y | imgui.TableFlags_.sizing_fixed_fit
+        flags = imgui.TableFlags_.scroll_x | imgui.TableFlags_.scroll_y | imgui.TableFlags_.sizing_fixed_fit
         if not imgui.begin_table("samples", len(COLUMNS), flags, imgui.get_content_region_avail()):
             return
         imgui.table_setup_scroll_freeze(0, 1)

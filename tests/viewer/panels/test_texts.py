@@ -1,0 +1,97 @@
+"""Every text on the screen is in the window's language, and fits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+from typing import Any
+
+import pytest
+from imgui_bundle import ImVec2, imgui
+from panel_screen import Screen
+from panel_states import states
+from shown_texts import Brackets, Shown, outside, recorded
+
+from nerf_core.common import language
+from nerf_core.common.language import ENGLISH, languages, use_language
+from viewer.app import bars
+from viewer.commands.registry import MENUS
+from viewer.model.state import Action, AppState
+from viewer.ui.contract import PANELS
+
+WIDTHS = {"right": 23.0, "bottom": 39.0, "bottom_right": 23.0, "overlay": 50.0}  # em, in a window of 1280 × 800
+HEIGHTS = {"right": 40.0, "bottom": 17.5, "bottom_right": 17.5, "overlay": 45.0}
+
+
+@pytest.fixture(autouse=True)
+def english() -> Iterator[None]:
+    yield
+    use_language(ENGLISH)
+
+
+@cache
+def all_states() -> dict[str, AppState]:
+    return states()
+
+
+def draw(screen: Screen, name: str, state: AppState, *, everything: bool = False) -> Shown:
+    """Draw a panel until its columns have their widths, and record the last frame."""
+    panel = PANELS.get(name)()
+    scale = screen.em / 15
+    screen.size = (WIDTHS[panel.dock] * screen.em, HEIGHTS[panel.dock] * screen.em)
+    imgui.get_io().display_size = ImVec2(1280 * scale, 800 * scale)
+    for _ in range(0 if everything else 3):
+        screen.frame(panel, state)
+    with recorded(everything=everything) as shown:
+        screen.frame(panel, state)
+    return shown
+
+
+@pytest.mark.parametrize("name", PANELS.names())
+def test_no_untranslated_text_reaches_the_screen(screen: Screen, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(language, "_catalogue", lambda _: Brackets())
+    use_language("ru")
+    found = {
+        (text, key)
+        for key, state in all_states().items()
+        for text in draw(screen, name, state, everything=True).texts
+        if outside(text)
+    }
+    assert not found, dict(sorted(found))
+
+
+class Bars:
+    """Menu and status bar, as a panel."""
+
+    title, dock, order = "bars", "overlay", 0
+
+    def draw(self, ui: Any, state: AppState) -> Iterator[Action]:
+        yield from bars.draw_menu(ui, state)
+        bars.draw_status(ui, state)
+
+
+def test_no_untranslated_text_in_menus_and_bars(screen: Screen, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(language, "_catalogue", lambda _: Brackets())
+    use_language("ru")
+    found: set[str] = set()
+    for state in all_states().values():
+        with recorded(everything=True) as shown:
+            screen.frame(Bars(), state)  # pyright: ignore[reportArgumentType]
+        found |= shown.texts
+    assert {f"⟦{menu}⟧" for menu in MENUS} <= found
+    assert not [text for text in found if outside(text)]
+
+
+FITTED = (
+    "training", "empty", "background", "first noise", "failed", "export running", "study done", "left off", "visits"
+)  # fmt: skip  # states that differ in what they say
+
+
+@pytest.mark.parametrize("scale", [1, 2])
+@pytest.mark.parametrize("code", list(languages()))
+@pytest.mark.parametrize("name", PANELS.names())
+def test_no_text_is_cut_off(screen: Screen, name: str, code: str, scale: int) -> None:
+    screen.theme.apply(scale)
+    use_language(code)
+    cut = {(key, *one) for key in FITTED for one in draw(screen, name, all_states()[key]).cut}
+    assert not cut
