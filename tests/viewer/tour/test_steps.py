@@ -27,7 +27,8 @@ def directives(file: Path) -> list[str]:
 def test_each_step_asks_answers_and_gives_something_to_do(code: str) -> None:
     for step in read_tour(TOUR / code):
         questions = [block for block in step.blocks if isinstance(block, Question)]
-        assert questions and all(question.answer for question in questions), step.name
+        assert questions, step.name
+        assert all(question.answer for question in questions), step.name
         assert any(task.until for task in step.tasks), step.name
         assert any(isinstance(block, Equation) for block in step.blocks), step.name
         words = [len(block.text.split()) for block in step.blocks if isinstance(block, Prose) and block.kind != "note"]
