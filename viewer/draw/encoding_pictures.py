@@ -41,10 +41,12 @@ class PictureRow:
     """Draws rows of pictures of one size, and shows what the mouse points at in all of them.
 
     pixel: the column and row that the mouse pointed at last; None: not yet.
+    top: the panel's upper edge on the screen: enlarged parts lie above it, so that they cover nothing of the panel.
     """
 
     def __init__(self) -> None:
         self.pixel: tuple[int, int] | None = None
+        self.top = 0.0
         self._known: dict[str, tuple[np.ndarray, np.ndarray]] = {}  # arrays and their RGBA, so that each is sent once
 
     def texture(self, ui: Ui, name: str, image: np.ndarray, smooth: bool = True) -> imgui.ImTextureRef:
@@ -67,9 +69,9 @@ class PictureRow:
 
         zoom: draws more about a pixel under the enlarged parts; None: nothing is enlarged, as for spectra.
         """
-        corners, hovered = [], False
+        corners, hovered, right = [], False, imgui.get_cursor_screen_pos().x + imgui.get_content_region_avail().x
         for k, one in enumerate(pictures):
-            if k:
+            if k and imgui.get_item_rect_max().x + GAP_EM * ui.em + size[0] <= right + 1:
                 imgui.same_line(0, GAP_EM * ui.em)
             imgui.begin_group()
             corner = imgui.get_cursor_screen_pos()
@@ -92,7 +94,7 @@ class PictureRow:
             imgui.end_group()
         if hovered and zoom is not None and self.pixel is not None:
             self._outline(ui, pictures, corners, size)
-            self._zoomed(ui, pictures, corners[0].y, zoom)
+            self._zoomed(ui, pictures, zoom)
 
     def _outline(self, ui: Ui, pictures: Sequence[Shown], corners: Sequence[ImVec2], size: tuple[float, float]) -> None:
         """Draw in each picture which part of it is enlarged."""
@@ -104,14 +106,14 @@ class PictureRow:
                 high = ImVec2(corner.x + right * size[0], corner.y + bottom * size[1])
                 draw.add_rect(low, high, packed(ui.theme.accent), 0, max(1.0, ui.em / 12))
 
-    def _zoomed(self, ui: Ui, pictures: Sequence[Shown], top: float, more: Callable[[tuple[int, int]], None]) -> None:
-        """Show the same part of all pictures above the row, so that the row stays to be seen."""
+    def _zoomed(self, ui: Ui, pictures: Sequence[Shown], more: Callable[[tuple[int, int]], None]) -> None:
+        """Show the same part of all pictures, enlarged."""
         assert self.pixel is not None
         side = ZOOM_EM * ui.em
         half = (len(pictures) * (ZOOM_EM + GAP_EM) + 1) / 2 * ui.em
         x = max(min(imgui.get_mouse_pos().x, imgui.get_io().display_size.x - half), half)
-        above = top > TIP_EM * ui.em
-        y = top - 0.5 * ui.em if above else imgui.get_mouse_pos().y + 2 * ui.em
+        above = self.top > TIP_EM * ui.em
+        y = self.top - 0.5 * ui.em if above else imgui.get_mouse_pos().y + 2 * ui.em
         imgui.set_next_window_pos(ImVec2(x, y), 0, ImVec2(0.5, 1.0 if above else 0.0))
         if not imgui.begin_tooltip():
             return

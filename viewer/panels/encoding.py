@@ -21,7 +21,7 @@ from ..draw.encoding_waves import WavePlot, bar_code
 from ..draw.paint_canvas import SIDE
 from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import axis_name, button, hint, mono
+from ..ui.widgets import button, hint, mono
 from .encoding_source import Source
 
 STUDY = "image"
@@ -76,8 +76,13 @@ class EncodingPanel:
                 "The study “{name}” is running, and there is one at a time: wait for it, or cancel it in the Lab."
             )
             obstacle = text.format(name=name)
-        yield from self._toolbar(ui, study, obstacle)
+        self._pictures.top = imgui.get_window_pos().y
+        narrow = imgui.get_window_width() < NARROW_EM * ui.em
+        if not narrow:
+            yield from self._toolbar(ui, study, obstacle)
         imgui.begin_child("page", ImVec2(0, 0))
+        if narrow:  # where the buttons take several lines, they scroll with the page
+            yield from self._toolbar(ui, study, obstacle)
         if obstacle:
             hint(ui, obstacle, ui.theme.warning)
         if study is not None:
@@ -229,7 +234,7 @@ class EncodingPanel:
             imgui.begin_child("plots", ImVec2(0, 0))
             room = imgui.get_content_region_avail()
             if curves:
-                _curves(ui, curves, room.y * 0.42)
+                _curves(ui, curves, room.y * 0.45)
             left = imgui.get_content_region_avail().y
             self._waves.draw(ui, count, pixel, max(shape), min(left, 26 * ui.em))
             imgui.end_child()
@@ -315,15 +320,18 @@ def _picture_size(
 
 
 def _curves(ui: Ui, curves: Mapping[str, Curve], height: float) -> None:
+    imgui.text_colored(
+        ui.theme.muted, tr("PSNR of held-out pixels (dB) over steps")
+    )  # in the plot it would hide curves
+    height -= imgui.get_text_line_height_with_spacing()
     implot.push_style_var(implot.StyleVar_.plot_min_size, ImVec2(ui.em, ui.em))
-    if implot.begin_plot("##psnr", ImVec2(-1, height), PLOT):
+    if implot.begin_plot("##psnr", ImVec2(-1, max(height, ui.em)), PLOT):
         implot.setup_axis(implot.ImAxis_.x1, None, implot.AxisFlags_.auto_fit)
         implot.setup_axis(implot.ImAxis_.y1, None, implot.AxisFlags_.auto_fit)
         for name, color in zip(NAMES, ui.theme.pins, strict=False):
             if name in curves:
                 x, y = (values.astype(np.float64) for values in (curves[name].x, curves[name].y))
                 implot.plot_line(name, x, y, implot.Spec(line_color=color, line_weight=0.12 * ui.em))
-        axis_name(ui, tr("PSNR of held-out pixels (dB) over steps"))
         implot.end_plot()
         ui.mark("encoding.curves")
     implot.pop_style_var()
