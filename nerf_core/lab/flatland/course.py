@@ -31,10 +31,10 @@ TURNABLE = {L: "frequencies", DIRECTIONS: "directions", COARSE: "coarse", FINE: 
 ANEW = (L, DIRECTIONS, CAMERAS, NOISE)  # the knobs that begin anew; the others say only where samples lie
 CAMERA, PIXEL = "camera", "pixel"  # the knobs that choose a ray
 SCORE_STEPS = 25  # between two measurements of the held-out photos
-FIELD_STEPS, EARLY_STEPS = 10, 3  # between two pictures of the field for a window, and in the first 60 steps
-RAY_STEPS = 4  # between two looks at the chosen ray
+FIELD_STEPS, EARLY_STEPS = 10, 4  # between two pictures of the field for a window, and in the first 60 steps
+RAY_STEPS = 4  # between two looks at the chosen ray and at two photos: its own, and the next in turn
 SIDE, FILM_SIDE = 128, 160  # pixels of the field's pictures
-FRAMES = 120  # of the film
+FRAMES = 120  # of the film, at most one a step
 TRUE_SAMPLES = 200  # of the world's density along a ray
 RATE_SECONDS = 1.0  # over which the steps a second are counted
 
@@ -64,7 +64,7 @@ class Course:
         self.frames: list[np.ndarray] = []
         self.photos: list[np.ndarray] = []
         self._turned, self._watched, self._world = turned, watched, World()
-        self._obeyed = dict(turned)  # what was turned for an earlier row is not turned for this one
+        self._obeyed: dict[str, float] = {}
         self._began = time.perf_counter(), 0  # for the rate: when, and at which step
         self._rate = 0.0
         self._learnt = self._field = self._truth = np.zeros((1, 1, 3), np.uint8)
@@ -166,7 +166,10 @@ class Course:
 
     def _frames_due(self) -> int:
         """Return how many frames the film has at this step. They lie closer at first, when most happens."""
-        return 1 + int(FRAMES * (self._need().steps / self.config.steps) ** 0.5)
+        return 1 + int(self._last_frame() * (self._need().steps / self.config.steps) ** 0.5)
+
+    def _last_frame(self) -> int:
+        return min(FRAMES, self.config.steps)
 
     def _film(self) -> None:
         fit, camera = self._need(), self.held_out()[0]
@@ -203,12 +206,12 @@ class Course:
         cameras = len(self._learnt)
         wanted = min(round(self._turned.get(CAMERA, 0)), cameras - 1), round(self._turned.get(PIXEL, PIXELS // 2))
         moved, around = wanted != self._looked, wanted[0] != self._looked[0]
+        self._looked = wanted
         if moved or fit.steps % RAY_STEPS == 0:
             self._ray = ray_of(fit, *wanted)
-        self._looked = wanted
-        self._learnt = self._learnt.copy()  # what was published stays
-        for camera in range(cameras) if first else (wanted[0], fit.steps % cameras):
-            self._learnt[camera] = to_bytes(fit.photo(camera))
+            self._learnt = self._learnt.copy()  # what was published stays
+            for camera in range(cameras) if first else (wanted[0], fit.steps // RAY_STEPS % cameras):
+                self._learnt[camera] = to_bytes(fit.photo(camera))
         if around:
             eye = fit.truth.rays.origins[wanted[0] * PIXELS]
             self._truth = to_bytes(field_picture(self._world.radiance, eye, SIDE, self._world.background))
@@ -223,7 +226,7 @@ class Course:
 
     def label(self, frame: int) -> str:
         """Return the step and the PSNR of a frame of the film, in words."""
-        step = math.ceil(self.config.steps * (frame / FRAMES) ** 2)
+        step = math.ceil(self.config.steps * (frame / self._last_frame()) ** 2)
         steps, psnr = self.scores
         return f"step {step:,}, {psnr[bisect_right(steps, step) - 1]:.1f} dB"
 

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-RADIUS = 2.0  # of the ring of cameras
+RADIUS = 1.4  # of the ring of cameras
 REACH = 1.0  # radius of the disc around the origin that holds the world: all samples lie in it
 PIXELS = 64  # of a photo
 HALF_WIDTH = REACH / math.sqrt(RADIUS**2 - REACH**2)  # of a photo at distance 1: its edges touch the disc

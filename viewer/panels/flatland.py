@@ -1,0 +1,310 @@
+"""The page "Flatland": a flat world that is learnt from one-dimensional photos, with one ray and all its samples."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import weakref
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from imgui_bundle import ImVec2, imgui
+from imgui_bundle import icons_fontawesome_6 as icons
+
+from nerf_core.common.language import figure, marked, tr
+from nerf_core.lab.flatland.view import FlatView
+from nerf_core.lab.records import Knob, StudyState
+from nerf_core.lab.study import STUDIES, Turnable
+from nerf_core.live.messages import CancelStudy, StartStudy, TurnKnob
+
+from ..draw.flat_map import Chosen, FlatMap
+from ..draw.flat_photos import FlatPhotos, strips_height
+from ..draw.flat_plots import psnr_plot, ray_plots
+from ..model.state import Action, AppState
+from ..ui.contract import PANELS, Ui
+from ..ui.widgets import button, color_of, hint, mono, packed
+
+STUDY = "flatland"
+CAMERA, PIXEL = "camera", "pixel"  # the knobs that choose a ray
+# By knob: the study's option, the slider's label and its tooltip.
+SLIDERS: dict[str, tuple[str, str, str]] = {
+    "L": ("frequencies", "L", marked("frequencies of the position's encoding; 0: bare coordinates. Begins anew.")),
+    "coarse": ("coarse", "N_c", marked("coarse samples of a ray, evenly spaced")),
+    "fine": ("fine", "N_f", marked("fine samples, drawn from the coarse weights; 0: no hierarchy")),
+    "cameras": ("cameras", marked("cameras"), marked("cameras that take the training photos. Begins anew.")),
+    "noise": ("noise", marked("noise"), marked("standard deviation of the noise in the photos. Begins anew.")),
+    "directions": (
+        "directions",
+        marked("view"),
+        marked("frequencies of the direction's encoding; 0: colours are the same from all sides. Begins anew."),
+    ),
+}
+SLIDER_EM = 5.3  # width
+WIDE_EM, TALL_EM = 36.0, 10.0  # room from which plots lie beside the map, and the map's least side
+COLUMN_EM = 13.0, 20.0  # least and largest width of the photos' column
+CURVE_EM = 3.8  # least height of the curve
+LESSON_EM = 22.0  # height of the page from which the lesson stands in it
+BEFORE = marked(
+    "A world of two dimensions, whose photos are lines. A small network learns it from a ring of cameras, as the paper "
+    "learns a scene: by Eq. 3 to 6. Start, and watch the whole field form out of fog."
+)
+LESSON = marked(
+    "Point at a camera, a photo's pixel or the field: its ray is opened. Circles are coarse samples, dots fine ones, "
+    "bars weights. Try few cameras, noise, L = 0, L = 8, or no fine samples. A click holds the ray."
+)
+
+
+class _Folders:
+    """Folders for studies, which go when the page does: it is for playing. `nerf-core lab` writes what is to stay."""
+
+    def __init__(self) -> None:
+        self._home: str | None = None
+
+    def fresh(self) -> Path:
+        """Make a folder. Raises OSError."""
+        if self._home is None:
+            self._home = tempfile.mkdtemp(prefix="nerf-viewer-flatland-")
+            weakref.finalize(self, shutil.rmtree, self._home, ignore_errors=True)
+        return Path(tempfile.mkdtemp(dir=self._home))
+
+
+@PANELS.register("flatland")
+class FlatlandPanel:
+    title = marked("Flatland")
+    dock: Literal["bottom"] = "bottom"
+    order = 7
+
+    def __init__(self) -> None:
+        self._map, self._world, self._photos, self._folders = FlatMap(), FlatMap(), FlatPhotos(), _Folders()
+        self._values: dict[str, float] = {}  # of the sliders, where they differ from the study's knobs
+        self._chosen = Chosen(0, None)
+        self._held = False  # the ray stays where it is
+        self._sent: tuple[int, int] | None = None  # the ray that the worker was last asked for
+        self._truth = False  # where there is room for one picture, it is the world's
+        self._begun: StartStudy | None = None
+        self._problem = ""
+
+    def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
+        snapshot = state.snapshot
+        if snapshot.status == "loading" and not snapshot.loaded:
+            hint(ui, tr("A flat world that is learnt in seconds: it appears when PyTorch is loaded."))
+            return
+        study = snapshot.study if snapshot.study is not None and snapshot.study.name == STUDY else None
+        other, obstacle = snapshot.study, ""
+        if other is not None and other.name != STUDY and other.state == "running":
+            text = tr(
+                "The study “{name}” is running, and there is one at a time: wait for it, or cancel it in the Lab."
+            )
+            obstacle = text.format(name=tr(STUDIES.get(other.name).title))
+        yield from self._toolbar(ui, study, obstacle)
+        imgui.begin_child("page", ImVec2(0, 0))
+        if obstacle or self._problem:
+            hint(ui, obstacle or self._problem, ui.theme.warning)
+        wrong = next((row.text for row in study.rows if row.state == "failed"), "") if study is not None else ""
+        if wrong or (study is not None and study.state == "failed"):
+            hint(ui, tr(wrong) or tr("The study failed: see Notices."), ui.theme.error)
+        if study is None or study.flat is None:
+            hint(ui, tr(BEFORE))
+        else:
+            yield from self._page(ui, study, study.flat)
+        imgui.end_child()
+
+    # ---- above --------------------------------------------------------------------------------------------------
+
+    def _toolbar(self, ui: Ui, study: StudyState | None, obstacle: str) -> Iterator[Action]:
+        yield from self._buttons(ui, study, obstacle)
+        knobs = {knob.name: knob for knob in _knobs(study)}
+        for name in SLIDERS:
+            if name in knobs:
+                _same_line(ui, SLIDER_EM * ui.em, 0.4)
+                yield from self._slider(ui, knobs[name], tr(SLIDERS[name][1]), study)
+
+    def _buttons(self, ui: Ui, study: StudyState | None, obstacle: str) -> Iterator[Action]:
+        tip = obstacle or tr("Training and the window go on meanwhile.")
+        if study is not None and study.state == "running":
+            kept = tr("What is learnt is kept: you can go on from there.")
+            if button(ui, f"{icons.ICON_FA_STOP}  {tr('Stop')}", "flatland.stop", tip=kept):
+                yield CancelStudy()
+        elif study is not None and study.state == "cancelled" and self._begun and self._begun.folder == study.folder:
+            if button(ui, f"{icons.ICON_FA_PLAY}  {tr('Go on')}", "flatland.go_on", enabled=not obstacle, tip=tip):
+                self._sent = None
+                yield self._begun
+                yield from (TurnKnob(name, value) for name, value in self._values.items())
+        elif button(ui, f"{icons.ICON_FA_PLAY}  {tr('Start')}", "flatland.start", enabled=not obstacle, tip=tip):
+            yield from self._begin(study)
+        if study is not None:
+            imgui.same_line()
+            again = obstacle or tr("Begin again")
+            if button(ui, icons.ICON_FA_ROTATE_LEFT, "flatland.again", enabled=not obstacle, tip=again):
+                yield from self._begin(study)
+
+    def _begin(self, study: StudyState | None) -> Iterator[Action]:
+        """Begin with what the sliders say."""
+        try:
+            folder = self._folders.fresh()
+        except OSError as error:
+            self._problem = str(error)
+            return
+        if study is not None and study.state == "running":
+            yield CancelStudy()
+        knobs = {knob.name: self._values.get(knob.name, knob.value) for knob in _knobs(study)}
+        options = {SLIDERS[name][0]: f"{value:.6g}" for name, value in knobs.items() if name in SLIDERS}
+        self._begun, self._problem, self._sent = StartStudy(STUDY, options, folder), "", None
+        yield self._begun
+
+    def _slider(self, ui: Ui, knob: Knob, label: str, study: StudyState | None) -> Iterator[Action]:
+        """Draw a slider, which turns its knob when it is let go: most knobs begin anew."""
+        name = knob.name
+        value = self._values.get(name, knob.value)
+        imgui.set_next_item_width(SLIDER_EM * ui.em)
+        shown = f"{label} = %.2f" if name == "noise" else f"{label} = %d"
+        if name == "noise":
+            changed, value = imgui.slider_float(f"##flatland.{name}", value, knob.least, knob.most, shown)
+        else:
+            ends = round(knob.least), round(knob.most)
+            changed, whole = imgui.slider_int(f"##flatland.{name}", round(value), *ends, shown)
+            value = float(whole)
+        ui.mark(f"flatland.{name}")
+        active, ended = imgui.is_item_active(), imgui.is_item_deactivated_after_edit()
+        imgui.set_item_tooltip(tr(SLIDERS[name][2]))
+        if changed:
+            self._values[name] = value
+        running = study is not None and study.state == "running"
+        if running and ended:
+            yield TurnKnob(name, value)
+        if running and not (active or ended) and value == knob.value:
+            self._values.pop(name, None)  # the worker has obeyed
+
+    # ---- below --------------------------------------------------------------------------------------------------
+
+    def _page(self, ui: Ui, study: StudyState, view: FlatView) -> Iterator[Action]:
+        if imgui.get_content_region_avail().y > LESSON_EM * ui.em:
+            hint(ui, tr(LESSON))
+        room, gap = imgui.get_content_region_avail(), 0.8 * ui.em
+        wide = room.x > WIDE_EM * ui.em
+        side = float(int(max(min(room.y - imgui.get_text_line_height_with_spacing(), room.x), TALL_EM * ui.em)))
+        column = min(max(0.28 * room.x, COLUMN_EM[0] * ui.em), COLUMN_EM[1] * ui.em)
+        two = room.x > 2 * side + 2 * column + 3 * gap
+        over = self._maps(ui, view, side, two)
+        if wide:
+            imgui.same_line(0, gap)
+            left = imgui.get_content_region_avail().x
+            imgui.begin_child("ray", ImVec2(max(left - column - gap, ui.em), max(room.y, side)))
+        self._ray(ui, view)
+        if wide:
+            imgui.end_child()
+            imgui.same_line(0, gap)
+            imgui.begin_child("photos", ImVec2(0, max(room.y, side)))
+        over = self._strips(ui, study, view, wide) or over
+        if wide:
+            imgui.end_child()
+        if over is not None and study.state != "running":
+            imgui.set_tooltip(tr("Start or go on, to open other rays."))
+        if over is not None:
+            if imgui.is_mouse_clicked(imgui.MouseButton_.left):
+                self._held = not self._held
+            if not self._held:
+                self._chosen = Chosen(over.camera, self._pixel(view) if over.pixel is None else over.pixel)
+        if study.state == "running":
+            self._chosen = Chosen(min(self._chosen.camera, len(view.cameras) - 1), self._pixel(view))
+            wanted = self._chosen.camera, self._pixel(view)
+            if wanted != self._sent:
+                before, self._sent = self._sent or (-1, -1), wanted
+                for name, old, new in zip((CAMERA, PIXEL), before, wanted, strict=True):
+                    if old != new:
+                        yield TurnKnob(name, float(new))
+
+    def _pixel(self, view: FlatView) -> int:
+        wide = view.photos.shape[1]
+        return wide // 2 if self._chosen.pixel is None else min(self._chosen.pixel, wide - 1)
+
+    def _maps(self, ui: Ui, view: FlatView, side: float, two: bool) -> Chosen | None:
+        """Draw the learnt field and the world, side by side or one of them."""
+        camera = self._chosen.camera
+        shown = ((False, tr("learnt")), (True, tr("the world")))
+        imgui.begin_group()
+        for truth, name in shown[: 1 if two else 2]:
+            if truth:
+                imgui.same_line(0, ui.em)
+            imgui.text_colored(ui.theme.text if two or truth == self._truth else ui.theme.muted, name)
+            ui.mark(f"flatland.show.{'world' if truth else 'learnt'}")
+            if imgui.is_item_clicked():
+                self._truth = truth
+            if not two and imgui.is_item_hovered():
+                imgui.set_mouse_cursor(imgui.MouseCursor_.hand)
+        over = self._map.draw(ui, view, side, two or not self._truth, "flatland.field", camera)
+        imgui.end_group()
+        if two:
+            imgui.same_line(0, 0.8 * ui.em)
+            imgui.begin_group()
+            imgui.text_unformatted(shown[1][1])
+            over = self._world.draw(ui, view, side, False, "flatland.world", camera) or over
+            imgui.end_group()
+        return over
+
+    def _ray(self, ui: Ui, view: FlatView) -> None:
+        """Draw the chosen ray's numbers and plots."""
+        ray = view.ray
+        if ray is None:
+            return
+        kind = tr("camera {n}") if ray.camera < view.training else tr("held-out camera {n}")
+        imgui.text_unformatted(kind.format(n=ray.camera + 1) + ", " + tr("pixel {n}").format(n=ray.pixel + 1))
+        ui.mark("flatland.ray")
+        if self._held:
+            imgui.same_line(0, 0.4 * ui.em)
+            imgui.text_colored(ui.theme.ray, icons.ICON_FA_LOCK)
+            imgui.set_item_tooltip(tr("The ray is held: another click lets it follow the mouse."))
+        for label, color in ((tr("learnt"), ray.passes[-1].color), (tr("world"), ray.truth)):
+            _same_line(ui, imgui.calc_text_size(label).x + 1.3 * ui.em, 0.6)
+            _swatch(ui, color)
+            imgui.same_line(0, 0.25 * ui.em)
+            imgui.text_colored(ui.theme.muted, label)
+        room = imgui.get_content_region_avail()
+        ray_plots(ui, ray, ImVec2(max(room.x, ui.em), max(room.y, 0.8 * TALL_EM * ui.em)))
+
+    def _strips(self, ui: Ui, study: StudyState, view: FlatView, wide: bool) -> Chosen | None:
+        """Draw all photos, how far training is, and the curve."""
+        line = imgui.get_text_line_height_with_spacing()
+        imgui.text_colored(ui.theme.muted, tr("photos: true, and learnt below"))
+        imgui.set_item_tooltip(tr("a line of pixels of each camera, in their order on the ring; hollow: held out"))
+        room = imgui.get_content_region_avail()
+        spacing = imgui.get_style().item_spacing.y
+        high = strips_height(ui, view, (room.y if wide else 0.0) - line - CURVE_EM * ui.em - spacing)
+        over = self._photos.draw(ui, view, (max(room.x, ui.em), high), Chosen(self._chosen.camera, self._pixel(view)))
+        words = [tr("step {step}").format(step=figure(view.step, ",d"))]
+        words += [f"{figure(view.psnr, '.1f')} dB"] if np.isfinite(view.psnr) else []
+        if study.state == "running":
+            words.append(tr("{n} steps/s").format(n=figure(view.steps_per_second, ".0f")))
+        with mono(ui):
+            imgui.text_unformatted("  ".join(words))
+        ui.mark("flatland.progress")
+        left = imgui.get_content_region_avail()
+        least = CURVE_EM * ui.em
+        psnr_plot(ui, study.curves, ImVec2(max(left.x, ui.em), max(left.y, least) if wide else least))
+        return over
+
+
+def _knobs(study: StudyState | None) -> tuple[Knob, ...]:
+    """Return the knobs with their values: the study's, or those that it would begin with."""
+    if study is not None and study.knobs:
+        return study.knobs
+    kind = STUDIES.get(STUDY)()
+    return kind.knobs() if isinstance(kind, Turnable) else ()
+
+
+def _swatch(ui: Ui, rgb: np.ndarray) -> None:
+    at, high = imgui.get_cursor_screen_pos(), imgui.get_text_line_height()
+    low, far = ImVec2(at.x, at.y + 0.15 * high), ImVec2(at.x + ui.em, at.y + 0.9 * high)
+    draw = imgui.get_window_draw_list()
+    draw.add_rect_filled(low, far, packed(color_of(rgb)))
+    draw.add_rect(low, far, packed(ui.theme.hairline))
+    imgui.dummy(ImVec2(ui.em, high))
+
+
+def _same_line(ui: Ui, width: float, gap_em: float) -> None:
+    """Stay on the line if an item of this width fits on it, after a gap; else start a line."""
+    right = imgui.get_window_pos().x + imgui.get_window_width() - imgui.get_style().window_padding.x
+    if imgui.get_item_rect_max().x + gap_em * ui.em + width <= right:
+        imgui.same_line(0, gap_em * ui.em)
