@@ -304,6 +304,10 @@ class App:
         return dict(self._ui.widgets)
 
     @property
+    def tour(self) -> Guide:
+        return self._tour.guide
+
+    @property
     def stale(self) -> bool:
         """Return whether the last frame showed anything of an older picture."""
         return self._viewport.stale or self._viewport.fading
