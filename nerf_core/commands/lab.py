@@ -17,7 +17,7 @@ from nerf_core.common.output import say
 from nerf_core.common.signals import Interrupted, Signals
 from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.lab.job import StudyJob, failure, summary
-from nerf_core.lab.study import STUDIES, Subject
+from nerf_core.lab.study import STUDIES, Subject, takes_photo
 from nerf_core.lab.workers import rows_on
 from nerf_core.training.options import LoadingOptions, run_name
 
@@ -42,12 +42,13 @@ def _options(name: str) -> Any:
     study = STUDIES.get(name)
     shown, text = ("[DATA]", SCENE_HELP) if study.of_scene else ("[PHOTO]", PHOTO_HELP)
     about = Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar=shown, help=text)]
+    data = [("data", about, None)] if study.of_scene or takes_photo(study) else []
     own = [
         (key, Annotated[type(default), tyro.conf.arg(help=f"{one.help[0].upper()}{one.help[1:]}.")], default)
         for key, (default, one) in constants(study).items()
     ]
     load = [("load", LoadingOptions, field(default_factory=LoadingOptions))] if study.of_scene else []
-    made = make_dataclass(f"Lab{study.__name__}", [("data", about, None), *own, *load], bases=(Common,), frozen=True)
+    made = make_dataclass(f"Lab{study.__name__}", [*data, *own, *load], bases=(Common,), frozen=True)
     made.__doc__ = study.__doc__
     return Annotated[made, tyro.conf.subcommand(name)]
 
@@ -75,14 +76,14 @@ class Lab:
         kind = STUDIES.get(name)
         study = kind(**{key: getattr(given, key) for key in constants(kind)})
         run_rows = rows_on(given.workers) if given.workers else None
-        scene, load = None, LoadOptions()
+        scene, load, data = None, LoadOptions(), getattr(given, "data", None)
         if kind.of_scene:
             load = given.load.loading()
             with loading() as progress:
-                scene = load_scene(given.data, load, progress)
+                scene = load_scene(data, load, progress)
             tell(scene.notes)
-        subject = Subject(given.data, load, scene, given.device)
-        folder = given.out or Path("lab") / (run_name(given.data, name) if kind.of_scene or given.data else name)
+        subject = Subject(data, load, scene, given.device)
+        folder = given.out or Path("lab") / (run_name(data, name) if kind.of_scene or data else name)
         job = StudyJob(study, subject, folder, run_rows)
         signals.be_polite()
         try:

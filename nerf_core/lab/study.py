@@ -71,7 +71,7 @@ class Study(Protocol):
 
     title, summary: for people.
     order: a smaller one is listed first.
-    of_scene: whether it is about a capture; else about a photo.
+    of_scene: whether it is about a capture; else about a photo, unless it has `of_photo` = False.
     """
 
     title: ClassVar[str]
@@ -121,6 +121,11 @@ def checked(study: Any) -> None:
         check_ranges(study)
     except UserError as error:
         raise UserError(re.sub(r"^--set (\w+)=", lambda m: f"--{m[1].replace('_', '-')} ", str(error))) from None
+
+
+def takes_photo(study: type[Study]) -> bool:
+    """Return whether a study is about a photo."""
+    return not study.of_scene and getattr(study, "of_photo", True)
 
 
 def described(study: Any) -> dict[str, Any]:

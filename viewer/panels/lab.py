@@ -15,7 +15,7 @@ from nerf_core.common.language import marked, tr
 from nerf_core.common.text import duration
 from nerf_core.common.user_paths import own_path
 from nerf_core.lab.records import Curve, Look, StudyState, Table
-from nerf_core.lab.study import STUDIES, Study
+from nerf_core.lab.study import STUDIES, Study, takes_photo
 from nerf_core.live.messages import CancelStudy, StartStudy, TurnKnob
 
 from ..model.state import Action, AppState
@@ -121,12 +121,12 @@ class LabPanel:
         if not possible:
             tip = tr("another study runs: wait for it or cancel it") if running else tr("open a scene first")
         if button(ui, f"{icons.ICON_FA_FLASK}  {tr(START)}", f"lab.start.{name}", enabled=possible, tip=tip):
-            photo = own_path(Path(self._photo.strip())) if self._photo.strip() and not kind.of_scene else None
+            photo = own_path(Path(self._photo.strip())) if self._photo.strip() and takes_photo(kind) else None
             where = own_path(Path(folder.strip() or default))
             self._turned.clear()
             yield StartStudy(name, dict(self._values.get(name, {})), where, photo)
         self._options(ui, name, kind)
-        if not kind.of_scene:
+        if takes_photo(kind):
             label, tip, usual = tr("photo"), tr("a photo's file"), tr("the built-in picture")
             self._photo = _text(ui, label, self._photo, usual, f"lab.{name}.photo", tip)
         label, tip = tr("folder"), tr("where the report goes")

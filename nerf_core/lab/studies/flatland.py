@@ -51,8 +51,11 @@ class Flatland(FlatConfig):
     )
     order: ClassVar[int] = 5
     of_scene: ClassVar[bool] = False
+    of_photo: ClassVar[bool] = False
 
-    rows: str = constant("complete", f"what is learnt: {', '.join(ROWS)}, with commas between, or all")
+    rows: str = constant(
+        "complete", phrase("what is learnt: {rows}, with commas between, or all", rows=", ".join(ROWS))
+    )
 
     def __post_init__(self) -> None:
         checked(self)
@@ -104,7 +107,7 @@ class Flatland(FlatConfig):
         columns = ("row", "L", "(N_c, N_f)", "cameras", "noise", "PSNR dB, held out", "training",
                    *(f"step of {level} dB" for level in LEVELS))  # fmt: skip
         notes = [
-            phrase("{steps:,} steps each. Held-out photos are of cameras in the middle between two of training.",
+            phrase("{steps:,} steps each, on the CPU. Held-out photos are of cameras in the middle between two of training.",
                    steps=self.steps),
             marked("PSNR is against the exact photos, which have no noise."),
             *(phrase("Film: {file}.", file=f"pictures/{key}/{FILM}") for key in done),
