@@ -10,6 +10,7 @@ VIEWER = (
     ("cli", "the nerf-viewer command"),
     ("session", "one sitting: window, worker, wishes of the command line"),
     ("app", "the loop: events, frame, menu, viewport, panels"),
+    ("tour", "steps of Markdown: what they do, show and wait for"),
     ("panels", "one file a panel"),
     ("commands", "what keys, menus and the pointer ask for"),
     ("draw", "OpenGL and plots: viewport, overlays, textures"),

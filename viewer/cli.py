@@ -80,10 +80,8 @@ class ViewerOptions:
     """Write a checkpoint when training is done or interrupted."""
     language: Annotated[str, tyro.conf.arg(metavar="CODE", help_behavior_hint=_languages)] = ""
     """The language of the window."""
-    tour: bool = False
-    """Begin the tour "How a NeRF works", which is also in the menu Help."""
-    tour_from: Path | None = None
-    """Begin a tour of your own: a folder of Markdown files; see docs/tours.md."""
+    tour: Annotated[str | None, tyro.conf.arg(metavar="[FOLDER]")] = None
+    """Begin the tour "How a NeRF works", or one of your own: a folder of Markdown files (docs/tours.md)."""
     presenter: bool = False
     """Large type and strong contrast, for a lecture hall (F5)."""
     doctor: bool = False
@@ -98,7 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     with forgiving_output() as output, Signals() as signals:
         try:
-            status = run(parse(ViewerOptions, "nerf-viewer", arguments), signals)
+            status = run(parse(ViewerOptions, "nerf-viewer", _with_tour(arguments)), signals)
             text = unprinted(output)
             if not text:
                 return status
@@ -109,6 +107,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
             status, text = error.status, f"interrupted ({error})"
         complain(f"nerf-viewer: {text}")
         return status
+
+
+def _with_tour(arguments: Sequence[str] | None) -> list[str]:
+    """The arguments, with an empty folder after a `--tour` that has none: it is the program's own tour."""
+    found = list(sys.argv[1:] if arguments is None else arguments)
+    for k, argument in enumerate(found):
+        if argument == "--tour" and (k + 1 == len(found) or found[k + 1].startswith("-")):
+            found.insert(k + 1, "")
+            break
+    return found
+
+
+def _folder(text: str) -> Path | None:
+    """The folder of a tour, whose steps are read once, so that an error is told before a window opens."""
+    if not text:
+        return None
+    from .tour.steps import read_tour
+
+    read_tour(folder := Path(text))
+    return folder
 
 
 def run(options: ViewerOptions, signals: Signals) -> int:
@@ -133,13 +151,9 @@ def run(options: ViewerOptions, signals: Signals) -> int:
         load=options.load, steps=options.train.steps, seconds=options.train.seconds, save=options.save,
         camera=options.camera, mode=options.mode, pins=tuple(options.pin), clicks=tuple(options.click),
         inspect=tuple(options.inspect), axis=options.axis, render=options.render, orbit=options.orbit,
-        screenshot=options.screenshot, tour=options.tour or options.tour_from is not None,
+        screenshot=options.screenshot, tour=None if options.tour is None else TourWish("begin", _folder(options.tour)),
     )  # fmt: skip
     wishes.check()
-    if options.tour_from is not None:
-        from .tour.steps import read_tour
-
-        read_tour(options.tour_from)  # or it is refused, before a window opens
     if options.load is not None:
         _agrees(options.load, settings)
     try:
@@ -148,6 +162,9 @@ def run(options: ViewerOptions, signals: Signals) -> int:
         say(str(error))
         say("working offscreen")
         window = open_offscreen(size, scale)
+    if not window.has_display and wishes.tour is not None:
+        window.close()
+        raise UserError("--tour: a tour is for a reader: it needs a window, and there is none here")
     if not window.has_display:
         wishes = sessions.unattended(wishes)
     elif options.scale is not None:
@@ -155,8 +172,6 @@ def run(options: ViewerOptions, signals: Signals) -> int:
         raise UserError(f"--scale {scale:g}: a window takes its screen's scale; this goes with --headless")
     session = sessions.Session(window, settings, signals, say, options.language)
     session.app.state.presenter = options.presenter
-    if wishes.tour:
-        session.app.state.tour = TourWish("begin", options.tour_from)
     try:
         return session.run(options.data, wishes)
     finally:

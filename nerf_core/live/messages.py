@@ -120,10 +120,14 @@ class Reset(OfRun):
 
 @dataclass(frozen=True)
 class UseMethod(OfRun):
-    """Begin anew on the open scene with another method (a name of METHODS, or auto) and its own constants."""
+    """Begin anew on the open scene with another method (a name of METHODS, or auto) and its own constants.
+
+    changes: of its constants, as text by name; others are as the method has them.
+    """
 
     name: str
     train: bool = False
+    changes: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

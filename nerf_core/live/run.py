@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -97,8 +97,8 @@ class Run:
                 self.pause()
             case messages.Reset():
                 self._adopt(self.need_trainer().restarted())
-            case messages.UseMethod(name, train):
-                self.use_method(self.need_scene(), self.settings, name)
+            case messages.UseMethod(name, train, changes):
+                self.use_method(self.need_scene(), self.settings, name, changes)
                 if train:
                     self.train(None, None)
             case messages.SaveCheckpoint(path):
@@ -176,9 +176,11 @@ class Run:
         self.artist.pins.add_landmarks(scene, trainer)
         self.artist.pins.record(trainer)
 
-    def use_method(self, scene: Scene, settings: RunSettings, name: str) -> None:
-        """Begin anew on `scene` with another method and its own constants."""
-        settings = replace(settings, method=name, preset="auto", changes={})
+    def use_method(
+        self, scene: Scene, settings: RunSettings, name: str, changes: Mapping[str, str] | None = None
+    ) -> None:
+        """Begin anew on `scene` with another method and its own constants; see `messages.UseMethod`."""
+        settings = replace(settings, method=name, preset="auto", changes=dict(changes or {}))
         with self._busy(""):
             trainer = self._made(scene, settings)
             good = LastGood(trainer, rounded=True)

@@ -73,7 +73,7 @@ class Actions:
         """Open what is opened next like this one."""
         state = self._state
         if isinstance(done, UseMethod):
-            state.settings = replace(state.settings, method=done.name, preset="auto", changes={})
+            state.settings = replace(state.settings, method=done.name, preset="auto", changes=dict(done.changes))
         else:
             load = replace(done.options.load, format="auto")  # the format is this capture's alone
             state.settings = replace(state.settings, load=load)

@@ -17,7 +17,7 @@ from nerf_core.live.messages import OpenScene
 from nerf_core.training.autosaves import Autosave
 
 from ..commands.actions.files import saved_first
-from ..commands.registry import run, with_keys
+from ..commands.registry import USER_COMMANDS, run, with_keys
 from ..model.state import Action, AppState, ClearAutosaves, unsaved_steps
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import Confirmation, Forgetting, button, hint, keep_in_front, packed, same_line_if_fits
@@ -86,6 +86,10 @@ class LeftOffOverlay:
             same_line_if_fits(demo)
             if button(ui, demo, "left_off.demo", tip=tr("open the demo scene and train")):
                 yield OpenScene(None, state.settings, train=True)
+            tour = f"{icons.ICON_FA_GRADUATION_CAP}  {tr(USER_COMMANDS.get('tour.begin').title)}"
+            same_line_if_fits(tour)
+            if button(ui, tour, "left_off.tour", tip=tr("a tour in the demo scene")):
+                yield from run("tour.begin", state)
         if imgui.is_key_pressed(imgui.Key.escape, False) and not asked:  # else it closes the question
             state.show_left_off = False
 

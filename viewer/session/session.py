@@ -97,6 +97,7 @@ class Session:
                 nothing = self.worker.snapshot().scene is None
                 return 128 + self.signals.received if self.signals.received else 2 * nothing
             script.prepare()
+            self.app.state.tour = wishes.tour
             if wishes.folder is not None:
                 files = "a screenshot, an orbit and the inspection of one ray"
                 self.say(f"training first, then {files} go to {wishes.folder}")
@@ -132,12 +133,15 @@ class Session:
         self.app.run(lambda: self.signals.received is not None)
 
     def _attend(self, wishes: Wishes) -> None:
-        """Serve the user until the window closes. A capture trains; a loaded checkpoint does if that is asked for."""
+        """Serve the user until the window closes. A capture trains; a loaded checkpoint does if that is asked for.
+
+        The steps of a tour say themselves what trains.
+        """
         snapshot = self.worker.snapshot()
         left = None if wishes.steps is None else wishes.steps - snapshot.step
         wanted = wishes.load is None or wishes.steps is not None or wishes.seconds is not None
         nothing = snapshot.scene is not None and not snapshot.total_steps  # the method has no parameters
-        if wanted and not nothing and (left is None or left > 0):
+        if wanted and wishes.tour is None and not nothing and (left is None or left > 0):
             self.worker.send(Train(left, wishes.seconds))
         self.app.run(lambda: self.signals.received is not None)
 

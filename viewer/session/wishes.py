@@ -15,13 +15,15 @@ from nerf_core.probe.report import FORMATS
 from nerf_core.rendering.modes import COLOR, mode_names
 from nerf_core.training.checkpoint import describe
 
+from ..model.state import TourWish
+
 
 @dataclass(frozen=True)
 class Wishes:
     """The files to write, and what to do before; see `viewer.cli.ViewerOptions`.
 
     folder: where the files go if the user asked for none; None: the user did.
-    tour: whether a tour begins, so that nothing is offered before it.
+    tour: the tour that begins, once the scene is open; None: none.
     orbit_seconds: make the orbit's frames small enough to take about so long; None: as large as the photos.
     """
 
@@ -40,7 +42,7 @@ class Wishes:
     orbit: Path | None = None
     orbit_seconds: float | None = None
     screenshot: Path | None = None
-    tour: bool = False
+    tour: TourWish | None = None
 
     def any_file(self) -> bool:
         return bool(self.files())

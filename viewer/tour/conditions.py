@@ -8,11 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nerf_core.common.errors import shorten
 from nerf_core.lab.study import STUDIES
 from nerf_core.rendering.export.requests import Export
 from nerf_core.rendering.modes import mode_names
 
 from ..model.state import AppState
+from ..ui.contract import PANELS
 
 WIGGLE = 1e-6  # a camera that moved by less, in scene units or in a rotation's entries, was not moved by the reader
 
@@ -22,12 +24,14 @@ class Before:
     """How things were when the step had been shown and its deeds were done.
 
     pose: (3, 4) the camera's pose.
+    view: the photo whose camera it was; None: none.
     ray: the id of the ray that was open; 0: none.
     export: the newest one, or None.
     hand: how often the ray by hand had been changed.
     """
 
     pose: np.ndarray
+    view: int | None
     ray: int
     export: Export | None
     hand: int
@@ -44,7 +48,7 @@ class Condition:
 def before(state: AppState) -> Before:
     """Return how things are now."""
     ray = state.inspect.id if state.inspect is not None else 0
-    return Before(state.camera.c2w(), ray, state.snapshot.export, state.hand_changes)
+    return Before(state.camera.c2w(), state.current_view, ray, state.snapshot.export, state.hand_changes)
 
 
 def _number(text: str, what: str) -> float:
@@ -53,12 +57,8 @@ def _number(text: str, what: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise ValueError(f"{shorten_word(text)} is no {what}")
+        raise ValueError(f"{shorten(text)} is no {what}")
     return value
-
-
-def shorten_word(text: str) -> str:
-    return repr(text[:40])
 
 
 def _none(words: Sequence[str]) -> None:
@@ -132,10 +132,17 @@ def _psnr(words: Sequence[str]) -> Condition:
 
 def _panel(words: Sequence[str]) -> Condition:
     """`panel TITLE`: this panel is in front."""
-    title = " ".join(words)
-    if not title:
-        raise ValueError("give a panel's title")
+    title = panel_title(" ".join(words))
     return Condition("panel", lambda state, _: title in state.in_front)
+
+
+def panel_title(text: str) -> str:
+    """Return the title of a panel. Raises ValueError if there is none with it."""
+    panels = [PANELS.get(name)() for name in PANELS.names()]
+    titles = sorted(panel.title for panel in panels if panel.dock != "overlay")
+    if text not in titles:
+        raise ValueError(f"choose of {', '.join(titles)}")
+    return text
 
 
 def _moved(words: Sequence[str]) -> Condition:
@@ -194,7 +201,7 @@ CONDITIONS: dict[str, Callable[[Sequence[str]], Condition]] = {
     "training": _plain("training", lambda state, _: state.snapshot.status == "training"),
     "paused": _plain("paused", lambda state, _: state.snapshot.status in ("paused", "finished")),
     "moved": _moved,
-    "photo": _plain("photo", lambda state, _: state.current_view is not None),
+    "photo": _plain("photo", lambda state, begun: state.current_view not in (None, begun.view)),
     "study": _study,
     "exported": _exported,
     "hand": _plain("hand", lambda state, begun: state.hand_changes > begun.hand),

@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import math
-import tempfile
+import shutil
+import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import platformdirs
 
-from nerf_core.common.errors import UserError
 from nerf_core.geometry.turntable import rotation_from
 from nerf_core.lab.study import STUDIES
 from nerf_core.live.messages import Inspect, Pause, StartStudy, Train
 from nerf_core.methods import METHODS
 from nerf_core.rendering.modes import mode_names
 
-from ..commands.registry import USER_COMMANDS, run
+from ..commands.registry import commands, run
 from ..model.state import Action, AppState, GoToView
-from ..ui.contract import PANELS
+from .conditions import panel_title
 
 DEMO = "demo"
+KEPT_SECONDS = 7 * 86400.0  # for which the files of a tour's studies stay in the cache
+UNFIT = ("File", "Window", "Language", "Help")  # sections of commands that are not for `@do`
 
 
 @dataclass(frozen=True)
@@ -125,10 +129,7 @@ def _switch(name: str) -> Callable[[str], Deed]:
 
 def _panel(text: str) -> Deed:
     """`@panel TITLE`: bring a panel to the front."""
-    panels = [PANELS.get(name)() for name in PANELS.names()]
-    titles = [panel.title for panel in panels if panel.dock != "overlay"]
-    if text not in titles:
-        raise ValueError(f"choose of {', '.join(sorted(titles))}")
+    panel_title(text)
 
     def show(state: AppState) -> list[Action]:
         state.show_panels, state.raise_panel = True, text
@@ -199,19 +200,28 @@ def _study(text: str) -> Deed:
 
     def start(state: AppState) -> list[Action]:
         study = state.snapshot.study
-        if study is not None and study.state == "running":
+        if study is not None and (study.state == "running" or (study.name == name and study.state == "done")):
             return []
-        return [StartStudy(name, pairs, Path(tempfile.mkdtemp(prefix=f"nerf-viewer-tour-{name}-")))]
+        return [StartStudy(name, pairs, _study_folder(name))]
 
     return Deed(start)
 
 
+def _study_folder(name: str) -> Path:
+    """A fresh folder in the user's cache. Those of long ago go."""
+    folder = platformdirs.user_cache_path("nerf-viewer") / "tour"
+    with suppress(OSError):
+        for old in folder.iterdir():
+            if time.time() - old.stat().st_mtime > KEPT_SECONDS:
+                shutil.rmtree(old, ignore_errors=True)
+    return folder / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+
+
 def _do(text: str) -> Deed:
-    """`@do COMMAND`: a command of the window by its id."""
-    try:
-        USER_COMMANDS.get(text)
-    except UserError as error:
-        raise ValueError(str(error)) from None
+    """`@do COMMAND`: a command of the window by its id; none that writes files, ends the window or turns pages."""
+    harmless = [one.id for one in commands() if one.section not in UNFIT]
+    if text not in harmless:
+        raise ValueError(f"choose of {', '.join(harmless)}")
     return Deed(lambda state: run(text, state))
 
 

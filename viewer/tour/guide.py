@@ -6,7 +6,6 @@ import json
 import threading
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +13,14 @@ from nerf_core.common.assets import assets_dir
 from nerf_core.common.errors import UserError
 from nerf_core.common.files import write_atomically
 from nerf_core.common.language import ENGLISH, language
-from nerf_core.live.messages import InOrder, OpenScene, SaveUnsaved, Snapshot, UseMethod
+from nerf_core.training.settings import RunSettings
 
-from ..model.state import Action, AppState, unsaved_steps
+from ..model.state import Action, AppState
 from .conditions import Before, before
 from .deeds import DEMO, Deed
-from .steps import Step, Task, read_tour
+from .models import Models, wanted
+from .steps import Step, read_tour
 
-Model = tuple[str, str, tuple[tuple[str, str], ...]]  # scene, method and changed constants, as a tour writes them
-PATIENCE = 5.0  # seconds for the worker to begin to open a model; if it refuses, the tour goes on with what is open
 SHIPPED = "shipped"  # the key of the program's own tour in the file that remembers places
 
 
@@ -45,7 +43,6 @@ class Guide:
         ticks: the tasks that were done, by the step's name and the task's number.
         answered: the questions whose answers are shown, likewise by block.
         error: why the tour cannot be shown; empty: it can.
-        saved: whether the reader's own model was saved when the tour began.
     """
 
     def __init__(self, places: Path | None = None, wake: Callable[[], None] = lambda: None) -> None:
@@ -55,16 +52,15 @@ class Guide:
         self.ticks: set[tuple[str, int]] = set()
         self.answered: set[tuple[str, int]] = set()
         self.error = ""
-        self.saved = False
         self._places, self._wake = places, wake
         self._folder: Path | None = None  # of a tour that is not the program's own
         self._language = ""
-        self._read: deque[tuple[Step, ...] | UserError] = deque()
+        self._read = deque[tuple[Step, ...] | str]()  # from the thread: the steps, or what is wrong with them
         self._deeds: deque[Deed] = deque()
         self._before: Before | None = None
-        self._model: Model | None = None  # of the tour, as it was opened last
-        self._awaited: tuple[int, str, float] | None = None  # while a model opens: `loaded` before, method, when asked
-        self._ours = -1  # `loaded` of the model that this tour opened; −1: none
+        self._models: Models | None = None
+        self._waiting = False  # for a model
+        self._settings: RunSettings | None = None  # the reader's, while a tour is on
 
     @property
     def step(self) -> Step | None:
@@ -74,23 +70,29 @@ class Guide:
     @property
     def busy(self) -> bool:
         """Return whether something of the step is still to be done, so that frames are needed."""
-        return self.on and bool(self._deeds or self._read)
+        return self.on and bool(self._read or (self._deeds and not self._waiting))
 
     # ---- beginning, turning pages, leaving ----------------------------------------------------------------------
 
-    def begin(self, folder: Path | None = None) -> None:
+    def begin(self, state: AppState, folder: Path | None = None) -> None:
         """Show a tour where the reader left it. folder: of its steps; None: the program's own tour."""
+        if self.on and self.steps and folder == self._folder:
+            return
+        source = folder or shipped()
+        if self._models is None or folder != self._folder:
+            self._models = Models(source)
+        self._models.saved = False
+        self._settings = self._settings or state.settings
         self.on, self._folder, self.steps, self.at, self.error = True, folder, (), 0, ""
-        self.saved, self._model, self._awaited, self._ours = False, None, None, -1
         self._before, self._language = None, language()
         self._deeds.clear()
-        source = folder or shipped()
+        found = self._read = deque[tuple[Step, ...] | str]()
 
         def read() -> None:
             try:
-                self._read.append(read_tour(source))
-            except UserError as error:
-                self._read.append(error)
+                found.append(read_tour(source))
+            except Exception as error:  # the window goes on without the tour
+                found.append(str(error))
             self._wake()
 
         threading.Thread(target=read, name="tour", daemon=True).start()
@@ -106,7 +108,9 @@ class Guide:
         """End the tour. If the reader's own model was put aside, offer to return to it."""
         self.on, state.only_panels = False, ()
         self._deeds.clear()
-        if self.saved:
+        if self._settings is not None:  # the tour's methods are not for what the reader opens next
+            state.settings, self._settings = self._settings, None
+        if self._models is not None and self._models.saved:
             state.left_off.read()
             state.show_left_off = True
 
@@ -124,11 +128,12 @@ class Guide:
         if step is None:
             return []
         actions = self._perform(state)
-        if not self._deeds and self._awaited is None:
-            if self._before is None and not state.camera.flying:
-                self._before = before(state)
-            if self._before is not None:
-                self._notice(state, step, self._before)
+        if self._deeds or actions:  # what the step itself does is no deed of the reader's
+            return actions
+        if self._before is None and not state.camera.flying:
+            self._before = before(state)
+        if self._before is not None:
+            self._notice(state, step, self._before)
         return actions
 
     def _reread(self) -> None:
@@ -145,8 +150,8 @@ class Guide:
     def _take(self) -> None:
         while self._read:
             found = self._read.popleft()
-            if isinstance(found, UserError):
-                self.error = str(found)
+            if isinstance(found, str):
+                self.error = found
                 continue
             self.steps = found
             names = [step.name for step in found]
@@ -160,24 +165,17 @@ class Guide:
 
     def _perform(self, state: AppState) -> list[Action]:
         """Open the step's model if another one is open; then do the deeds, as far as they can be done now."""
-        snapshot = state.snapshot
-        if self._awaited is not None:
-            loaded, method, asked = self._awaited
-            opened = not snapshot.loading and (snapshot.loaded != loaded or snapshot.method == method)
-            if not opened and (snapshot.loading or state.time - asked < PATIENCE):
-                return []
-            self._awaited, self._ours = None, snapshot.loaded
-        wanted = self._wanted()
-        if self._deeds and any(wanted) and wanted != self._model:
-            self._model = wanted
-            if not self._is_open(snapshot, wanted):
-                # with a scene, what counts is its number; another method keeps that number
-                self._awaited = snapshot.loaded, "" if wanted[0] else wanted[1], state.time
-                return [self._opening(state, wanted)]
+        assert self._models is not None
+        self._waiting = bool(self._deeds) and self._models.waiting(state)
+        if self._waiting or not self._deeds:
+            return []
+        opening = self._models.open(state, wanted(self.steps, self.at, DEMO if self._folder is None else ""))
+        if opening is not None:
+            return [opening]
         actions: list[Action] = []
         while self._deeds:
             deed = self._deeds[0]
-            if deed.still and (state.camera.flying or snapshot.scene is None or snapshot.loading):
+            if deed.still and (state.camera.flying or state.snapshot.scene is None):
                 break
             if deed.panel and state.raise_panel:
                 break
@@ -187,46 +185,10 @@ class Guide:
                 break  # one panel a frame
         return actions
 
-    def _wanted(self) -> Model:
-        """The model of the step: the last `@scene` and `@method` at or before it."""
-        scene, method, changes = "", "", ()
-        for step in self.steps[: self.at + 1]:
-            for deed in step.deeds:
-                if deed.scene:
-                    scene = deed.scene
-                if deed.method:
-                    method, changes = deed.method, deed.changes
-        return scene, method, changes
-
-    def _opening(self, state: AppState, wanted: Model) -> Action:
-        """The command that opens a model; one of the reader's that is not saved yet is saved before."""
-        scene, method, changes = wanted
-        if scene:
-            folder = self._folder or shipped()
-            path = None if scene == DEMO else folder / scene
-            load = replace(state.settings.load, format="auto")
-            settings = replace(
-                state.settings, load=load, method=method or "auto", preset="auto", changes=dict(changes), steps=0
-            )
-            command = OpenScene(path, settings, train=True)
-        else:
-            command = UseMethod(method, train=True)
-        if unsaved_steps(state.snapshot) and state.snapshot.loaded != self._ours:
-            self.saved = True
-            return InOrder((SaveUnsaved(), command))
-        return command
-
-    @staticmethod
-    def _is_open(snapshot: Snapshot, wanted: Model) -> bool:
-        """Whether the model is open anyway: the demo scene, with a fitting method as it is configured."""
-        scene, method, changes = wanted
-        demo = snapshot.scene is not None and snapshot.scene.format == DEMO
-        return scene == DEMO and demo and not changes and method in ("", snapshot.method)
-
     def _notice(self, state: AppState, step: Step, begun: Before) -> None:
         for number, task in enumerate(step.tasks):
             key = step.name, number
-            if key not in self.ticks and isinstance(task, Task) and task.until and task.until.holds(state, begun):
+            if key not in self.ticks and task.until is not None and task.until.holds(state, begun):
                 self.ticks.add(key)
                 self._remember()
 

@@ -40,7 +40,7 @@ class SideBar:
         state.tour = None
         if wish is not None:
             if wish.to == "begin":
-                guide.begin(wish.folder)
+                guide.begin(state, wish.folder)
             elif guide.on:
                 {"next": self._next, "back": self._back, "leave": lambda: guide.leave(state)}[wish.to]()
         yield from guide.act(state)

@@ -14,7 +14,7 @@ def in_tour(state: AppState) -> bool:
 
 @command("tour.begin", marked("How a NeRF works"), "Help", 1, menu="Help")
 def begin(state: AppState) -> list[Action]:
-    state.tour = TourWish("begin")
+    state.tour, state.show_left_off = TourWish("begin"), False
     return []
 
 
