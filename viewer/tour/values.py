@@ -90,7 +90,7 @@ VALUES: dict[str, Callable[[AppState], str]] = {
     "height": _of_scene(lambda state: figure(_photo_size(state)[1], ",d")),
     "rays": _of_scene(_rays),
     "t": _of_sample(lambda p, k: p.t[k], ".3f"),
-    "delta": _of_sample(lambda p, k: p.delta[k], ".3f"),
+    "delta": _of_sample(lambda p, k: p.delta[k], ".3g"),  # the last one of a NeRF is 1e10
     "sigma": _of_sample(lambda p, k: p.sigma[k], ".1f"),
     "alpha": _of_sample(lambda p, k: p.alpha[k], ".3f"),
     "T": _of_sample(lambda p, k: p.transmittance[k], ".3f"),
