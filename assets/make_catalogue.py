@@ -74,7 +74,7 @@ def extracted() -> Catalog:
 def updated(text: str, code: str, template: Catalog) -> str:
     """Return a catalogue's file with the texts of the template, and with the translations that it has of them.
 
-    text: the file as it is; its header is kept. code: the language.
+    text: the file as it is. code: the language.
     """
     catalog = read_po(io.BytesIO(text.encode()), locale=code)
     catalog.update(template, no_fuzzy_matching=True)
@@ -82,8 +82,7 @@ def updated(text: str, code: str, template: Catalog) -> str:
         message.flags -= {"python-format", "python-brace-format"}  # babel guesses them from signs like "%"
     body = io.BytesIO()
     write_po(body, catalog, WIDTH, omit_header=True, sort_output=True, ignore_obsolete=True, include_lineno=False)
-    head = text.partition("\n\n")[0].rstrip()
-    return f"{head}\n\n{body.getvalue().decode().strip()}\n"
+    return f"{header(code)}\n{body.getvalue().decode().strip()}\n"
 
 
 def pairs(catalog: Catalog) -> Iterator[tuple[str, str]]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, TypeVar, get_type_hints
 
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.language import phrase
 
 C = TypeVar("C")
 WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a word"}
@@ -39,15 +40,21 @@ class Constant:
 
     @property
     def range(self) -> str:
-        """The allowed values, written for people; empty where every value is allowed."""
+        """The allowed values, a phrase for people; empty where every value is allowed."""
         if self.choices:
-            return " or ".join(self.choices)
+            found, *others = self.choices
+            for last in others:
+                found = phrase("{some} or {last}", some=found, last=last)
+            return found
         if self.share:
             return self.share
         if self.least == 0 and self.most == LARGEST:
             return ""
-        low = "" if self.least == -LARGEST else f"from {self.least:,g}"
-        return f"{low} to {self.most:,.10g}".strip() if self.most != LARGEST else low
+        if self.most == LARGEST:
+            return "" if self.least == -LARGEST else phrase("from {low:,g}", low=self.least)
+        if self.least == -LARGEST:
+            return phrase("to {high:,.10g}", high=self.most)
+        return phrase("from {low:,g} to {high:,.10g}", low=self.least, high=self.most)
 
 
 def constant(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gettext
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import Any, NamedTuple
@@ -52,12 +52,24 @@ SLACK = 1.5  # pixels: rounding
 
 
 class Brackets(gettext.NullTranslations):
-    """A language that says each text in brackets, so that one shows where a text was not looked up."""
+    """A language that says each text in brackets, so that one shows where a text was not looked up.
+
+    unknown: texts that were looked up, and that no catalogue has, because they are not marked where they stand.
+    """
+
+    def __init__(self, known: Container[str] = ()) -> None:
+        super().__init__()
+        self._known = known
+        self.unknown: set[str] = set()
 
     def gettext(self, message: str) -> str:
+        if message not in self._known and outside(message):
+            self.unknown.add(message)
         return f"⟦{message}⟧"
 
     def ngettext(self, msgid1: str, msgid2: str, n: int) -> str:
+        if msgid1 not in self._known:
+            self.unknown.add(msgid1)
         return f"⟦{msgid1 if n == 1 else msgid2}⟧"
 
 

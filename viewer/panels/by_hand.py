@@ -42,7 +42,7 @@ PICKER = (
 
 @PANELS.register("by_hand")
 class ByHandPanel:
-    title = "Ray by hand"
+    title = marked("Ray by hand")
     dock: Literal["bottom"] = "bottom"
     order = 6
 

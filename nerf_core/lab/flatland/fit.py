@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from nerf_core.common.configs import check_ranges, constant
+from nerf_core.common.language import marked
 from nerf_core.lab.flatland.network import FlatNetwork
 from nerf_core.lab.flatland.rays import PIXELS, FlatRays, camera_rays, ring
 from nerf_core.lab.flatland.world import World
@@ -35,15 +36,18 @@ class FlatConfig:
     seed: of weights, noise and batches.
     """
 
-    steps: int = constant(3000, "optimiser steps", least=1, most=10**6)
-    frequencies: int = constant(4, "frequencies L of the position's encoding; 0: bare coordinates", most=10)
-    directions: int = constant(3, "frequencies of the direction's encoding; 0: colours are the same from all sides",
-                               most=6)  # fmt: skip
-    coarse: int = constant(24, "coarse samples of a ray, N_c, evenly spaced", least=4, most=128)
-    fine: int = constant(24, "fine samples, N_f, where the coarse weights are; 0: the coarse network alone", most=128)
-    cameras: int = constant(16, "cameras on the ring that take the training photos", least=2, most=48)
-    noise: float = constant(0.0, "standard deviation of the noise in the training photos, of 1", most=0.5)
-    seed: int = constant(0, "seed of weights, batches and noise", most=2**31)
+    steps: int = constant(3000, marked("optimiser steps"), least=1, most=10**6)
+    frequencies: int = constant(4, marked("frequencies L of the position's encoding; 0: bare coordinates"), most=10)
+    directions: int = constant(
+        3, marked("frequencies of the direction's encoding; 0: colours are the same from all sides"), most=6
+    )
+    coarse: int = constant(24, marked("coarse samples of a ray, N_c, evenly spaced"), least=4, most=128)
+    fine: int = constant(
+        24, marked("fine samples, N_f, where the coarse weights are; 0: the coarse network alone"), most=128
+    )
+    cameras: int = constant(16, marked("cameras on the ring that take the training photos"), least=2, most=48)
+    noise: float = constant(0.0, marked("standard deviation of the noise in the training photos, of 1"), most=0.5)
+    seed: int = constant(0, marked("seed of weights, batches and noise"), most=2**31)
 
     def __post_init__(self) -> None:
         check_ranges(self)

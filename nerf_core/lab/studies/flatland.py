@@ -107,8 +107,8 @@ class Flatland(FlatConfig):
         columns = ("row", "L", "(N_c, N_f)", "cameras", "noise", "PSNR dB, held out", "training",
                    *(f"step of {level} dB" for level in LEVELS))  # fmt: skip
         notes = [
-            phrase("{steps:,} steps each, on the CPU. Held-out photos are of cameras in the middle between two of training.",
-                   steps=self.steps),
+            phrase("{steps:,} steps each, on the CPU.", steps=self.steps),
+            marked("Held-out photos are of cameras in the middle between two of training."),
             marked("PSNR is against the exact photos, which have no noise."),
             *(phrase("Film: {file}.", file=f"pictures/{key}/{FILM}") for key in done),
             *failures(results, {key: ROWS[key][0] for key in ROWS}),

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Iterator
 from functools import cache
+from pathlib import Path
 from typing import Any
 
+import make_catalogue
+import panel_states
 import pytest
 from imgui_bundle import ImVec2, imgui
 from panel_screen import Screen
-from panel_states import states
 from shown_texts import Brackets, Shown, outside, recorded
 
 from nerf_core.common import language
@@ -30,8 +33,26 @@ def english() -> Iterator[None]:
 
 
 @cache
+def marked() -> frozenset[str]:
+    """The texts that the catalogues have, and those that are made up for the panels."""
+    texts = [message.id for message in make_catalogue.extracted()]
+    tree = ast.walk(ast.parse(Path(panel_states.__file__).read_text("utf-8")))
+    made_up = {node.value for node in tree if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+    autosave = {one.problem for one in panel_states._autosaves()}
+    return frozenset({*(text if isinstance(text, str) else text[0] for text in texts), *made_up, *autosave})
+
+
+@pytest.fixture
+def brackets(monkeypatch: pytest.MonkeyPatch) -> Brackets:
+    found = Brackets(marked())
+    monkeypatch.setattr(language, "_catalogue", lambda _: found)
+    use_language("ru")
+    return found
+
+
+@cache
 def all_states() -> dict[str, AppState]:
-    return states()
+    return panel_states.states()
 
 
 def draw(screen: Screen, name: str, state: AppState, *, everything: bool = False) -> Shown:
@@ -48,9 +69,7 @@ def draw(screen: Screen, name: str, state: AppState, *, everything: bool = False
 
 
 @pytest.mark.parametrize("name", PANELS.names())
-def test_no_untranslated_text_reaches_the_screen(screen: Screen, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(language, "_catalogue", lambda _: Brackets())
-    use_language("ru")
+def test_no_untranslated_text_reaches_the_screen(screen: Screen, name: str, brackets: Brackets) -> None:
     found = {
         (text, key)
         for key, state in all_states().items()
@@ -58,6 +77,7 @@ def test_no_untranslated_text_reaches_the_screen(screen: Screen, name: str, monk
         if outside(text)
     }
     assert not found, dict(sorted(found))
+    assert not brackets.unknown
 
 
 class Bars:
@@ -70,9 +90,7 @@ class Bars:
         bars.draw_status(ui, state)
 
 
-def test_no_untranslated_text_in_menus_and_bars(screen: Screen, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(language, "_catalogue", lambda _: Brackets())
-    use_language("ru")
+def test_no_untranslated_text_in_menus_and_bars(screen: Screen, brackets: Brackets) -> None:
     found: set[str] = set()
     for state in all_states().values():
         with recorded(everything=True) as shown:
@@ -80,6 +98,7 @@ def test_no_untranslated_text_in_menus_and_bars(screen: Screen, monkeypatch: pyt
         found |= shown.texts
     assert {f"⟦{menu}⟧" for menu in MENUS} <= found
     assert not [text for text in found if outside(text)]
+    assert not brackets.unknown
 
 
 FITTED = (
