@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ..ui.contract import Ui
 
 GUTTER_EM = 0.9  # width of the column with the cameras' signs
-PAIR_EM = 0.3, 1.6  # least and largest height of a pair of strips
+PAIR_EM = 0.22, 1.6  # least and largest height of a pair of strips
 
 
 def by_angle(view: FlatView) -> np.ndarray:

@@ -20,11 +20,12 @@ if TYPE_CHECKING:
 X1, Y1 = implot.ImAxis_.x1, implot.ImAxis_.y1
 PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
 LEAST_SIGMA = 10.0  # the density's axis shows at least so much, so that fog looks like fog
+LOW_EM = 6.0  # height of the curve's plot under which its axis has fewer numbers
 STRIP_EM = 0.7  # height of the strip of colours
 
 
 def ray_plots(ui: Ui, ray: FlatRay, size: ImVec2) -> None:
-    """Draw w and T over t, then σ over t with the world's, and what each sample paints."""
+    """Draw w and T over t, then σ with the world's, and what each sample paints. w is a share of its pass's largest."""
     gap = imgui.get_style().item_spacing.y
     high = (size.y - STRIP_EM * ui.em - 2 * gap) / 2
     axis = imgui.get_text_line_height()
@@ -61,13 +62,15 @@ def _weights(ui: Ui, ray: FlatRay, size: ImVec2) -> None:
         spec = implot.Spec(line_color=color, line_weight=0.1 * ui.em)
         if last:
             spec.fill_color, spec.flags = faded(color, 0.5), implot.StairsFlags_.shaded
-        implot.plot_stairs(f"{one.name} w", _edges(ray, one.t), _stairs(one.weights), spec)
+        implot.plot_stairs(
+            f"{one.name} w", _edges(ray, one.t), _stairs(one.weights / max(float(one.weights.max()), 1e-9)), spec
+        )
         if last:
             line = implot.Spec(line_color=ui.theme.transmittance, line_weight=0.12 * ui.em)
             behind = one.transmittance[-1:] * (1 - one.alpha[-1:])
             seen = np.concatenate([one.transmittance, behind]).astype(np.float64)
             implot.plot_line("T", _edges(ray, one.t), seen, line)
-    axis_name(ui, "w, T", right=True, height=0.5)
+    axis_name(ui, tr("w / largest w, T"), right=True, height=0.5)  # T is 1 or 0 there
     implot.end_plot()
     ui.mark("flatland.weights")
 
@@ -126,6 +129,8 @@ def psnr_plot(ui: Ui, curves: Sequence[Curve], size: ImVec2) -> None:
     if implot.begin_plot("##flat psnr", size, PLOT):
         implot.setup_axis(X1, None, implot.AxisFlags_.auto_fit)
         implot.setup_axis(Y1, None, implot.AxisFlags_.auto_fit)
+        between = 5 if size.y > LOW_EM * ui.em else 10
+        implot.setup_axis_ticks(Y1, [float(db) for db in range(0, 61, between)])
         for k, curve in reversed(list(enumerate(curves))):
             color = faded(ui.theme.muted, 0.7) if k else ui.theme.accent
             line = implot.Spec(line_color=color, line_weight=(0.08 if k else 0.14) * ui.em)

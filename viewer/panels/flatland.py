@@ -41,10 +41,11 @@ SLIDERS: dict[str, tuple[str, str, str]] = {
         marked("frequencies of the direction's encoding; 0: colours are the same from all sides. Begins anew."),
     ),
 }
-SLIDER_EM = 5.3  # width
+SLIDER_EM = 4.6, 6.5  # least and largest width
 WIDE_EM, TALL_EM = 36.0, 10.0  # room from which plots lie beside the map, and the map's least side
 COLUMN_EM = 13.0, 20.0  # least and largest width of the photos' column
-CURVE_EM = 3.8  # least height of the curve
+CURVE_EM, CURVE_SHARE = 3.0, 0.22  # least height of the curve, and its share of the column
+LETTERS = 3  # of a symbol at most; longer labels are words, and need no sign before their number
 LESSON_EM = 22.0  # height of the page from which the lesson stands in it
 BEFORE = marked(
     "A world of two dimensions, whose photos are lines. A small network learns it from a ring of cameras, as the paper "
@@ -116,9 +117,13 @@ class FlatlandPanel:
     def _toolbar(self, ui: Ui, study: StudyState | None, obstacle: str) -> Iterator[Action]:
         yield from self._buttons(ui, study, obstacle)
         knobs = {knob.name: knob for knob in _knobs(study)}
+        gap, padding = 0.4, imgui.get_style().window_padding.x
+        room = imgui.get_window_pos().x + imgui.get_window_width() - padding - imgui.get_item_rect_max().x
+        wide = min(max(room / len(SLIDERS) - gap * ui.em, SLIDER_EM[0] * ui.em), SLIDER_EM[1] * ui.em)
         for name in SLIDERS:
             if name in knobs:
-                _same_line(ui, SLIDER_EM * ui.em, 0.4)
+                _same_line(ui, float(int(wide)), gap)
+                imgui.set_next_item_width(float(int(wide)))
                 yield from self._slider(ui, knobs[name], tr(SLIDERS[name][1]), study)
 
     def _buttons(self, ui: Ui, study: StudyState | None, obstacle: str) -> Iterator[Action]:
@@ -158,8 +163,8 @@ class FlatlandPanel:
         """Draw a slider, which turns its knob when it is let go: most knobs begin anew."""
         name = knob.name
         value = self._values.get(name, knob.value)
-        imgui.set_next_item_width(SLIDER_EM * ui.em)
-        shown = f"{label} = %.2f" if name == "noise" else f"{label} = %d"
+        sign = " = " if len(label) <= LETTERS else " "
+        shown = f"{label}{sign}%.2f" if name == "noise" else f"{label}{sign}%d"
         if name == "noise":
             changed, value = imgui.slider_float(f"##flatland.{name}", value, knob.least, knob.most, shown)
         else:
@@ -271,17 +276,18 @@ class FlatlandPanel:
         imgui.set_item_tooltip(tr("a line of pixels of each camera, in their order on the ring; hollow: held out"))
         room = imgui.get_content_region_avail()
         spacing = imgui.get_style().item_spacing.y
-        high = strips_height(ui, view, (room.y if wide else 0.0) - line - CURVE_EM * ui.em - spacing)
+        least = max(CURVE_EM * ui.em, CURVE_SHARE * room.y) if wide else 2 * CURVE_EM * ui.em
+        high = strips_height(ui, view, (room.y if wide else 0.0) - line - least - spacing)
         over = self._photos.draw(ui, view, (max(room.x, ui.em), high), Chosen(self._chosen.camera, self._pixel(view)))
         words = [tr("step {step}").format(step=figure(view.step, ",d"))]
         words += [f"{figure(view.psnr, '.1f')} dB"] if np.isfinite(view.psnr) else []
         if study.state == "running":
             words.append(tr("{n} steps/s").format(n=figure(view.steps_per_second, ".0f")))
         with mono(ui):
-            imgui.text_unformatted("  ".join(words))
+            whole = "  ".join(words)
+            imgui.text_unformatted(whole if imgui.calc_text_size(whole).x <= room.x else "  ".join(words[:2]))
         ui.mark("flatland.progress")
         left = imgui.get_content_region_avail()
-        least = CURVE_EM * ui.em
         psnr_plot(ui, study.curves, ImVec2(max(left.x, ui.em), max(left.y, least) if wide else least))
         return over
 
