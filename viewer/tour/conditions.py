@@ -37,12 +37,23 @@ class Before:
     hand: int
 
 
+Holds = Callable[[AppState, Before], bool]
+
+
 @dataclass(frozen=True)
 class Condition:
     """Something that holds or does not. words: as the step writes it."""
 
     words: str
-    holds: Callable[[AppState, Before], bool]
+    holds: Holds
+
+
+def condition(text: str) -> Condition:
+    """Return the condition that a text names. Raises ValueError with what to write."""
+    kind, *words = text.split() or [""]
+    if kind not in CONDITIONS:
+        raise ValueError(f"choose of {', '.join(CONDITIONS)}")
+    return Condition(text, CONDITIONS[kind](words))
 
 
 def before(state: AppState) -> Before:
@@ -72,10 +83,10 @@ def _one(words: Sequence[str], what: str) -> str:
     return words[0]
 
 
-def _opened(words: Sequence[str]) -> Condition:
+def _opened(words: Sequence[str]) -> Holds:
     """`opened`: the reader opened a ray; `opened near X Y Z R`: one that passes a point of the capture within R."""
     if not words:
-        return Condition("opened", _new_ray)
+        return _new_ray
     if len(words) != 5 or words[0] != "near":
         raise ValueError("write opened, or opened near X Y Z R")
     *point, radius = (_number(word, "number") for word in words[1:])
@@ -91,7 +102,7 @@ def _opened(words: Sequence[str]) -> Condition:
         along = float(off @ ray.direction)
         return along > 0 and bool(np.linalg.norm(off - along * ray.direction) <= unit)
 
-    return Condition(" ".join(words), near)
+    return near
 
 
 def _new_ray(state: AppState, begun: Before) -> bool:
@@ -99,27 +110,27 @@ def _new_ray(state: AppState, begun: Before) -> bool:
     return asked is not None and asked.id != begun.ray and state.snapshot.opened_id == asked.id
 
 
-def _pins(words: Sequence[str]) -> Condition:
+def _pins(words: Sequence[str]) -> Holds:
     """`pins N`: at least so many rays are pinned."""
     count = _number(_one(words, "a number"), "number")
-    return Condition("pins", lambda state, _: len(state.snapshot.pins) >= count)
+    return lambda state, _: len(state.snapshot.pins) >= count
 
 
-def _mode(words: Sequence[str]) -> Condition:
+def _mode(words: Sequence[str]) -> Holds:
     """`mode NAME`: the viewport shows this render mode."""
     name = _one(words, "a render mode")
     if name not in mode_names():
         raise ValueError(f"choose of {', '.join(mode_names())}")
-    return Condition("mode", lambda state, _: state.mode == name)
+    return lambda state, _: state.mode == name
 
 
-def _step(words: Sequence[str]) -> Condition:
+def _step(words: Sequence[str]) -> Holds:
     """`step N`: so many training steps are done."""
     count = _number(_one(words, "a number"), "number")
-    return Condition("step", lambda state, _: state.snapshot.step >= count)
+    return lambda state, _: state.snapshot.step >= count
 
 
-def _psnr(words: Sequence[str]) -> Condition:
+def _psnr(words: Sequence[str]) -> Holds:
     """`psnr X`: the newest PSNR of training is at least X dB."""
     least = _number(_one(words, "a number of dB"), "number")
 
@@ -127,13 +138,13 @@ def _psnr(words: Sequence[str]) -> Condition:
         psnr = state.snapshot.history.psnr
         return len(psnr) > 0 and float(psnr[-20:].mean()) >= least
 
-    return Condition("psnr", reached)
+    return reached
 
 
-def _panel(words: Sequence[str]) -> Condition:
+def _panel(words: Sequence[str]) -> Holds:
     """`panel TITLE`: this panel is in front."""
     title = panel_title(" ".join(words))
-    return Condition("panel", lambda state, _: title in state.in_front)
+    return lambda state, _: title in state.in_front
 
 
 def panel_title(text: str) -> str:
@@ -145,17 +156,17 @@ def panel_title(text: str) -> str:
     return text
 
 
-def _moved(words: Sequence[str]) -> Condition:
+def _moved(words: Sequence[str]) -> Holds:
     """`moved`: the reader moved the camera."""
     _none(words)
 
     def moved(state: AppState, begun: Before) -> bool:
         return not state.camera.flying and bool(np.abs(state.camera.c2w() - begun.pose).max() > WIGGLE)
 
-    return Condition("moved", moved)
+    return moved
 
 
-def _study(words: Sequence[str]) -> Condition:
+def _study(words: Sequence[str]) -> Holds:
     """`study NAME`: this study runs, or is done."""
     name = _one(words, "a study")
     if name not in STUDIES.names():
@@ -165,44 +176,42 @@ def _study(words: Sequence[str]) -> Condition:
         study = state.snapshot.study
         return study is not None and study.name == name and study.state in ("running", "done")
 
-    return Condition("study", runs)
+    return runs
 
 
-def _exported(words: Sequence[str]) -> Condition:
+def _exported(words: Sequence[str]) -> Holds:
     """`exported`: a film or a picture was written since the step was shown."""
     _none(words)
 
     def done(state: AppState, begun: Before) -> bool:
         export = state.snapshot.export
-        if export is None or export.state != "done":
-            return False
-        return begun.export is None or begun.export.state == "running" or export.file != begun.export.file
+        return export is not None and export.state == "done" and export is not begun.export
 
-    return Condition("exported", done)
+    return done
 
 
-def _plain(name: str, holds: Callable[[AppState, Before], bool]) -> Callable[[Sequence[str]], Condition]:
-    def make(words: Sequence[str]) -> Condition:
+def _plain(holds: Holds) -> Callable[[Sequence[str]], Holds]:
+    def make(words: Sequence[str]) -> Holds:
         _none(words)
-        return Condition(name, holds)
+        return holds
 
     return make
 
 
 # By the first word after @until; docs/tours.md lists them.
-CONDITIONS: dict[str, Callable[[Sequence[str]], Condition]] = {
+CONDITIONS: dict[str, Callable[[Sequence[str]], Holds]] = {
     "opened": _opened,
-    "pointed": _plain("pointed", lambda state, _: state.sample is not None),
+    "pointed": _plain(lambda state, _: state.sample is not None),
     "pins": _pins,
     "mode": _mode,
     "step": _step,
     "psnr": _psnr,
     "panel": _panel,
-    "training": _plain("training", lambda state, _: state.snapshot.status == "training"),
-    "paused": _plain("paused", lambda state, _: state.snapshot.status in ("paused", "finished")),
+    "training": _plain(lambda state, _: state.snapshot.status == "training"),
+    "paused": _plain(lambda state, _: state.snapshot.status in ("paused", "finished")),
     "moved": _moved,
-    "photo": _plain("photo", lambda state, begun: state.current_view not in (None, begun.view)),
+    "photo": _plain(lambda state, begun: state.current_view not in (None, begun.view)),
     "study": _study,
     "exported": _exported,
-    "hand": _plain("hand", lambda state, begun: state.hand_changes > begun.hand),
+    "hand": _plain(lambda state, begun: state.hand_changes > begun.hand),
 }

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from imgui_bundle import ImVec2, ImVec4, imgui
 
-from ..ui.widgets import packed
+from ..ui.widgets import faded, packed
 
 if TYPE_CHECKING:
     from ..ui.contract import Ui
 
 MARKS = re.compile(r"(\*\*[^*]+\*\*|\*[^*\s][^*]*\*|`[^`]+`)")
-BOLD_EM = 1 / 30  # by which strong letters are drawn again to the right: the font has one weight
+BOLD_EM, BOLD_ALPHA = 1 / 30, 0.6  # strong letters are drawn again, so far to the right: the font has one weight
 LEADING = 1.25  # height of a line, of the text's
 
 
@@ -74,7 +74,8 @@ def rich_text(ui: Ui, text: str, color: ImVec4 | None = None, indent: float = 0.
         shown = {"emphasis": theme.accent, "code": theme.good}.get(word.style, color or theme.text)
         draw.add_text(place, packed(shown), word.text)
         if word.style == "strong":
-            draw.add_text(ImVec2(place.x + max(1, round(BOLD_EM * ui.em)), place.y), packed(shown), word.text)
+            again = ImVec2(place.x + max(1, round(BOLD_EM * ui.em)), place.y)
+            draw.add_text(again, packed(faded(shown, BOLD_ALPHA)), word.text)
         if code:
             imgui.pop_font()
         x += gap + size

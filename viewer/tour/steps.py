@@ -13,7 +13,7 @@ from pathlib import Path
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.names import printable
 
-from .conditions import CONDITIONS, Condition
+from .conditions import Condition, condition
 from .deeds import DEEDS, Deed
 from .values import VALUES
 
@@ -181,10 +181,7 @@ def _add(blocks: list[Block], word: str, text: str) -> None:
         case "until":
             if not isinstance(last, Task) or last.until is not None:
                 raise ValueError("write it once, after @try")
-            kind, *words = text.split() or [""]
-            if kind not in CONDITIONS:
-                raise ValueError(f"choose of {', '.join(CONDITIONS)}")
-            blocks[-1] = Task(last.text, CONDITIONS[kind](words))
+            blocks[-1] = Task(last.text, condition(text))
         case "question":
             blocks.append(Question(_given(text)))
         case "answer":
