@@ -47,7 +47,7 @@ class Flatland(FlatConfig):
     title: ClassVar[str] = marked("Flatland")
     summary: ClassVar[str] = marked(
         "A flat world, photographed by a ring of cameras with one line of pixels each, and learnt as the paper learns "
-        "a scene. Few cameras let floaters in, noise in the photos makes fog."
+        "a scene. Few cameras let floaters in, noise in the photos makes haze."
     )
     order: ClassVar[int] = 5
     of_scene: ClassVar[bool] = False
