@@ -14,7 +14,7 @@ from nerf_core.common.language import figure, tr
 from nerf_core.probe import RayProbe
 from nerf_core.probe.axis import Axis
 
-from ..ui.widgets import axis_name, faded, packed
+from ..ui.widgets import axis_name, faded, number_ticks, packed
 from .plot_marks import be_item, color_strip, depth_marks, row_of, ticks, x_of
 from .ray_steps import Steps, sample_at, wants_log
 
@@ -169,7 +169,9 @@ class RayPlots:
         self._share_t(implot.AxisFlags_.none)
         if opened.axis.turn is not None:
             places, labels = opened.axis.ticks(*self.shown())
-            implot.setup_axis_ticks(X1, places.tolist(), labels)
+            implot.setup_axis_ticks(X1, places.tolist(), [tr(label) for label in labels])
+        else:
+            number_ticks(X1, *self.shown())
         implot.setup_axis(Y1, None)
         low, high = self._sigma_limits
         implot.setup_axis_scale(Y1, implot.Scale_.log10 if self.log_density else implot.Scale_.linear)

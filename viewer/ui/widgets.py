@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -16,7 +17,7 @@ from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.common.colormaps import Name, colored
 from nerf_core.common.errors import UserError
-from nerf_core.common.language import figure, marked, said, tr
+from nerf_core.common.language import ENGLISH, figure, language, marked, said, tr
 from nerf_core.common.names import printable
 from nerf_core.common.text import decimal, number, triple
 from nerf_core.common.user_paths import own_path
@@ -265,6 +266,19 @@ def axis_name(ui: Ui, text: str, *, right: bool = False, height: float = 0.0) ->
     draw.add_rect_filled(ImVec2(x - gap, y), ImVec2(x + extent.x + gap, y + extent.y), packed(plate))
     draw.add_text(ImVec2(x, y), packed(ui.theme.muted), text)
     implot.pop_plot_clip_rect()
+
+
+def number_ticks(axis: int, low: float, high: float) -> None:
+    """Set an axis's ticks as the window's language writes numbers. implot itself writes English ones.
+
+    low, high: the axis's ends. It gets 4 to 10 ticks, at multiples of 1, 2 or 5 times a power of ten.
+    """
+    if language() == ENGLISH or not high > low:
+        return
+    power = 10.0 ** math.floor(math.log10((high - low) / 4))
+    step = next(power * m for m in (5, 2, 1) if power * m <= (high - low) / 4)
+    places = step * np.arange(math.ceil(low / step - 1e-6), math.floor(high / step + 1e-6) + 1)  # despite rounding
+    implot.setup_axis_ticks(axis, places.tolist(), [figure(float(f"{v:.6g}") or 0.0, "g") for v in places])
 
 
 class Limits:

@@ -11,7 +11,7 @@ from typing import Any
 import make_catalogue
 import panel_states
 import pytest
-from imgui_bundle import ImVec2, imgui
+from imgui_bundle import ImVec2, imgui, implot
 from panel_screen import Screen
 from shown_texts import Brackets, Shown, outside, recorded
 
@@ -21,6 +21,7 @@ from viewer.app import bars
 from viewer.commands.registry import MENUS
 from viewer.model.state import Action, AppState
 from viewer.ui.contract import PANELS
+from viewer.ui.widgets import number_ticks
 
 WIDTHS = {"right": 23.0, "bottom": 39.0, "bottom_right": 23.0, "overlay": 50.0}  # em, in a window of 1280 × 800
 HEIGHTS = {"right": 40.0, "bottom": 17.5, "bottom_right": 17.5, "overlay": 45.0}
@@ -114,3 +115,25 @@ def test_no_text_is_cut_off(screen: Screen, name: str, code: str, scale: int) ->
     use_language(code)
     cut = {(key, *one) for key in FITTED for one in draw(screen, name, all_states()[key]).cut}
     assert not cut
+
+
+@pytest.mark.parametrize(
+    ("ends", "wanted"),
+    [
+        ((3.1, 4.4), "3,2 3,4 3,6 3,8 4 4,2 4,4"),
+        ((-0.1, 0.3), "-0,1 0 0,1 0,2 0,3"),
+        ((0.0, 4500.0), "0 1000 2000 3000 4000"),
+    ],
+)
+def test_an_axis_has_round_numbers_as_the_language_writes_them(
+    monkeypatch: pytest.MonkeyPatch, ends: tuple[float, float], wanted: str
+) -> None:
+    found: list[tuple[list[float], list[str]]] = []
+    monkeypatch.setattr(implot, "setup_axis_ticks", lambda _, places, labels: found.append((places, labels)))
+    number_ticks(0, *ends)
+    assert not found  # implot writes English numbers
+    use_language("ru")
+    number_ticks(0, *ends)
+    places, labels = found[0]
+    assert labels == wanted.split()
+    assert places == pytest.approx([float(label.replace(",", ".")) for label in labels])
