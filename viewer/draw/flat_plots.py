@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 X1, Y1 = implot.ImAxis_.x1, implot.ImAxis_.y1
 PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
 LEAST_SIGMA = 10.0  # the density's axis shows at least so much, so that fog looks like fog
+WIDE_EM = 16.0  # width of a plot from which its axis has its whole name
 LOW_EM = 6.0  # height of the curve's plot under which its axis has fewer numbers
 STRIP_EM = 0.7  # height of the strip of colours
 
@@ -70,7 +71,9 @@ def _weights(ui: Ui, ray: FlatRay, size: ImVec2) -> None:
             behind = one.transmittance[-1:] * (1 - one.alpha[-1:])
             seen = np.concatenate([one.transmittance, behind]).astype(np.float64)
             implot.plot_line("T", _edges(ray, one.t), seen, line)
-    axis_name(ui, tr("w / largest w, T"), right=True, height=0.5)  # T is 1 or 0 there
+    axis_name(
+        ui, tr("w / largest w, T") if size.x > WIDE_EM * ui.em else "w, T", right=True, height=0.5
+    )  # T is 1 or 0 there
     implot.end_plot()
     ui.mark("flatland.weights")
 
@@ -135,7 +138,7 @@ def psnr_plot(ui: Ui, curves: Sequence[Curve], size: ImVec2) -> None:
             color = faded(ui.theme.muted, 0.7) if k else ui.theme.accent
             line = implot.Spec(line_color=color, line_weight=(0.08 if k else 0.14) * ui.em)
             implot.plot_line(f"##{k}", curve.x.astype(np.float64), curve.y.astype(np.float64), line)
-        axis_name(ui, tr("PSNR held out (dB)"), right=True, height=1.0)
+        axis_name(ui, tr("PSNR held out (dB)") if size.y > LOW_EM * ui.em else "dB", right=True, height=1.0)
         implot.end_plot()
         ui.mark("flatland.psnr")
     implot.pop_style_var(2)

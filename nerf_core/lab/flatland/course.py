@@ -31,9 +31,10 @@ TURNABLE = {L: "frequencies", DIRECTIONS: "directions", COARSE: "coarse", FINE: 
 ANEW = (L, DIRECTIONS, CAMERAS, NOISE)  # the knobs that begin anew; the others say only where samples lie
 CAMERA, PIXEL = "camera", "pixel"  # the knobs that choose a ray
 SCORE_STEPS = 25  # between two measurements of the held-out photos
-FIELD_STEPS, EARLY_STEPS = 10, 4  # between two pictures of the field for a window, and in the first 60 steps
+FIELD_STEPS = 10  # between two pictures of the field for a window
+EARLY, EARLY_STEPS = 60, 4  # the first steps, and between two pictures in them
 RAY_STEPS = 4  # between two looks at the chosen ray and at two photos: its own, and the next in turn
-SIDE, FILM_SIDE = 128, 160  # pixels of the field's pictures
+SIDE, FILM_SIDE = 128, 128  # pixels of the field's pictures
 FRAMES = 120  # of the film, at most one a step
 TRUE_SAMPLES = 200  # of the world's density along a ray
 RATE_SECONDS = 1.0  # over which the steps a second are counted
@@ -67,7 +68,8 @@ class Course:
         self._obeyed: dict[str, float] = {}
         self._began = time.perf_counter(), 0  # for the rate: when, and at which step
         self._rate = 0.0
-        self._learnt = self._field = self._truth = np.zeros((1, 1, 3), np.uint8)
+        self._learnt = self._photographs = self._field = self._truth = np.zeros((1, 1, 3), np.uint8)
+        self._undrawn: list[int] = []  # cameras whose photo was not drawn yet
         self._ray: FlatRay | None = None
         self._looked = (-1, -1)
 
@@ -91,13 +93,15 @@ class Course:
                 return
             fit.step()
             self._count()
-            yield self._advance(self._looks() if self._watched else ())
+            yield self._advance()
+            yield from self._look()
 
     def _begin(self, truth: Truth | None) -> Pieces:
         """Make networks that know nothing. truth: the photos, if they need not be taken."""
         if truth is None:
             truth = yield from self._photographed()
         yield self._learn(FlatFit(self._world, truth, self.config))
+        yield from self._look()
 
     def _photographed(self) -> Generator[Advance, None, Truth]:
         for truth in truth_of(self._world, self.config.cameras):
@@ -111,9 +115,11 @@ class Course:
         self.fit = fit
         self._learnt = np.zeros((len(fit.truth.rays) // PIXELS, PIXELS, 3), np.uint8)
         self._began, self._rate, self._looked = (time.perf_counter(), fit.steps), 0.0, (-1, -1)
-        if self._watched:
-            self._watch(first=True)
-        return replace(self._advance(self._pictures() if self._watched else ()), knobs=self.knobs())
+        photos = fit.truth.colors.clone()
+        photos[: len(fit.photos)] = fit.photos
+        self._photographs = to_bytes(photos.view(-1, PIXELS, 3).numpy())
+        self._undrawn = list(range(len(self._learnt)))
+        return replace(self._advance(), knobs=self.knobs())
 
     def _obey(self) -> Pieces:
         """Do what knobs ask for that were turned since the last call."""
@@ -159,9 +165,7 @@ class Course:
 
     def error(self, camera: int) -> float:
         """Return the mean squared error of a camera's photo against the exact one."""
-        fit, drawn = self._need(), self._need().photo(camera)
-        self._learnt = self._learnt.copy()  # what was published stays
-        self._learnt[camera] = to_bytes(drawn)
+        fit, drawn = self._need(), self._draw(camera)
         return float(np.square(drawn - fit.truth.colors[fit.pixels(camera)].numpy()).mean())
 
     def _frames_due(self) -> int:
@@ -196,30 +200,37 @@ class Course:
         curves = (Curve(marked("held-out photos"), *map(np.array, self.scores)),)
         return (*curves, Curve(marked("before"), *map(np.array, self.before))) if self.before[0] else curves
 
-    def _looks(self) -> tuple[Look, ...]:
-        """Draw what is due at this step for a window. Returns the pictures if there are new ones."""
-        return self._pictures() if self._watch() else ()
-
-    def _watch(self, first: bool = False) -> bool:
-        """Draw the chosen ray, a photo, and the field, as they are due. Returns whether the field is new."""
-        fit = self._need()
-        cameras = len(self._learnt)
+    def _look(self) -> Pieces:
+        """Draw what is due for a window: the chosen ray and photos, then the field."""
+        if not self._watched:
+            return
+        fit, cameras = self._need(), len(self._learnt)
         wanted = min(round(self._turned.get(CAMERA, 0)), cameras - 1), round(self._turned.get(PIXEL, PIXELS // 2))
         moved, around = wanted != self._looked, wanted[0] != self._looked[0]
         self._looked = wanted
-        if moved or fit.steps % RAY_STEPS == 0:
+        due = moved or fit.steps % RAY_STEPS == 0
+        if due:
             self._ray = ray_of(fit, *wanted)
-            self._learnt = self._learnt.copy()  # what was published stays
-            for camera in range(cameras) if first else (wanted[0], fit.steps // RAY_STEPS % cameras):
-                self._learnt[camera] = to_bytes(fit.photo(camera))
+            self._draw(wanted[0])
+        if self._undrawn:
+            self._draw(self._undrawn.pop())
+        elif due:
+            self._draw(fit.steps // RAY_STEPS % cameras)
+        if due:
+            yield self._advance()
         if around:
             eye = fit.truth.rays.origins[wanted[0] * PIXELS]
             self._truth = to_bytes(field_picture(self._world.radiance, eye, SIDE, self._world.background))
-        every = EARLY_STEPS if fit.steps < 60 else FIELD_STEPS
-        if not (around or first or fit.steps % every == 0):
-            return False
-        self._field = to_bytes(fit.field(SIDE, wanted[0]))
-        return True
+        if around or fit.steps % (EARLY_STEPS if fit.steps < EARLY else FIELD_STEPS) == 0:
+            self._field = to_bytes(fit.field(SIDE, wanted[0]))
+            yield self._advance(self._pictures())
+
+    def _draw(self, camera: int) -> np.ndarray:
+        """Draw a camera's photo, (PIXELS, 3) float32, and show it."""
+        drawn = self._need().photo(camera)
+        self._learnt = self._learnt.copy()  # what was published stays
+        self._learnt[camera] = to_bytes(drawn)
+        return drawn
 
     def _pictures(self) -> tuple[Look, ...]:
         return Look(marked("learnt field"), self._field, self.score()), Look(marked("true field"), self._truth)
@@ -236,12 +247,10 @@ class Course:
 
     def _view(self) -> FlatView:
         fit = self._need()
-        exact = fit.truth.colors.clone()
-        exact[: len(fit.photos)] = fit.photos
         psnr = self.scores[1][-1] if self.scores[1] else float("nan")
         return FlatView(
             fit.truth.rays.origins[::PIXELS].numpy(), len(fit.truth.training),
-            to_bytes(exact.view(-1, PIXELS, 3).numpy()), self._learnt, self._field, self._truth,
+            self._photographs, self._learnt, self._field, self._truth,
             fit.steps, psnr, self._rate, self._ray,
         )  # fmt: skip
 
@@ -274,6 +283,7 @@ class Course:
             reason = shorten(" ".join(str(error).split()), 100)
             raise UserError(f"{file}: cannot be continued ({reason}): delete it, to begin again") from None
         yield self._learn(fit)
+        yield from self._look()
 
 
 def ray_of(fit: FlatFit, camera: int, pixel: int) -> FlatRay:

@@ -166,7 +166,7 @@ def test_a_window_sees_the_chosen_ray_and_a_knob_begins_anew() -> None:
     turned: dict[str, float] = {CAMERA: 3.0, PIXEL: 20.0}
     course = Course(SMALL, turned, watched=True)
     pieces = course.pieces()
-    view = next(piece.flat for piece in pieces if piece.flat is not None)
+    view = next(piece.flat for piece in pieces if piece.flat is not None and piece.flat.ray is not None)
     assert view.ray is not None
     assert (view.ray.camera, view.ray.pixel, view.training) == (3, 20, 4)
     assert [(one.name, len(one.t)) for one in view.ray.passes] == [("coarse", 12), ("fine", 20)]
