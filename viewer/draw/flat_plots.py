@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 X1, Y1 = implot.ImAxis_.x1, implot.ImAxis_.y1
 PLOT = implot.Flags_.no_title | implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
 LEAST_SIGMA = 10.0  # the density's axis shows at least so much, so that fog looks like fog
-WIDE_EM = 16.0  # width of a plot from which its axis has its whole name
+WIDE_EM = 20.0  # width of a plot from which its axis has its whole name
 LOW_EM = 6.0  # height of the curve's plot under which its axis has fewer numbers
 STRIP_EM = 0.7  # height of the strip of colours
 
