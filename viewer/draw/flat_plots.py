@@ -138,7 +138,7 @@ def psnr_plot(ui: Ui, curves: Sequence[Curve], size: ImVec2) -> None:
             color = faded(ui.theme.muted, 0.7) if k else ui.theme.accent
             line = implot.Spec(line_color=color, line_weight=(0.08 if k else 0.14) * ui.em)
             implot.plot_line(f"##{k}", curve.x.astype(np.float64), curve.y.astype(np.float64), line)
-        axis_name(ui, tr("PSNR held out (dB)") if size.y > LOW_EM * ui.em else "dB", right=True, height=1.0)
+        axis_name(ui, tr("PSNR held out (dB)") if size.y > LOW_EM * ui.em else tr("dB"), right=True, height=1.0)
         implot.end_plot()
         ui.mark("flatland.psnr")
     implot.pop_style_var(2)

@@ -280,7 +280,7 @@ class FlatlandPanel:
         high = strips_height(ui, view, (room.y if wide else 0.0) - line - least - spacing)
         over = self._photos.draw(ui, view, (max(room.x, ui.em), high), Chosen(self._chosen.camera, self._pixel(view)))
         words = [tr("step {step}").format(step=figure(view.step, ",d"))]
-        words += [f"{figure(view.psnr, '.1f')} dB"] if np.isfinite(view.psnr) else []
+        words += [tr("{psnr} dB").format(psnr=figure(view.psnr, ".1f"))] if np.isfinite(view.psnr) else []
         if study.state == "running":
             words.append(tr("{n} steps/s").format(n=figure(view.steps_per_second, ".0f")))
         with mono(ui):

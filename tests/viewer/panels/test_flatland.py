@@ -72,7 +72,7 @@ def test_the_mouse_chooses_a_ray_and_a_click_holds_it(screen: Screen, page: tupl
     scale = (right - left) / (2 * MARGIN * np.linalg.norm(RAYS.origins[0].numpy()))
 
     def on_map(p: np.ndarray) -> tuple[float, float]:
-        return (left + right) / 2 + float(p[0]) * scale, (top + bottom) / 2 - float(p[1]) * scale
+        return float((left + right) / 2 + p[0] * scale), float((top + bottom) / 2 - p[1] * scale)
 
     seen = (RAYS.origins[20] + 1.2 * RAYS.directions[20]).numpy()
     assert hover(screen, panel, state, *on_map(seen)) == {"pixel": 20.0}
