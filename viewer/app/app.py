@@ -94,7 +94,10 @@ class App:
         self._answered = 0  # the newest request to open a ray that has been answered
         self._drawn_at = self.state.time
         self._frame_times: deque[float] = deque(maxlen=120)
-        self._closed = self._hidden = False
+        self._closed = False
+        self._hidden = self._partial = False  # whether no panel was shown in the last frame; whether not all were
+        self._front: tuple[str, ...] = ()  # what was in front when all panels were shown
+        self._fronts: tuple[str, ...] = ()  # what was in front two frames ago
         self._warn(self._layout.load())
         self.state.language = language or self._layout.language or ENGLISH
         use_language(self.state.language)
@@ -239,19 +242,31 @@ class App:
         self._pacer.note(self.state.time, user=flying or held)
         actions = list(bars.draw_menu(ui, state))
         bars.draw_status(ui, state)
-        state.in_front = self._host.in_front
         actions += list(self._tour.draw(ui, state))
         self._pacer.note(state.time, user=self._tour.guide.busy)
+        page = state.show_panels and bool(state.page)
+        docks = state.show_panels and not page
+        if page:
+            state.in_front = (state.page,)
+        elif not self._layout.raising and self._host.in_front == self._fronts:  # tabs that come forward take two frames
+            state.in_front = self._host.in_front
+        self._fronts = () if self._layout.raising else self._host.in_front
         self._wishes()
-        if state.show_panels:
-            self._layout.dock(self._host.panels, ui.em, self._host.in_front)
-        viewport.draw(ui, state, alone=not state.show_panels)
-        if state.show_panels:
+        if docks:
+            self._layout.dock(self._host.panels, ui.em, self._front)
+        if page:
+            actions += self._host.draw_page(ui, state)
+        else:
+            viewport.draw(ui, state, alone=not docks)
+        whole = docks and state.only_panels is None
+        if docks:
             front = self._host.in_front
             actions += self._host.draw(ui, state)
-            if self._hidden:
-                self._layout.bring_forward(front)
-        self._hidden = not state.show_panels
+            if whole and self._partial:
+                self._layout.bring_forward(self._front)
+            elif whole:
+                self._front = front
+        self._hidden, self._partial = not docks, not whole
         actions += self._host.draw_overlays(ui, state)
         for notice in self._host.notices:
             self._actions.tell(notice)

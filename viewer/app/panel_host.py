@@ -58,7 +58,7 @@ class PanelHost:
         """Draw the panels that have a window."""
         in_front: list[str] = []
         for panel in self.panels:
-            if panel.dock == "overlay" or (state.only_panels and panel.title not in state.only_panels):
+            if panel.dock == "overlay" or (state.only_panels is not None and panel.title not in state.only_panels):
                 continue
             flags = imgui.WindowFlags_.no_background if panel.title in self._docked else imgui.WindowFlags_.none
             if imgui.begin(window_name(panel.title), None, flags)[0]:  # False for a tab behind another
@@ -70,6 +70,23 @@ class PanelHost:
                     yield from self._draw_panel(panel, ui, state)
             imgui.end()
         self.in_front = tuple(in_front)
+
+    def draw_page(self, ui: PanelUi, state: AppState) -> Iterator[Action]:
+        """Draw one panel alone, between the bars."""
+        area = imgui.get_main_viewport()
+        imgui.set_next_window_pos(area.work_pos)
+        imgui.set_next_window_size(area.work_size)
+        flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_saved_settings
+        flags &= ~imgui.WindowFlags_.no_scrollbar
+        for panel in self.panels:
+            if panel.title != state.page:
+                continue
+            if imgui.begin(f"{panel.title}##page", None, flags | imgui.WindowFlags_.no_bring_to_front_on_focus)[0]:
+                if panel.title in self._broken:
+                    self._draw_broken(ui, panel.title)
+                else:
+                    yield from self._draw_panel(panel, ui, state)
+            imgui.end()
 
     def draw_overlays(self, ui: PanelUi, state: AppState) -> Iterator[Action]:
         """Draw the overlays, which open their own windows. A broken one is not drawn again."""

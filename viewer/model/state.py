@@ -167,7 +167,8 @@ class AppState:
     focus_open: bool = False  # * give the scene panel's path field the keyboard in the next frame
     raise_panel: str = ""  # * title of the panel whose tab comes to the front in the next frame
     in_front: tuple[str, ...] = ()  # titles of the panels that were not behind another's tab in the last frame
-    only_panels: tuple[str, ...] = ()  # titles of the panels that are shown; empty: all
+    only_panels: tuple[str, ...] | None = None  # titles of the panels that are shown; None: all
+    page: str = ""  # title of the panel that is shown alone, in the place of the picture and all panels; empty: none
     presenter: bool = False  # * large type and strong contrast, for a lecture hall
     tour: TourWish | None = None  # * what the user asks of the tour
     in_tour: bool = False

@@ -34,14 +34,20 @@ class Deed:
 
     do: changes the state, and returns what the app or the worker should do.
     panel: the title of the panel that it brings to the front, one a frame; empty: none.
-    still: whether it waits until the camera stands still.
+    ready: whether it can be done now.
+    settled: whether the worker has done it; None: nothing is to be waited for.
+    page: the title of the panel that it shows alone, in the place of the picture and all panels; empty: none.
+    study: the name of the study that belongs to the step; empty: none.
     scene: of `@scene`: the capture that this step and the following ones are about.
     method, changes: of `@method`: the model of this step and the following ones.
     """
 
     do: Callable[[AppState], list[Action]] = lambda _: []
     panel: str = ""
-    still: bool = False
+    page: str = ""
+    study: str = ""
+    ready: Callable[[AppState], bool] = lambda _: True
+    settled: Callable[[AppState], bool] | None = None
     scene: str = ""
     method: str = ""
     changes: tuple[tuple[str, str], ...] = ()
@@ -138,6 +144,16 @@ def _panel(text: str) -> Deed:
     return Deed(show, panel=text)
 
 
+def _page(text: str) -> Deed:
+    """`@page TITLE`: show a panel alone, as large as the window, while the step is shown."""
+
+    def show(state: AppState) -> list[Action]:
+        state.show_panels = True
+        return []
+
+    return Deed(show, page=panel_title(text))
+
+
 def _open(text: str) -> Deed:
     """`@open X Y Z`: open the ray through a point of the capture's own coordinates."""
     point = np.array([*_numbers(text, 3, 3), 1.0])
@@ -157,7 +173,7 @@ def _open(text: str) -> Deed:
         inside = 0 <= column < width and 0 <= row < height
         return [Inspect(camera, (column, row))] if inside else []
 
-    return Deed(look, still=True)
+    return Deed(look, ready=lambda state: state.snapshot.scene is not None and not state.camera.flying)
 
 
 def _train(text: str) -> Deed:
@@ -167,13 +183,13 @@ def _train(text: str) -> Deed:
     def train(state: AppState) -> list[Action]:
         return [Train()] if state.snapshot.status in ("ready", "paused") else []
 
-    return Deed(train)
+    return Deed(train, settled=lambda state: state.snapshot.status not in ("ready", "paused"))
 
 
 def _pause(text: str) -> Deed:
     """`@pause`: pause the training."""
     _nothing(text)
-    return Deed(lambda _: [Pause()])
+    return Deed(lambda _: [Pause()], settled=lambda state: state.snapshot.status != "training")
 
 
 def _scene(text: str) -> Deed:
@@ -201,15 +217,25 @@ def _study(text: str) -> Deed:
     def start(state: AppState) -> list[Action]:
         study = state.snapshot.study
         if study is not None and (study.state == "running" or (study.name == name and study.state == "done")):
-            return []
+            return []  # the reader's own is not disturbed
         return [StartStudy(name, pairs, _study_folder(name))]
 
-    return Deed(start)
+    return Deed(start, ready=lambda state: own_study(state) in ("", name), study=name)
+
+
+def own_study(state: AppState) -> str:
+    """Return the name of the study that runs because a tour began it; empty: none does."""
+    study = state.snapshot.study
+    return study.name if study is not None and study.state == "running" and study.folder.parent == _home() else ""
+
+
+def _home() -> Path:
+    return platformdirs.user_cache_path("nerf-viewer") / "tour"
 
 
 def _study_folder(name: str) -> Path:
     """A fresh folder in the user's cache. Those of long ago go."""
-    folder = platformdirs.user_cache_path("nerf-viewer") / "tour"
+    folder = _home()
     with suppress(OSError):
         for old in folder.iterdir():
             if time.time() - old.stat().st_mtime > KEPT_SECONDS:
@@ -229,5 +255,5 @@ def _do(text: str) -> Deed:
 DEEDS: dict[str, Callable[[str], Deed]] = {
     "scene": _scene, "method": _method, "train": _train, "pause": _pause,
     "photo": _photo, "orbit": _orbit, "mode": _mode, "cameras": _switch("show_cameras"),
-    "samples": _switch("show_samples"), "open": _open, "panel": _panel, "study": _study, "do": _do,
+    "samples": _switch("show_samples"), "open": _open, "panel": _panel, "page": _page, "study": _study, "do": _do,
 }  # fmt: skip

@@ -13,11 +13,12 @@ from nerf_core.common.assets import assets_dir
 from nerf_core.common.errors import UserError
 from nerf_core.common.files import write_atomically
 from nerf_core.common.language import ENGLISH, language
+from nerf_core.live.messages import CancelStudy
 from nerf_core.training.settings import RunSettings
 
 from ..model.state import Action, AppState
 from .conditions import Before, before
-from .deeds import DEMO, Deed
+from .deeds import DEMO, Deed, own_study
 from .models import Models, wanted
 from .steps import Step, read_tour
 
@@ -60,6 +61,7 @@ class Guide:
         self._before: Before | None = None
         self._models: Models | None = None
         self._waiting = False  # for a model
+        self._stopping = False  # whether a study of another step is being stopped
         self._settings: RunSettings | None = None  # the reader's, while a tour is on
 
     @property
@@ -106,7 +108,7 @@ class Guide:
 
     def leave(self, state: AppState) -> None:
         """End the tour. If the reader's own model was put aside, offer to return to it."""
-        self.on, state.only_panels = False, ()
+        self.on, state.only_panels, state.page = False, None, ""
         self._deeds.clear()
         if self._settings is not None:  # the tour's methods are not for what the reader opens next
             state.settings, self._settings = self._settings, None
@@ -124,13 +126,14 @@ class Guide:
             self._reread()
         self._take()
         step = self.step
-        state.only_panels = step.panels if step is not None and state.presenter else ()
+        state.only_panels = step.panels if step is not None and state.presenter else None
+        state.page = step.page if step is not None else ""
         if step is None:
             return []
-        actions = self._perform(state)
+        actions = [*self._stop_study(state, step), *self._perform(state)]
         if self._deeds or actions:  # what the step itself does is no deed of the reader's
             return actions
-        if self._before is None and not state.camera.flying:
+        if self._before is None and not state.camera.flying and _settled(step, state):
             self._before = before(state)
         if self._before is not None:
             self._notice(state, step, self._before)
@@ -175,15 +178,20 @@ class Guide:
         actions: list[Action] = []
         while self._deeds:
             deed = self._deeds[0]
-            if deed.still and (state.camera.flying or state.snapshot.scene is None):
-                break
-            if deed.panel and state.raise_panel:
+            if not deed.ready(state) or (deed.panel and state.raise_panel and not state.page):
                 break
             self._deeds.popleft()
             actions += deed.do(state)
             if deed.panel:
                 break  # one panel a frame
         return actions
+
+    def _stop_study(self, state: AppState, step: Step) -> list[Action]:
+        """Stop a study that another step has begun: there is one at a time, and the scene trains beside it."""
+        running = own_study(state)
+        unfit = bool(running) and all(deed.study != running for deed in step.deeds)
+        stop, self._stopping = unfit and not self._stopping, unfit
+        return [CancelStudy()] if stop else []
 
     def _notice(self, state: AppState, step: Step, begun: Before) -> None:
         for number, task in enumerate(step.tasks):
@@ -225,3 +233,9 @@ class Guide:
             write_atomically(self._places, text.encode())
         except (OSError, UserError):  # the place is a comfort, and the disk's fault is told where work is saved
             self._places = None
+
+
+def _settled(step: Step, state: AppState) -> bool:
+    """Whether the worker has done what the step asked of it last: until then the state is not the step's."""
+    waits = [deed.settled for deed in step.deeds if deed.settled is not None]
+    return not waits or waits[-1](state)

@@ -66,6 +66,7 @@ class Step:
     blocks: what is shown, from top to bottom.
     deeds: what is done when it is shown, in this order.
     panels: the titles of the panels that it names.
+    page: the title of the panel that is shown alone; empty: none.
     """
 
     name: str
@@ -73,6 +74,7 @@ class Step:
     blocks: tuple[Block, ...]
     deeds: tuple[Deed, ...]
     panels: tuple[str, ...]
+    page: str = ""
 
     @property
     def tasks(self) -> tuple[Task, ...]:
@@ -137,7 +139,8 @@ def parse_step(text: str, name: str, where: str) -> Step:
             raise UserError(f"{where}:{line}: @{word} {shorten(rest)}: {error}") from None
     if not blocks:
         raise UserError(f"{where}: has a title and no text: write what the reader should know")
-    return Step(name, title, tuple(blocks), tuple(deeds), tuple(panels))
+    page = next((deed.page for deed in deeds if deed.page), "")
+    return Step(name, title, tuple(blocks), tuple(deeds), tuple(panels), page)
 
 
 def _pieces(lines: list[str], first: int) -> Iterator[tuple[int, str, str]]:
