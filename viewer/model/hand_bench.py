@@ -23,7 +23,7 @@ WHITE = np.ones(3)
 BEGIN = marked("Drag a sample: to the sides for t, up and down for σ. A double click in the plot adds one.")
 TAKEN = marked(
     "{samples} samples merged into {few}: the pixel differs by {error}. "
-    "Left out: {share} % of the weight, outside t = {low} … {high}."
+    "Left out: a weight of {share} %, outside t = {low} … {high}."
 )
 
 

@@ -127,3 +127,12 @@ def test_a_translation_has_the_fields_of_its_text(file: Path) -> None:
 def _fields(text: str) -> set[tuple[str, str]]:
     parts = language._Fields().parse(text)
     return {(name, spec or "") for _, name, spec, _ in parts if name is not None}
+
+
+@pytest.mark.parametrize("file", CATALOGUES, ids=lambda file: file.stem)
+def test_a_catalogue_has_every_text_and_its_translation(file: Path) -> None:
+    text = file.read_text("utf-8")
+    assert text == make_catalogue.updated(text, file.stem, make_catalogue.extracted()), make_catalogue.__doc__
+    catalog = read_po(io.BytesIO(text.encode()), locale=file.stem)
+    assert [one.id for one in catalog if one.fuzzy and one.id] == []
+    assert make_catalogue.untranslated(catalog) == []

@@ -12,7 +12,7 @@ from nerf_core.lab.study import STUDIES
 from nerf_core.live.messages import CancelStudy, Pause, StartStudy, Train, TurnKnob, ViewRequest
 
 OpenDesk = Callable[..., Desk]
-SMALL = {"methods": "voxels,nerf", "budget": "10steps", "views": "1"}
+SMALL = {"methods": "voxels,hash", "budget": "10steps", "views": "1"}
 
 
 def test_a_study_runs_beside_training_and_is_reported(open_desk: OpenDesk, tmp_path: Path) -> None:
@@ -25,7 +25,7 @@ def test_a_study_runs_beside_training_and_is_reported(open_desk: OpenDesk, tmp_p
     assert done.study.state == "done", desk.heard
     assert done.step > running.step  # both had their share
     assert [row.state for row in done.study.rows] == ["done", "done"]
-    assert {look.name for look in done.study.looks} == {"voxels", "nerf"}
+    assert {look.name for look in done.study.looks} == {"voxels", "hash"}
     assert [figure.name for figure in done.study.figures] == ["compare"]
     assert (tmp_path / "report.md") in done.study.files
     assert desk.until_told("study compare: 2 rows").path == tmp_path / "report.md"
