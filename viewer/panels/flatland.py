@@ -44,6 +44,7 @@ SLIDERS: dict[str, tuple[str, str, str]] = {
 SLIDER_EM = 4.6, 6.5  # least and largest width
 WIDE_EM, TALL_EM = 36.0, 10.0  # room from which plots lie beside the map, and the map's least side
 COLUMN_EM = 13.0, 20.0  # least and largest width of the photos' column
+RAY_EM = 15.0, 12.0  # least width of the ray's plots beside the map, and their height below it
 CURVE_EM, CURVE_SHARE = 3.0, 0.22  # least height of the curve, and its share of the column
 LETTERS = 3  # of a symbol at most; longer labels are words, and need no sign before their number
 LESSON_EM = 22.0  # height of the page from which the lesson stands in it
@@ -185,26 +186,7 @@ class FlatlandPanel:
     # ---- below --------------------------------------------------------------------------------------------------
 
     def _page(self, ui: Ui, study: StudyState, view: FlatView) -> Iterator[Action]:
-        if imgui.get_content_region_avail().y > LESSON_EM * ui.em:
-            hint(ui, tr(LESSON))
-        room, gap = imgui.get_content_region_avail(), 0.8 * ui.em
-        wide = room.x > WIDE_EM * ui.em
-        side = float(int(max(min(room.y - imgui.get_text_line_height_with_spacing(), room.x), TALL_EM * ui.em)))
-        column = min(max(0.28 * room.x, COLUMN_EM[0] * ui.em), COLUMN_EM[1] * ui.em)
-        two = room.x > 2 * side + 2 * column + 3 * gap
-        over = self._maps(ui, view, side, two)
-        if wide:
-            imgui.same_line(0, gap)
-            left = imgui.get_content_region_avail().x
-            imgui.begin_child("ray", ImVec2(max(left - column - gap, ui.em), max(room.y, side)))
-        self._ray(ui, view)
-        if wide:
-            imgui.end_child()
-            imgui.same_line(0, gap)
-            imgui.begin_child("photos", ImVec2(0, max(room.y, side)))
-        over = self._strips(ui, study, view, wide) or over
-        if wide:
-            imgui.end_child()
+        over = self._laid_out(ui, study, view)
         if over is not None and study.state != "running":
             imgui.set_tooltip(tr("Start or go on, to open other rays."))
         if over is not None:
@@ -220,6 +202,43 @@ class FlatlandPanel:
                 for name, old, new in zip((CAMERA, PIXEL), before, wanted, strict=True):
                     if old != new:
                         yield TurnKnob(name, float(new))
+
+    def _laid_out(self, ui: Ui, study: StudyState, view: FlatView) -> Chosen | None:
+        """Draw the page. Returns what the mouse is over."""
+        if imgui.get_content_region_avail().y > LESSON_EM * ui.em:
+            hint(ui, tr(LESSON))
+        room, gap = imgui.get_content_region_avail(), 0.8 * ui.em
+        wide = room.x > WIDE_EM * ui.em
+        column = min(max(0.28 * room.x, COLUMN_EM[0] * ui.em), COLUMN_EM[1] * ui.em)
+        tall = room.y - imgui.get_text_line_height_with_spacing()
+        below = wide and room.x - column - tall - 2 * gap < RAY_EM[0] * ui.em and tall > 2.5 * RAY_EM[1] * ui.em
+        if below:  # a high page: the ray's plots lie under the map
+            most = min(tall - RAY_EM[1] * ui.em, room.x - column - gap)
+        elif wide:
+            most = min(tall, room.x - column - 2 * gap - RAY_EM[0] * ui.em)
+        else:
+            most = min(tall, room.x)
+        side = float(int(max(most, TALL_EM * ui.em)))
+        two = not below and room.x > 2 * side + 2 * column + 3 * gap
+        imgui.begin_group()
+        over = self._maps(ui, view, side, two)
+        if wide and not below:
+            imgui.same_line(0, gap)
+        if wide:
+            left = room.x - column - gap if below else imgui.get_content_region_avail().x - column - gap
+            high = imgui.get_content_region_avail().y if below else max(room.y, side)
+            imgui.begin_child("ray", ImVec2(max(left, ui.em), max(high, ui.em)))
+        self._ray(ui, view)
+        if wide:
+            imgui.end_child()
+        imgui.end_group()
+        if wide:
+            imgui.same_line(0, gap)
+            imgui.begin_child("photos", ImVec2(0, max(room.y, side)))
+        over = self._strips(ui, study, view, wide) or over
+        if wide:
+            imgui.end_child()
+        return over
 
     def _pixel(self, view: FlatView) -> int:
         wide = view.photos.shape[1]
