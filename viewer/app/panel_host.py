@@ -81,7 +81,10 @@ class PanelHost:
         for panel in self.panels:
             if panel.title != state.page:
                 continue
-            if imgui.begin(f"{panel.title}##page", None, flags | imgui.WindowFlags_.no_bring_to_front_on_focus)[0]:
+            imgui.push_style_var(imgui.StyleVar_.window_border_size, 0.0)
+            begun = imgui.begin(f"{panel.title}##page", None, flags | imgui.WindowFlags_.no_bring_to_front_on_focus)[0]
+            imgui.pop_style_var()
+            if begun:
                 if panel.title in self._broken:
                     self._draw_broken(ui, panel.title)
                 else:

@@ -20,7 +20,7 @@ from .values import VALUES
 if TYPE_CHECKING:
     from ..ui.contract import Ui
 
-WIDTH_EM, MOST_SHARE = 24.0, 0.4  # of the bar, and at most this share of the window
+WIDTH_EM, MOST_SHARE = 24.0, 0.34  # of the bar, and at most this share of the window
 BACK, NEXT, LEAVE = marked("Back"), marked("Next"), marked("Leave the tour")
 FLAGS = (
     imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_saved_settings | imgui.WindowFlags_.no_nav

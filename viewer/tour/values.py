@@ -14,6 +14,7 @@ from ..model.state import AppState
 
 GRID_SIDE = 256  # of the naive grid whose memory {N3} is
 GRID_BYTES = 16  # of a cell: four float32
+ENDLESS = 1e9  # a longer stretch has no end
 
 
 def _ray(state: AppState) -> RayProbe | None:
@@ -38,6 +39,15 @@ def _of_sample(read: Callable[[PassProbe, int], float], spec: str) -> Callable[[
         return figure(float(read(*chosen)), spec) if chosen is not None else NOTHING
 
     return value
+
+
+def _delta(state: AppState) -> str:
+    """The sample's length. That of a NeRF's last sample is 1e10, which stands for no end."""
+    chosen = chosen_sample(state)
+    if chosen is None:
+        return NOTHING
+    value = float(chosen[0].delta[chosen[1]])
+    return "∞" if value >= ENDLESS else figure(value, ".3f")
 
 
 def _of_ray(read: Callable[[RayProbe], str]) -> Callable[[AppState], str]:
@@ -90,7 +100,7 @@ VALUES: dict[str, Callable[[AppState], str]] = {
     "height": _of_scene(lambda state: figure(_photo_size(state)[1], ",d")),
     "rays": _of_scene(_rays),
     "t": _of_sample(lambda p, k: p.t[k], ".3f"),
-    "delta": _of_sample(lambda p, k: p.delta[k], ".3g"),  # the last one of a NeRF is 1e10
+    "delta": _delta,
     "sigma": _of_sample(lambda p, k: p.sigma[k], ".1f"),
     "alpha": _of_sample(lambda p, k: p.alpha[k], ".3f"),
     "T": _of_sample(lambda p, k: p.transmittance[k], ".3f"),
