@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 MARKS = re.compile(r"(\*\*[^*]+\*\*|\*[^*\s][^*]*\*|`[^`]+`)")
 BOLD_EM, BOLD_ALPHA = 1 / 30, 0.6  # strong letters are drawn again, so far to the right: the font has one weight
+MARGIN_EM = 0.4  # at the right, towards a scroll bar
 LEADING = 1.25  # height of a line, of the text's
 
 
@@ -59,7 +60,7 @@ def rich_text(ui: Ui, text: str, color: ImVec4 | None = None, indent: float = 0.
         indent: of all lines, in pixels.
     """
     theme, draw = ui.theme, imgui.get_window_draw_list()
-    at, wide = imgui.get_cursor_screen_pos(), imgui.get_content_region_avail().x
+    at, wide = imgui.get_cursor_screen_pos(), imgui.get_content_region_avail().x - MARGIN_EM * ui.em
     line, space = round(LEADING * imgui.get_text_line_height()), imgui.calc_text_size(" ").x
     x, y = indent, 0.0
     for word in words(text):

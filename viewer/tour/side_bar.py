@@ -28,6 +28,20 @@ FLAGS = (
 )  # fmt: skip
 
 
+def broken(equation: str, letters: int) -> list[str]:
+    """Break a line of symbols that is longer than so many letters: before an equals sign, else at a space."""
+    lines: list[str] = []
+    rest = equation
+    while len(rest) > letters:
+        at = max(rest.rfind(" = ", 1, letters), rest.rfind(" → ", 1, letters))
+        at = at if at > letters // 3 else rest.rfind(" ", 1, letters + 1)
+        if at <= 0:
+            break
+        lines.append(rest[:at])
+        rest = f"  {rest[at:].strip()}"
+    return [*lines, rest]
+
+
 class SideBar:
     """The tour's part of the window. Call `draw` once a frame, before the docks."""
 
@@ -72,7 +86,7 @@ class SideBar:
             if button(ui, tr(LEAVE), "tour.leave"):
                 guide.leave(state)
             return
-        self._steps(ui, step)
+        self._steps(ui)
         footer = 2 * imgui.get_frame_height_with_spacing() + 0.4 * ui.em
         imgui.begin_child("step", ImVec2(0, -footer))
         if self._shown != step.name:
@@ -100,12 +114,12 @@ class SideBar:
         imgui.end_child()
         self._footer(ui, state)
 
-    def _steps(self, ui: Ui, step: Step) -> None:
+    def _steps(self, ui: Ui) -> None:
         """The list of the steps, which is also where "3 of 12" stands."""
         guide = self.guide
         place = tr("{n} of {total}").format(n=figure(guide.at + 1, "d"), total=figure(len(guide.steps), "d"))
         imgui.set_next_item_width(-1)
-        if imgui.begin_combo("##steps", f"{place}  ·  {step.title}"):
+        if imgui.begin_combo("##steps", place):
             for k, one in enumerate(guide.steps):
                 done = one.tasks and all((one.name, n) in guide.ticks for n, t in enumerate(one.tasks) if t.until)
                 sign = icons.ICON_FA_CHECK if done else "   "
@@ -127,25 +141,21 @@ class SideBar:
 
     @staticmethod
     def _equation(ui: Ui, state: AppState, block: Equation) -> None:
-        """On a quiet ground, in the mono font; it breaks at spaces if the bar is narrow."""
+        """On a quiet ground, in the mono font."""
         text = FIELD.sub(lambda found: VALUES[found[1]](state), block.text)
         draw, pad = imgui.get_window_draw_list(), 0.45 * ui.em
-        ground = imgui.get_style_color_vec4(imgui.Col_.frame_bg)
         at, wide = imgui.get_cursor_screen_pos(), imgui.get_content_region_avail().x
         imgui.push_font(ui.mono, ui.em)
-        size = imgui.calc_text_size(text, wrap_width=wide - 2 * pad)
-        draw.add_rect_filled(
-            at,
-            ImVec2(at.x + wide, at.y + size.y + 2 * pad),
-            packed(ground),
-            0.2 * ui.em,
-        )
-        imgui.set_cursor_screen_pos(ImVec2(at.x + pad, at.y + pad))
-        imgui.push_text_wrap_pos(imgui.get_cursor_pos_x() + wide - 2 * pad)
-        imgui.text_unformatted(text)
-        imgui.pop_text_wrap_pos()
+        lines = broken(text, int((wide - 2 * pad) / imgui.calc_text_size("0").x))
+        high = 2 * pad + len(lines) * imgui.get_text_line_height_with_spacing() - imgui.get_style().item_spacing.y
+        ground = packed(imgui.get_style_color_vec4(imgui.Col_.frame_bg))
+        draw.add_rect_filled(at, ImVec2(at.x + wide, at.y + high), ground, 0.2 * ui.em)
+        imgui.set_cursor_screen_pos(ImVec2(at.x, at.y + pad))
+        for line in lines:
+            imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + pad)
+            imgui.text_unformatted(line)
         imgui.pop_font()
-        imgui.set_cursor_screen_pos(ImVec2(at.x, at.y + size.y + 2 * pad))
+        imgui.set_cursor_screen_pos(ImVec2(at.x, at.y + high))
         imgui.dummy(ImVec2(wide, 0.1 * ui.em))
 
     def _task(self, ui: Ui, step: Step, number: int, task: Task) -> None:

@@ -13,6 +13,7 @@ from nerf_core.common.errors import UserError
 from viewer.tour.conditions import CONDITIONS
 from viewer.tour.deeds import DEEDS
 from viewer.tour.rich_text import words
+from viewer.tour.side_bar import broken
 from viewer.tour.steps import Equation, Prose, Question, Task, parse_step, read_tour
 from viewer.tour.values import VALUES
 
@@ -113,3 +114,16 @@ def test_words_keep_their_style_and_their_spaces() -> None:
         ("NeRF", "strong"), ("d", "emphasis"), ("a", "code"), ("*", "code"), ("b", "code"),
     ]  # fmt: skip
     assert [w.text for w in found if w.glued] == [":", "."]
+
+
+@pytest.mark.parametrize(
+    ("text", "lines"),
+    [
+        ("w = T · α", ["w = T · α"]),
+        ("α = 1 − exp(−σ δ) = 1 − exp(−7 · 2) = 1", ["α = 1 − exp(−σ δ)", "  = 1 − exp(−7 · 2)", "  = 1"]),
+        ("pixel one, two and three of them", ["pixel one, two and", "  three of them"]),
+        ("a" * 30, ["a" * 30]),
+    ],
+)
+def test_an_equation_breaks_before_its_equals_signs(text: str, lines: list[str]) -> None:
+    assert broken(text, 20) == lines
