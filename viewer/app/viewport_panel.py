@@ -159,7 +159,7 @@ class ViewportPanel:
         if self._photo_name:
             words = tr("photo {name}: the first picture is on its way").format(name=self._photo_name)
             words = f"{icons.ICON_FA_IMAGE}  {words}"
-            _chip(ui, draw, ImVec2(origin.x + 0.6 * ui.em, origin.y + size.y - 2.2 * ui.em), words)
+            _chip(ui, draw, ImVec2(origin.x + 0.6 * ui.em, origin.y + size.y - 0.6 * ui.em), words, size.x)
             return
         if snapshot.preview is None and state.show_left_off and snapshot.status == "empty":
             return  # the offer to continue says what can be opened
@@ -177,7 +177,8 @@ class ViewportPanel:
         if snapshot.stage:
             words.append(tr(snapshot.stage))
         if words:
-            _chip(ui, draw, ImVec2(origin.x + 0.6 * ui.em, origin.y + size.y - 2.2 * ui.em), "  ·  ".join(words))
+            corner = ImVec2(origin.x + 0.6 * ui.em, origin.y + size.y - 0.6 * ui.em)
+            _chip(ui, draw, corner, "  ·  ".join(words), size.x)
         if snapshot.preview.mode != COLOR:
             _scale(ui, draw, ImVec2(origin.x + 0.6 * ui.em, origin.y + 0.6 * ui.em), MODES.get(snapshot.preview.mode))
         if state.show_cameras and snapshot.scene is not None:
@@ -261,14 +262,15 @@ def _centred(ui: PanelUi, draw: imgui.ImDrawList, origin: ImVec2, size: ImVec2, 
         y += 1.5 * ui.em
 
 
-def _chip(ui: PanelUi, draw: imgui.ImDrawList, place: ImVec2, words: str) -> None:
-    """A text on a dark background."""
-    size = imgui.calc_text_size(words)
+def _chip(ui: PanelUi, draw: imgui.ImDrawList, corner: ImVec2, words: str, room: float) -> None:
+    """A text on a dark background, in several lines where the viewport is narrow. corner: the lower left one."""
     pad = 0.45 * ui.em
-    far = ImVec2(place.x + size.x + 2 * pad, place.y + size.y + pad)
-    draw.add_rect_filled(place, far, packed(SHADE), 0.2 * ui.em)
-    at = ImVec2(int(place.x + pad), int(place.y + 0.5 * pad))
-    draw.add_text(at, packed(ui.theme.text), words)
+    letter = imgui.calc_text_size(words).x / len(words)
+    text = "\n".join(textwrap.wrap(words, max(int((room - 1.2 * ui.em - 2 * pad) / letter), 1)))
+    size = imgui.calc_text_size(text)
+    place = ImVec2(corner.x, corner.y - size.y - pad)
+    draw.add_rect_filled(place, ImVec2(corner.x + size.x + 2 * pad, corner.y), packed(SHADE), 0.2 * ui.em)
+    draw.add_text(ImVec2(int(place.x + pad), int(place.y + 0.5 * pad)), packed(ui.theme.text), text)
 
 
 def _scale(ui: PanelUi, draw: imgui.ImDrawList, place: ImVec2, mode: type[Mode]) -> None:
