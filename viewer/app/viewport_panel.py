@@ -159,7 +159,7 @@ class ViewportPanel:
         if self._photo_name:
             words = tr("photo {name}: the first picture is on its way").format(name=self._photo_name)
             words = f"{icons.ICON_FA_IMAGE}  {words}"
-            _chip(ui, draw, ImVec2(origin.x + 0.6 * ui.em, origin.y + size.y - 0.6 * ui.em), words, size.x)
+            _chip(ui, draw, ImVec2(origin.x + 0.6 * ui.em, origin.y + size.y - 0.6 * ui.em), size.x, words)
             return
         if snapshot.preview is None and state.show_left_off and snapshot.status == "empty":
             return  # the offer to continue says what can be opened
@@ -178,7 +178,7 @@ class ViewportPanel:
             words.append(tr(snapshot.stage))
         if words:
             corner = ImVec2(origin.x + 0.6 * ui.em, origin.y + size.y - 0.6 * ui.em)
-            _chip(ui, draw, corner, "  ·  ".join(words), size.x)
+            _chip(ui, draw, corner, size.x, "  ·  ".join(words))
         if snapshot.preview.mode != COLOR:
             _scale(ui, draw, ImVec2(origin.x + 0.6 * ui.em, origin.y + 0.6 * ui.em), MODES.get(snapshot.preview.mode))
         if state.show_cameras and snapshot.scene is not None:
@@ -262,7 +262,7 @@ def _centred(ui: PanelUi, draw: imgui.ImDrawList, origin: ImVec2, size: ImVec2, 
         y += 1.5 * ui.em
 
 
-def _chip(ui: PanelUi, draw: imgui.ImDrawList, corner: ImVec2, words: str, room: float) -> None:
+def _chip(ui: PanelUi, draw: imgui.ImDrawList, corner: ImVec2, room: float, words: str) -> None:
     """A text on a dark background, in several lines where the viewport is narrow. corner: the lower left one."""
     pad = 0.45 * ui.em
     letter = imgui.calc_text_size(words).x / len(words)

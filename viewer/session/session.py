@@ -21,7 +21,7 @@ from nerf_core.training.last_save import telling
 from nerf_core.training.settings import RunSettings
 
 from ..app.app import App
-from ..model.state import unsaved_steps
+from ..model.state import TourWish, unsaved_steps
 from ..window import Window
 from .rescue import Rescue
 from .script import Closed, Script
@@ -81,8 +81,9 @@ class Session:
     def _run(self, script: Script, data: Path | None, wishes: Wishes) -> int:
         serving = self.window.has_display and not wishes.any_file()
         try:
-            if serving and data is None and wishes == Wishes() and self.settings == RunSettings() and any_autosave():
-                self._offer_autosaves()
+            unasked = wishes == Wishes() and self.settings == RunSettings() and any_autosave()
+            if serving and data is None and (unasked or (wishes.tour is not None and wishes.load is None)):
+                self._begin_with(wishes.tour)
                 self._rescue.attend()
                 self._save_unsaved(None)
                 return 128 + self.signals.received if self.signals.received else 0
@@ -118,10 +119,12 @@ class Session:
             self._save_unsaved(wishes.save)
         return 128 + self.signals.received if self.signals.received else 0
 
-    def _offer_autosaves(self) -> None:
-        """Serve the user, who has asked for nothing, with a window that offers to continue."""
-        self.app.state.left_off.read()
-        self.app.state.show_left_off = True
+    def _begin_with(self, tour: TourWish | None) -> None:
+        """Serve the user, who named nothing to open: with a tour, which opens it, else with an offer to continue."""
+        if tour is None:
+            self.app.state.left_off.read()
+            self.app.state.show_left_off = True
+        self.app.state.tour = tour
         self.app.run(lambda: self.signals.received is not None)
 
     def _say_in_window(self, error: str) -> None:

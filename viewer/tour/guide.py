@@ -60,6 +60,7 @@ class Guide:
         self._deeds: deque[Deed] = deque()
         self._before: Before | None = None
         self._models: Models | None = None
+        self._scene: str | None = None  # of the steps that name none; None: not known yet
         self._waiting = False  # for a model
         self._stopping = False  # whether a study of another step is being stopped
         self._settings: RunSettings | None = None  # the reader's, while a tour is on
@@ -82,7 +83,7 @@ class Guide:
             return
         source = folder or shipped()
         if self._models is None or folder != self._folder:
-            self._models = Models(source)
+            self._models, self._scene = Models(source), None
         self._models.saved = False
         self._settings = self._settings or state.settings
         self.on, self._folder, self.steps, self.at, self.error = True, folder, (), 0, ""
@@ -172,7 +173,9 @@ class Guide:
         self._waiting = bool(self._deeds) and self._models.waiting(state)
         if self._waiting or not self._deeds:
             return []
-        opening = self._models.open(state, wanted(self.steps, self.at, DEMO if self._folder is None else ""))
+        if self._scene is None:  # a tour of the reader's own is about what is open
+            self._scene = DEMO if self._folder is None or state.snapshot.scene is None else ""
+        opening = self._models.open(state, wanted(self.steps, self.at, self._scene))
         if opening is not None:
             return [opening]
         actions: list[Action] = []
