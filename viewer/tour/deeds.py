@@ -9,10 +9,13 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import platformdirs
 
+from nerf_core.common.configs import changed
+from nerf_core.common.errors import UserError
 from nerf_core.geometry.turntable import rotation_from
 from nerf_core.lab.study import STUDIES
 from nerf_core.live.messages import Inspect, Pause, StartStudy, Train
@@ -74,6 +77,14 @@ def _pairs(words: list[str]) -> tuple[tuple[str, str], ...]:
     if not all(name and equals and value for name, equals, value in pairs):
         raise ValueError("write options as name=value")
     return tuple((name, value) for name, _, value in pairs)
+
+
+def _check(constants: Any, pairs: tuple[tuple[str, str], ...], name: str) -> None:
+    """Raise ValueError for an option that a method or a study does not have, or whose value does not fit."""
+    try:
+        changed(constants, dict(pairs), name)
+    except UserError as error:
+        raise ValueError(str(error).removeprefix("--set ")) from None
 
 
 def _photo(text: str) -> Deed:
@@ -204,7 +215,9 @@ def _method(text: str) -> Deed:
     name, *options = text.split() or [""]
     if name not in METHODS.names():
         raise ValueError(f"choose of {', '.join(METHODS.names())}")
-    return Deed(method=name, changes=_pairs(options))
+    pairs = _pairs(options)
+    _check(METHODS.get(name).constants(), pairs, name)
+    return Deed(method=name, changes=pairs)
 
 
 def _study(text: str) -> Deed:
@@ -212,13 +225,14 @@ def _study(text: str) -> Deed:
     name, *options = text.split() or [""]
     if name not in STUDIES.names():
         raise ValueError(f"choose of {', '.join(STUDIES.names())}")
-    pairs = dict(_pairs(options))
+    pairs = _pairs(options)
+    _check(STUDIES.get(name)(), pairs, name)
 
     def start(state: AppState) -> list[Action]:
         study = state.snapshot.study
         if study is not None and (study.state == "running" or (study.name == name and study.state == "done")):
             return []  # the reader's own is not disturbed
-        return [StartStudy(name, pairs, _study_folder(name))]
+        return [StartStudy(name, dict(pairs), _study_folder(name))]
 
     return Deed(start, ready=lambda state: own_study(state) in ("", name), study=name)
 

@@ -165,10 +165,16 @@ def test_another_method_begins_anew_on_the_same_scene(open_desk: OpenDesk) -> No
     assert begun.step == 0
     assert begun.scene is scene
     assert desk.trained(3).step == 3
-    desk.send(UseMethod("wings"))
-    desk.until_told("unknown method 'wings'")
-    assert desk.worker.snapshot().method == "voxels"
-    assert desk.worker.snapshot().step == 3
+    for refused, words in (
+        (UseMethod("wings"), "unknown method 'wings'"),
+        (UseMethod("voxels", changes={"x": "1"}), "has no such"),
+    ):
+        desk.send(refused)
+        desk.until_told(words)
+        assert desk.worker.snapshot().method == "voxels"
+        assert desk.worker.snapshot().step == 3
+    desk.send(UseMethod("voxels", changes={"prune_every": "40"}))
+    desk.until(lambda s: s.config["prune_every"] == 40)
 
 
 @pytest.mark.parametrize("command", [Train(), Reset(), SaveCheckpoint(Path("x")), LoadCheckpoint(Path("x"))])

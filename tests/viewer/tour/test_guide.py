@@ -70,7 +70,8 @@ def start(offscreen: Callable[..., Window], tmp_path: Path) -> Iterator[Callable
 
     def begin(folder: Path | None, **options: object) -> App:
         worker = scripted.ScriptedWorker(scripted.make_scene())
-        app = App(offscreen((1280, 800)), worker, **options)  # pyright: ignore[reportArgumentType]
+        worker.stride = 8
+        app = App(offscreen((1000, 640)), worker, **options)  # pyright: ignore[reportArgumentType]
         apps.append(app)
         app.settle(2)
         app.state.tour = TourWish("begin", folder)
@@ -177,7 +178,7 @@ def test_the_place_and_the_ticks_are_remembered(start: Callable[..., App], folde
 
 
 def test_a_tour_saves_the_readers_own_model_before_it_opens_its_own(start: Callable[..., App], tmp_path: Path) -> None:
-    (tmp_path / "1.md").write_text("# A\nText.\n@scene demo\n@method voxels prune=0.1\n@train")
+    (tmp_path / "1.md").write_text("# A\nText.\n@scene demo\n@method voxels prune_every=40\n@train")
     (tmp_path / "2.md").write_text("# B\nText.\n@mode view-dependence")
     app = start(tmp_path)
     until(app, lambda: bool(sent(app, InOrder)))
@@ -186,7 +187,7 @@ def test_a_tour_saves_the_readers_own_model_before_it_opens_its_own(start: Calla
     save, opening = both.commands
     assert isinstance(save, SaveUnsaved)
     assert isinstance(opening, OpenScene)
-    assert (opening.path, opening.options.method, opening.options.changes) == (None, "voxels", {"prune": "0.1"})
+    assert (opening.path, opening.options.method, opening.options.changes) == (None, "voxels", {"prune_every": "40"})
     worker = app.link
     assert isinstance(worker, scripted.ScriptedWorker)
     assert not sent(app, Train)  # it waits for the model

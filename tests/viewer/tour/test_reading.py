@@ -55,6 +55,8 @@ def test_the_page_lists_everything(name: str, table: dict[str, object], found: s
         ("# A\n\nb\n@open 1 nan 2", 4, "3 numbers"),
         ("# A\n\nb\n@method nerfs", 4, "choose of"),
         ("# A\n\nb\n@method nerf width", 4, "name=value"),
+        ("# A\n\nb\n@method nerf widths=3", 4, "no such constant"),
+        ("# A\n\nb\n@study image size=1", 4, "at least 16"),
         ("# A\n\nb\n@do file.save", 4, "choose of camera.frame"),
         ("# A\n\nb\n@equation {sigmas}", 4, "is no value"),
         ("# A\n\nb\n@until moved", 4, "after @try"),

@@ -195,6 +195,19 @@ def test_going_back_goes_on_with_the_model_that_was_there(begun: tuple[App, Obed
     assert (worker.current.method, worker.current.step) == (first, 7)
 
 
+def test_another_language_keeps_the_place(begun: tuple[App, Obedient]) -> None:
+    app, worker = begun
+    rest(app)
+    app.tour.go(1)
+    rest(app)
+    english, sent = app.tour.steps[1].title, len(worker.sent)
+    app.state.language = "ru"
+    app.settle(3)
+    assert app.tour.at == 1
+    assert app.tour.steps[1].title != english
+    assert len(worker.sent) == sent  # and nothing is done again
+
+
 def test_a_refused_model_does_not_stop_the_tour(begun: tuple[App, Obedient]) -> None:
     app, worker = begun
     rest(app)
