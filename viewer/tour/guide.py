@@ -14,7 +14,6 @@ from nerf_core.common.errors import UserError
 from nerf_core.common.files import write_atomically
 from nerf_core.common.language import ENGLISH, language
 from nerf_core.live.messages import CancelStudy
-from nerf_core.training.settings import RunSettings
 
 from ..model.state import Action, AppState
 from .conditions import Before, before
@@ -22,6 +21,7 @@ from .deeds import DEMO, Deed, own_study
 from .models import Models, wanted
 from .steps import Step, read_tour
 
+RESTORED = "settings", "mode", "show_cameras", "show_samples"  # of the state, when the reader leaves
 SHIPPED = "shipped"  # the key of the program's own tour in the file that remembers places
 
 
@@ -63,7 +63,7 @@ class Guide:
         self._scene: str | None = None  # of the steps that name none; None: not known yet
         self._waiting = False  # for a model
         self._stopping = False  # whether a study of another step is being stopped
-        self._settings: RunSettings | None = None  # the reader's, while a tour is on
+        self._own: dict[str, Any] = {}  # choices of the reader that steps change, while a tour is on
 
     @property
     def step(self) -> Step | None:
@@ -85,7 +85,7 @@ class Guide:
         if self._models is None or folder != self._folder:
             self._models, self._scene = Models(source), None
         self._models.saved = False
-        self._settings = self._settings or state.settings
+        self._own = self._own or {name: getattr(state, name) for name in RESTORED}
         self.on, self._folder, self.steps, self.at, self.error = True, folder, (), 0, ""
         self._before, self._language = None, language()
         self._deeds.clear()
@@ -111,8 +111,9 @@ class Guide:
         """End the tour. If the reader's own model was put aside, offer to return to it."""
         self.on, state.only_panels, state.page = False, None, ""
         self._deeds.clear()
-        if self._settings is not None:  # the tour's methods are not for what the reader opens next
-            state.settings, self._settings = self._settings, None
+        for name, value in self._own.items():  # the tour's methods are not for what the reader opens next
+            setattr(state, name, value)
+        self._own = {}
         if self._models is not None and self._models.saved:
             state.left_off.read()
             state.show_left_off = True
