@@ -19,7 +19,8 @@ def frequency(
 ) -> Float[Tensor, "P width"]:
     """Positional encoding γ(p) = (p, sin 2⁰p, cos 2⁰p, …, sin 2^{L−1}p, cos 2^{L−1}p).
 
-    p: points (P, D), of three dimensions in a scene. frequencies: L. include_input: whether p itself is part of the output. pi: multiply p by π.
+    p: points (P, D), of three dimensions in a scene. frequencies: L. include_input: whether p itself is part of the
+    output. pi: multiply p by π.
     Returns (P, frequency_width(L, include_input, D)) float32.
 
     NeRF Eq. 4 (arXiv:2003.08934) uses 2^k π p and no raw input. The official code, from which the published numbers

@@ -90,6 +90,8 @@ def _opened(words: Sequence[str]) -> Holds:
     if len(words) != 5 or words[0] != "near":
         raise ValueError("write opened, or opened near X Y Z R")
     *point, radius = (_number(word, "number") for word in words[1:])
+    if radius <= 0:
+        raise ValueError("the radius R is greater than 0")
 
     def near(state: AppState, begun: Before) -> bool:
         ray, scene = state.snapshot.ray, state.snapshot.scene
@@ -161,7 +163,9 @@ def _moved(words: Sequence[str]) -> Holds:
     _none(words)
 
     def moved(state: AppState, begun: Before) -> bool:
-        return not state.camera.flying and bool(np.abs(state.camera.c2w() - begun.pose).max() > WIGGLE)
+        if state.camera.flying or state.current_view is not None:  # a photo's camera is none of the reader's
+            return False
+        return bool(np.abs(state.camera.c2w() - begun.pose).max() > WIGGLE)
 
     return moved
 

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
 import numpy as np
@@ -207,6 +207,9 @@ def _scene(text: str) -> Deed:
     """`@scene demo` or `@scene PATH`: what this step and the following ones are about; PATH from the tour's folder."""
     if not text:
         raise ValueError("write demo, or the path of a capture")
+    for path in (PurePosixPath(text), PureWindowsPath(text)):  # a tour may come from anywhere: it opens its own alone
+        if path.is_absolute() or path.anchor or ".." in path.parts:
+            raise ValueError("the capture lies in the tour's folder: write a path from there, without ..")
     return Deed(scene=text)
 
 

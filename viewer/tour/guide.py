@@ -63,6 +63,8 @@ class Guide:
         self._scene: str | None = None  # of the steps that name none; None: not known yet
         self._waiting = False  # for a model
         self._stopping = False  # whether a study of another step is being stopped
+        self._put_aside = False  # whether a model of the reader's was saved by a tour before this one
+        self._last: list[Action] = []  # to be done after the tour has ended
         self._own: dict[str, Any] = {}  # choices of the reader that steps change, while a tour is on
 
     @property
@@ -83,8 +85,8 @@ class Guide:
             return
         source = folder or shipped()
         if self._models is None or folder != self._folder:
+            self._put_aside |= self._models is not None and self._models.saved
             self._models, self._scene = Models(source), None
-        self._models.saved = False
         self._own = self._own or {name: getattr(state, name) for name in RESTORED}
         self.on, self._folder, self.steps, self.at, self.error = True, folder, (), 0, ""
         self._before, self._language = None, language()
@@ -114,7 +116,11 @@ class Guide:
         for name, value in self._own.items():  # the tour's methods are not for what the reader opens next
             setattr(state, name, value)
         self._own = {}
-        if self._models is not None and self._models.saved:
+        self._last = [CancelStudy()] if own_study(state) else []
+        if self._put_aside or (self._models is not None and self._models.saved):
+            self._put_aside = False
+            if self._models is not None:
+                self._models.saved = False
             state.left_off.read()
             state.show_left_off = True
 
@@ -123,10 +129,11 @@ class Guide:
     def act(self, state: AppState) -> list[Action]:
         """Do what is due: take the files that were read, perform deeds, notice what is done."""
         if not self.on:
-            return []
-        if self._language != language() and self._folder is None:
-            self._reread()
+            last, self._last = self._last, []
+            return last
         self._take()
+        if self.steps and self._language != language() and self._folder is None:
+            self._reread()
         step = self.step
         state.only_panels = step.panels if step is not None and state.presenter else None
         state.page = step.page if step is not None else ""

@@ -9,11 +9,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import platformdirs
 import pytest
 import scripted
 from imgui_bundle import imgui
 
-from nerf_core.live.messages import InOrder, Inspect, OpenScene, Pause, SaveUnsaved, Train
+from nerf_core.lab.records import StudyState
+from nerf_core.live.messages import CancelStudy, InOrder, Inspect, OpenScene, Pause, SaveUnsaved, Train
 from nerf_core.rendering.export.requests import Export
 from viewer.app.app import App
 from viewer.model.state import TourWish
@@ -199,6 +201,37 @@ def test_a_tour_saves_the_readers_own_model_before_it_opens_its_own(start: Calla
     assert not sent(app, OpenScene)
     app.tour.leave(app.state)
     assert app.state.show_left_off
+
+
+def test_leaving_offers_what_an_earlier_tour_put_aside_and_stops_its_study(
+    start: Callable[..., App], tmp_path: Path
+) -> None:
+    one, other = tmp_path / "one", tmp_path / "other"
+    for folder, text in ((one, "# A\nText.\n@scene demo\n@method voxels"), (other, "# B\nText.\n@study image")):
+        folder.mkdir()
+        (folder / "1.md").write_text(text)
+    app = start(one)
+    until(app, lambda: bool(sent(app, InOrder)))
+    app.state.tour = TourWish("begin", other)
+    until(app, lambda: app.tour.step is not None and app.tour.step.title == "B")
+    worker = app.link
+    assert isinstance(worker, scripted.ScriptedWorker)
+    running = StudyState("image", platformdirs.user_cache_path("nerf-viewer") / "tour" / "image-1")
+    worker.current = replace(worker.current, study=running)
+    app.settle(2)
+    assert not sent(app, CancelStudy)  # it is this step's
+    app.tour.leave(app.state)
+    app.settle(2)
+    assert app.state.show_left_off
+    assert len(sent(app, CancelStudy)) == 1
+
+
+def test_a_language_that_is_chosen_while_the_steps_are_read_counts(start: Callable[..., App]) -> None:
+    app = start(None)
+    app.tour.steps = ()  # as while they are read
+    app.state.tour = TourWish("begin")
+    app.state.language = "ru"
+    until(app, lambda: app.tour.step is not None and app.tour.step.title == "Фотографии и камеры")
 
 
 def test_a_presenter_sees_the_panels_of_the_step_alone_in_large_type(start: Callable[..., App], folder: Path) -> None:
