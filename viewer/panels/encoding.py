@@ -21,6 +21,7 @@ from ..draw.encoding_waves import WavePlot, bar_code
 from ..draw.paint_canvas import SIDE
 from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
+from ..ui.study_page import StudyFolders
 from ..ui.widgets import button, hint, mono
 from .encoding_source import Source
 
@@ -55,7 +56,8 @@ class EncodingPanel:
 
     def __init__(self) -> None:
         self._view = "pictures"
-        self._source = Source()
+        self._folders = StudyFolders("encoding")
+        self._source = Source(self._folders)
         self._pictures, self._waves = PictureRow(), WavePlot()
         self._values: dict[str, float] = {}  # of the sliders, where they differ from the study's knobs
         self._sent: dict[str, float] = {}  # turns that the worker has not yet obeyed
@@ -99,7 +101,7 @@ class EncodingPanel:
     def _begin(self, study: StudyState | None) -> Iterator[Action]:
         """Learn the chosen picture from the beginning, with what the sliders say."""
         try:
-            folder = self._source.fresh_folder()
+            folder = self._folders.fresh(study.folder if study is not None else None)
         except OSError as error:
             self._source.problem, self._view = str(error), "draw"
             return

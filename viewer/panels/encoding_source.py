@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 import threading
-import weakref
 from functools import cache
 from pathlib import Path
 
@@ -21,6 +18,7 @@ from nerf_core.rendering.video import write_png
 
 from ..draw.paint_canvas import SIDE, PaintCanvas, blank, checker, stripes
 from ..ui.contract import Ui
+from ..ui.study_page import StudyFolders
 from ..ui.widgets import button, color_of, field_beside, field_width, hint, same_line_if_fits
 
 COLORS = ("000000", "ffffff", "7f7f7f", "d55e00", "e69f00", "f0e442", "009e73", "56b4e9", "0072b2", "cc79a7")
@@ -53,18 +51,15 @@ class Source:
     photo: its file; None: the built-in picture.
     canvas: what the reader paints.
     problem: why a photo or a drawing cannot be taken; empty: nothing is wrong.
-
-    Each study gets a folder of its own, in a temporary folder that goes when the window does: this page is for playing,
-    and the Lab panel and `nerf-core lab` write results to keep.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, folders: StudyFolders) -> None:
+        """folders: where a drawing is kept."""
         self.photo: Path | None = None
         self.canvas = PaintCanvas()
         self.problem = ""
         self._path = ""
-        self._home: str | None = None
-        self._folders: list[Path] = []
+        self._folders = folders
 
     @property
     def preview(self) -> np.ndarray | None:
@@ -72,17 +67,6 @@ class Source:
         if self.photo is None:
             return built_in().image
         return self.canvas.pixels if self.photo.name == DRAWING else None
-
-    def fresh_folder(self) -> Path:
-        """Make a folder for a study. Only the one before it stays: a study may still work there. Raises OSError."""
-        if self._home is None:
-            self._home = tempfile.mkdtemp(prefix="nerf-viewer-encoding-")
-            weakref.finalize(self, shutil.rmtree, self._home, ignore_errors=True)  # at the latest when Python ends
-        while len(self._folders) > 1:
-            shutil.rmtree(self._folders.pop(0), ignore_errors=True)
-        folder = Path(tempfile.mkdtemp(dir=self._home))
-        self._folders.append(folder)
-        return folder
 
     def draw(self, ui: Ui, obstacle: str) -> bool:
         """Draw the canvas with its tools. Returns True in the frame in which something is chosen to be learnt.
@@ -166,7 +150,7 @@ class Source:
 
     def _saved(self) -> Path:
         """Write the drawing, and return its file. Raises UserError or OSError."""
-        file = self.fresh_folder() / DRAWING
+        file = self._folders.kept("drawing") / DRAWING
         write_png(file, self.canvas.pixels)
         return file
 

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
-import weakref
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -24,6 +20,7 @@ from ..draw.flat_photos import FlatPhotos, strips_height
 from ..draw.flat_plots import psnr_plot, ray_plots
 from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
+from ..ui.study_page import StudyFolders
 from ..ui.widgets import button, color_of, hint, mono, packed
 
 STUDY = "flatland"
@@ -58,20 +55,6 @@ LESSON = marked(
 )
 
 
-class _Folders:
-    """Folders for studies, which go when the page does: it is for playing. `nerf-core lab` writes what is to stay."""
-
-    def __init__(self) -> None:
-        self._home: str | None = None
-
-    def fresh(self) -> Path:
-        """Make a folder. Raises OSError."""
-        if self._home is None:
-            self._home = tempfile.mkdtemp(prefix="nerf-viewer-flatland-")
-            weakref.finalize(self, shutil.rmtree, self._home, ignore_errors=True)
-        return Path(tempfile.mkdtemp(dir=self._home))
-
-
 @PANELS.register("flatland")
 class FlatlandPanel:
     title = marked("Flatland")
@@ -79,7 +62,8 @@ class FlatlandPanel:
     order = 7
 
     def __init__(self) -> None:
-        self._map, self._world, self._photos, self._folders = FlatMap(), FlatMap(), FlatPhotos(), _Folders()
+        self._map, self._world, self._photos = FlatMap(), FlatMap(), FlatPhotos()
+        self._folders = StudyFolders("flatland")
         self._values: dict[str, float] = {}  # of the sliders, where they differ from the study's knobs
         self._chosen = Chosen(0, None)
         self._held = False  # the ray stays where it is
@@ -149,7 +133,7 @@ class FlatlandPanel:
     def _begin(self, study: StudyState | None) -> Iterator[Action]:
         """Begin with what the sliders say."""
         try:
-            folder = self._folders.fresh()
+            folder = self._folders.fresh(study.folder if study is not None else None)
         except OSError as error:
             self._problem = str(error)
             return

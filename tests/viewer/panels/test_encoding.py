@@ -67,6 +67,25 @@ def test_what_is_painted_is_learnt(screen: Screen) -> None:
     assert "encoding.canvas" not in screen.widgets  # the pictures that learn it are in its place
 
 
+def test_the_drawing_and_what_may_still_run_outlive_those_that_begin_again(screen: Screen) -> None:
+    panel, state = opened(screen), make_state(make_snapshot())
+    screen.click(panel, state, "encoding.view.draw")
+    screen.click(panel, state, "encoding.stripes")
+    (first,) = screen.click(panel, state, "encoding.learn_drawing")
+    assert isinstance(first, StartStudy)
+    begun, shown = [first], replace(make_study("running", "image"), folder=first.folder)
+    state.snapshot = replace(state.snapshot, study=shown)
+    for _ in range(3):  # the worker is late: it still shows the first
+        begun += [a for a in screen.click(panel, state, "encoding.again") if isinstance(a, StartStudy)]
+    assert len(begun) == 4
+    assert all(one.folder.is_dir() and one.photo == first.photo for one in begun)
+    assert first.photo is not None
+    state.snapshot = replace(state.snapshot, study=replace(shown, folder=begun[-1].folder))
+    screen.click(panel, state, "encoding.again")
+    assert [one.folder.is_dir() for one in begun] == [False, False, False, True]
+    assert first.photo.is_file()
+
+
 def test_a_drawing_replaces_what_is_being_learnt_but_no_other_study(screen: Screen) -> None:
     panel, state = opened(screen), with_study("running")
     screen.click(panel, state, "encoding.view.draw")
