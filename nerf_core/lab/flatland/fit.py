@@ -99,8 +99,10 @@ class FlatFit:
         self.world, self.truth, self.config, self.steps = world, truth, config, 0
         start = torch.Generator().manual_seed(config.seed)
         self.networks = {name: FlatNetwork(config.frequencies, config.directions, start) for name in ("coarse", "fine")}
-        self.parameters = [p for net in self.networks.values() for p in net.parameters()]
-        self.optimizer = torch.optim.Adam(self.parameters, lr=RATE, fused=True)
+        # one for each network: without fine samples, the fine one has no gradients, and its optimiser no state
+        self.optimizers = {
+            name: torch.optim.Adam(net.parameters(), lr=RATE, fused=True) for name, net in self.networks.items()
+        }
         self.generator = torch.Generator().manual_seed(config.seed + 1)
         noise = torch.randn(len(truth.training) * PIXELS, 3, generator=start)
         self.photos = truth.colors[: len(noise)] + config.noise * noise
@@ -144,15 +146,17 @@ class FlatFit:
         The loss is that of both passes (NeRF Eq. 6), as a mean over pixels and channels.
         """
         done = min(self.steps / self.config.steps, 1.0)
-        self.optimizer.param_groups[0]["lr"] = RATE * (LAST_RATE / RATE) ** done
         chosen = torch.randint(len(self.photos), (RAYS,), generator=self.generator)
         photos = self.photos[chosen]
         loss = torch.stack(
             [(p.color - photos).square().mean() for p in self.passes(self.truth.rays[chosen], self.generator)]
         )
-        self.optimizer.zero_grad()
+        for optimizer in self.optimizers.values():
+            optimizer.zero_grad()
         loss.sum().backward()
-        self.optimizer.step()
+        for optimizer in self.optimizers.values():
+            optimizer.param_groups[0]["lr"] = RATE * (LAST_RATE / RATE) ** done
+            optimizer.step()
         self.steps += 1
         return float(loss.sum().detach())
 
@@ -178,15 +182,19 @@ class FlatFit:
     def state(self) -> dict[str, Tensor]:
         """Return networks, optimiser and random state, for a file. The config is kept beside it."""
         nets = {f"{name}.{key}": v for name, net in self.networks.items() for key, v in net.state_dict().items()}
-        return nets | adam_state(self.optimizer) | {
+        moments = {
+            f"{name}.{key}": v for name, one in self.optimizers.items() for key, v in adam_state(one).items()
+        }  # fmt: skip
+        return nets | moments | {
             "generator": self.generator.get_state(), "steps": torch.tensor(self.steps),
         }  # fmt: skip
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         """Continue from `state`. Raises KeyError, RuntimeError or ValueError if it does not fit."""
         for name, net in self.networks.items():
-            net.load_state_dict({key: state[f"{name}.{key}"] for key in net.state_dict()})
-        load_adam(self.optimizer, self.parameters, state)
+            own = {key.removeprefix(f"{name}."): value for key, value in state.items() if key.startswith(f"{name}.")}
+            net.load_state_dict({key: own[key] for key in net.state_dict()})
+            load_adam(self.optimizers[name], list(net.parameters()), own)
         self.generator.set_state(state["generator"])
         self.steps = int(state["steps"])
 
