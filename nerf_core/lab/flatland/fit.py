@@ -104,7 +104,8 @@ class FlatFit:
             name: torch.optim.Adam(net.parameters(), lr=RATE, fused=True) for name, net in self.networks.items()
         }
         self.generator = torch.Generator().manual_seed(config.seed + 1)
-        noise = torch.randn(len(truth.training) * PIXELS, 3, generator=start)
+        grain = torch.Generator().manual_seed(config.seed + 2)  # its own: the photos do not depend on the networks
+        noise = torch.randn(len(truth.training) * PIXELS, 3, generator=grain)
         self.photos = truth.colors[: len(noise)] + config.noise * noise
 
     # ---- the paper's equations --------------------------------------------------------------------------------------

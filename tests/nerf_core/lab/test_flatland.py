@@ -91,6 +91,16 @@ def test_it_learns_the_photos(truth: Truth) -> None:
     assert gain > 4, f"{gain:.1f} dB"
 
 
+def test_networks_of_other_frequencies_learn_the_same_noisy_photos(truth: Truth) -> None:
+    first, second, other = (
+        FlatFit(World(), truth, FlatConfig(frequencies=count, noise=0.1, seed=seed)).photos
+        for count, seed in ((0, 0), (8, 0), (8, 1))
+    )
+    assert torch.equal(first, second)
+    assert not torch.equal(first, other)
+    assert float((first - truth.colors[: len(first)]).std()) == pytest.approx(0.1, rel=0.1)
+
+
 def test_without_directions_a_point_looks_the_same_from_all_sides(truth: Truth) -> None:
     p, d = torch.zeros(2, 2), torch.tensor([[1.0, 0.0], [0.0, 1.0]])
     for directions in (0, 3):
