@@ -111,7 +111,7 @@ def phrase(text: str, **values: object) -> str:
     Args:
         text: the sentence, with named fields that may have a format specification: "{share:.0%} at {t:.3g}".
         values: by the names of the fields. Numbers get the language's separators, and phrases are said in the language
-            too. Other texts, such as names, stay as they are.
+            too. Other texts stay as they are, for they may be names: wrap a formatted number in `digits`.
     """
     found = _Phrase(text.format(**values))
     found.forms, found.values = (text,), values
@@ -164,8 +164,8 @@ class _Fields(Formatter):
     def format_field(self, value: Any, format_spec: str) -> str:
         if isinstance(value, Real):
             return figure(value, format_spec)  # pyright: ignore[reportArgumentType]  numpy's numbers, too
-        if isinstance(value, _Phrase) or (isinstance(value, str) and NUMBERS.fullmatch(value)):
-            return tr(value)
+        if isinstance(value, _Phrase):
+            return value.said()
         return format(value, format_spec)
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, runtime_c
 
 from nerf_core.common.configs import check_ranges
 from nerf_core.common.errors import UserError, shorten
-from nerf_core.common.language import marked, phrase
+from nerf_core.common.language import digits, marked, phrase, phrases
 from nerf_core.common.registry import Registry
 from nerf_core.datasets import LoadOptions
 from nerf_core.geometry.scene import Scene
@@ -157,8 +157,10 @@ def budget(text: str, option: str = "--budget") -> Goal:
 def spelled(text: str) -> str:
     """Return a budget in words: "90 s", "10 min", "1 h", "200 steps"."""
     count, unit = re.fullmatch(r"([0-9.]+) ?(s|m|h|steps)", text.strip()).groups()  # pyright: ignore[reportOptionalMemberAccess]: `budget` has read it
+    if unit == "steps":
+        return phrases("{n:,} step", "{n:,} steps", round(float(count)))
     spelling = {"s": marked("{count} s"), "m": marked("{count} min"), "h": marked("{count} h")}
-    return phrase(spelling.get(unit, marked("{count} steps")), count=count)
+    return phrase(spelling[unit], count=digits(count))
 
 
 def chosen(text: str, names: Iterable[str], option: str) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from nerf_core.common.language import figure, marked, phrase
+from nerf_core.common.language import digits, figure, marked, phrase
 from nerf_core.common.text import number, triple
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.rays import Rays
@@ -183,7 +183,7 @@ def _photo_stages(scene: Scene, camera: Camera, ray: RayProbe) -> tuple[Stage, .
 
 def _place(pixel: tuple[int, int]) -> str:
     """Return a pixel's column and row as text."""
-    return ", ".join(figure(v, ",") for v in pixel)
+    return digits(", ".join(f"{v:,}" for v in pixel))
 
 
 def _composited(ray: RayProbe, p: PassProbe) -> np.ndarray:

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from imgui_bundle import ImVec2, imgui
 
-from nerf_core.common.language import figure, marked, phrase, tr
+from nerf_core.common.language import digits, figure, marked, phrase, tr
 from nerf_core.common.text import number, triple
 from nerf_core.methods import lacking
 from nerf_core.probe import RayProbe
@@ -201,7 +201,7 @@ class RayPanel:
             rows.append((tr(label), depth, partial(_glyph, ui, glyph)))
         if ray.begins:
             rows.append((tr("t begins"), f"{tr(number(ray.near, 3))}, {tr(ray.begins)}"))
-        counts = " + ".join(f"{len(p.t):,}" for p in ray.passes)
+        counts = digits(" + ".join(f"{len(p.t):,}" for p in ray.passes))
         rows.append((tr("samples"), phrase("{counts} at step {step:,}", counts=counts, step=ray.step)))
         figures(ui, "ray figures", rows)
 

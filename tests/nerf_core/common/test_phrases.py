@@ -8,7 +8,7 @@ import pickle
 import pytest
 
 from nerf_core.common import language
-from nerf_core.common.language import listed, phrase, phrases, tr
+from nerf_core.common.language import digits, listed, phrase, phrases, tr
 
 TEXTS = {"{share:.0%} at {t:.3g}, {why}": "{why}: {t:.3g}, {share:.0%}", "of {name}": "у {name}", "train": "учёба"}
 
@@ -50,4 +50,10 @@ def test_numbers_of_the_worker_get_the_separators(text: str, said: str, monkeypa
     monkeypatch.setattr(language, "_catalogue", lambda _: Catalogue())
     monkeypatch.setattr(language._speaker, "language", "ru")
     assert tr(text) == said
-    assert tr(phrase("of {name}", name=text)) == f"у {said}"
+
+
+def test_a_name_of_digits_is_not_a_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(language, "_catalogue", lambda _: Catalogue())
+    monkeypatch.setattr(language._speaker, "language", "ru")
+    assert tr(phrase("of {name}", name="2024.10")) == "у 2024.10"  # a folder, say
+    assert tr(phrase("of {name}", name=digits("1,024.5"))) == "у 1\xa0024,5"
