@@ -8,21 +8,19 @@ from typing import Literal
 
 import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
-from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.common.language import figure, marked, tr
 from nerf_core.common.text import NOTHING, duration
 from nerf_core.lab.records import Curve, Knob, StudyState
-from nerf_core.lab.study import STUDIES, Turnable
-from nerf_core.live.messages import CancelStudy, StartStudy, TurnKnob
+from nerf_core.live.messages import TurnKnob
 
 from ..draw.encoding_pictures import GAP_EM, LINE_EM, PictureRow, Shown
 from ..draw.encoding_waves import WavePlot, bar_code
 from ..draw.paint_canvas import SIDE
 from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
-from ..ui.study_page import StudyFolders
-from ..ui.widgets import button, hint, mono
+from ..ui.study_page import StudyPage, single
+from ..ui.widgets import button, hint, mono, same_line_for
 from .encoding_source import Source
 
 STUDY = "image"
@@ -56,83 +54,48 @@ class EncodingPanel:
 
     def __init__(self) -> None:
         self._view = "pictures"
-        self._folders = StudyFolders("encoding")
-        self._source = Source(self._folders)
+        self._page = StudyPage(STUDY, "encoding", OPTIONS)
+        self._source = Source(self._page.folders)
         self._pictures, self._waves = PictureRow(), WavePlot()
-        self._values: dict[str, float] = {}  # of the sliders, where they differ from the study's knobs
         self._sent: dict[str, float] = {}  # turns that the worker has not yet obeyed
-        self._known: dict[str, float] = {}  # the study's knobs in the last frame
-        self._begun: StartStudy | None = None  # the newest study that this page asked for
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
-        snapshot = state.snapshot
+        snapshot, page = state.snapshot, self._page
         if snapshot.status == "loading" and not snapshot.loaded:
             hint(ui, tr("Networks that learn a picture: they appear when PyTorch is loaded."))
             return
-        study = snapshot.study if snapshot.study is not None and snapshot.study.name == STUDY else None
-        other = snapshot.study if snapshot.study is not None and snapshot.study.name != STUDY else None
-        obstacle = ""
-        if other is not None and other.state == "running":
-            name = tr(STUDIES.get(other.name).title)
-            text = tr(
-                "The study “{name}” is running, and there is one at a time: wait for it, or cancel it in the Lab."
-            )
-            obstacle = text.format(name=name)
+        study, begun = page.look(snapshot), page.begun
+        page.photo = self._source.photo
         self._pictures.top = imgui.get_window_pos().y
         narrow = imgui.get_window_width() < NARROW_EM * ui.em
         if not narrow:
-            yield from self._toolbar(ui, study, obstacle)
+            yield from self._toolbar(ui, study)
         imgui.begin_child("page", ImVec2(0, 0))
         if narrow:  # where the buttons take several lines, they scroll with the page
-            yield from self._toolbar(ui, study, obstacle)
-        if obstacle:
-            hint(ui, obstacle, ui.theme.warning)
-        if study is not None:
-            _failure(ui, study)
+            yield from self._toolbar(ui, study)
+        page.remarks(ui)
         if self._view == "draw":
-            if self._source.draw(ui, obstacle):
-                yield from self._begin(study)
+            if self._source.draw(ui, page.obstacle):
+                page.photo = self._source.photo
+                yield from page.begin()
         else:
             self._learning(ui, study)
         imgui.end_child()
-
-    # ---- what is done -------------------------------------------------------------------------------------------
-
-    def _begin(self, study: StudyState | None) -> Iterator[Action]:
-        """Learn the chosen picture from the beginning, with what the sliders say."""
-        try:
-            folder = self._folders.fresh(study.folder if study is not None else None)
-        except OSError as error:
-            self._source.problem, self._view = str(error), "draw"
-            return
-        if study is not None and study.state == "running":
-            yield CancelStudy()
-        options = {OPTIONS[name]: f"{value:.6g}" for name, value in self._wanted(study).items()}
-        self._begun = StartStudy(STUDY, options, folder, self._source.photo)
-        self._view = "pictures" if self._view == "draw" else self._view
-        yield self._begun
-
-    def _can_go_on(self, study: StudyState) -> bool:
-        """Whether it was stopped, and this page knows how it was begun."""
-        return study.state == "cancelled" and self._begun is not None and self._begun.folder == study.folder
-
-    def _wanted(self, study: StudyState | None) -> dict[str, float]:
-        """Return L and σ as the sliders show them."""
-        return {knob.name: self._values.get(knob.name, knob.value) for knob in _knobs(study)}
+        if page.begun is not begun and self._view == "draw":
+            self._view = "pictures"
 
     # ---- above --------------------------------------------------------------------------------------------------
 
-    def _toolbar(self, ui: Ui, study: StudyState | None, obstacle: str) -> Iterator[Action]:
-        yield from self._buttons(ui, study, obstacle)
-        running = study is not None and study.state == "running"
+    def _toolbar(self, ui: Ui, study: StudyState | None) -> Iterator[Action]:
+        yield from self._page.buttons(ui)
         slider = SLIDER_EM[imgui.get_window_width() < NARROW_EM * ui.em] * ui.em
-        for knob in _knobs(study):
-            _same_line(ui, slider + 1.2 * ui.em, 0.7)
+        for knob in self._page.knobs():
+            same_line_for(slider + 1.2 * ui.em, 0.7 * ui.em)
             imgui.set_next_item_width(slider)
-            yield from self._slider(ui, knob, running)
+            yield from self._slider(ui, knob)
         names = {"pictures": tr("Pictures"), "spectra": tr("Spectra"), "draw": tr("Draw…")}
         for k, view in enumerate(VIEWS):
-            _same_line(ui, _button_width(names[view]), 0.25 if k else 0.7)
+            same_line_for(_button_width(names[view]), (0.25 if k else 0.7) * ui.em)
             chosen = self._view == view
             if chosen:
                 imgui.push_style_color(imgui.Col_.button, imgui.get_style().color_(imgui.Col_.button_active))
@@ -141,9 +104,9 @@ class EncodingPanel:
                 self._view = view
             if chosen:
                 imgui.pop_style_color()
-        if study is not None and running:
+        if study is not None and self._page.running:
             percent = f"{figure(100 * study.fraction, '.0f')} %"
-            _same_line(ui, imgui.calc_text_size(percent).x, 0.7)
+            same_line_for(imgui.calc_text_size(percent).x, 0.7 * ui.em)
             with mono(ui):
                 imgui.align_text_to_frame_padding()
                 imgui.text_colored(ui.theme.accent, percent)
@@ -151,41 +114,19 @@ class EncodingPanel:
             if study.seconds_left is not None:
                 imgui.set_item_tooltip(tr("{time} left").format(time=tr(duration(study.seconds_left))))
 
-    def _buttons(self, ui: Ui, study: StudyState | None, obstacle: str) -> Iterator[Action]:
-        """Draw what begins, stops and continues the study."""
-        restart = icons.ICON_FA_ROTATE_LEFT
-        tip = obstacle or tr("Training and the window go on meanwhile.")
-        if study is None:
-            if button(ui, f"{icons.ICON_FA_PLAY}  {tr('Start')}", "encoding.start", enabled=not obstacle, tip=tip):
-                yield from self._begin(study)
-            return
-        again = tr("Begin again")
-        if study.state == "running":
-            kept = tr("What is learnt is kept: you can go on from there.")
-            if button(ui, f"{icons.ICON_FA_STOP}  {tr('Stop')}", "encoding.stop", tip=kept):
-                yield CancelStudy()
-        elif self._can_go_on(study) and self._begun is not None:
-            if button(ui, f"{icons.ICON_FA_PLAY}  {tr('Go on')}", "encoding.go_on", enabled=not obstacle, tip=tip):
-                yield self._begun
-        else:
-            if button(ui, f"{restart}  {again}", "encoding.again", enabled=not obstacle, tip=tip):
-                yield from self._begin(study)
-            return
-        imgui.same_line()
-        if button(ui, restart, "encoding.again", enabled=not obstacle, tip=obstacle or again):
-            yield from self._begin(study)
+    def _slider(self, ui: Ui, knob: Knob) -> Iterator[Action]:
+        """Draw a slider that turns its knob while it is dragged: L at every number, σ every few percent.
 
-    def _slider(self, ui: Ui, knob: Knob, running: bool) -> Iterator[Action]:
-        """Draw a slider that turns its knob while it is dragged: L at every number, σ every few percent."""
-        name = knob.name
-        value = self._values.get(name, knob.value)
+        A study that has ended begins again when it is let go.
+        """
+        name, page = knob.name, self._page
+        value = page.values.get(name, knob.value)
         label = f"{name}##encoding.{name}"
         if name == L:
             changed, number = imgui.slider_int(label, round(value), round(knob.least), round(knob.most))
-            value = float(number) if changed else value
         else:
             flags = imgui.SliderFlags_.logarithmic
-            changed, value = imgui.slider_float(label, value, knob.least, knob.most, "%.3g", flags)
+            changed, number = imgui.slider_float(label, value, knob.least, knob.most, "%.3g", flags)
         ui.mark(f"encoding.{name}")
         if imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip):
             imgui.set_tooltip(
@@ -194,18 +135,18 @@ class EncodingPanel:
                 else tr("deviation of the Gaussian encoding's frequencies, in cycles per picture")
             )
         if changed:
-            self._values[name] = value
+            value = page.values[name] = single(number)
         sent = self._sent.get(name, knob.value)
         ended = imgui.is_item_deactivated_after_edit()
         far = value != sent if name == L else abs(math.log(value / sent)) > math.log(STEP)
-        if not running or knob.value == sent:
+        if not page.running or knob.value == sent:
             self._sent.pop(name, None)  # the worker has obeyed
-        if running and ((changed and far) or (ended and value != sent)):
+        if page.running and ((changed and far) or (ended and value != sent)):
             self._sent[name] = value
             yield TurnKnob(name, value)
-        if not (imgui.is_item_active() or changed or name in self._sent) and self._known.get(name) != knob.value:
-            self._known[name] = knob.value  # it was turned, here or in the Lab
-            self._values.pop(name, None)
+        elif ended:
+            yield from page.let_go(knob, value)
+        page.settle(knob, dragged=imgui.is_item_active() or changed or name in self._sent)
 
     # ---- pictures and plots -------------------------------------------------------------------------------------
 
@@ -222,7 +163,7 @@ class EncodingPanel:
         grid = across * size[0] + (across - 1) * GAP_EM * ui.em
         imgui.begin_child("pictures", ImVec2(grid if wide else 0, 0), imgui.ChildFlags_.auto_resize_y)
         if both or self._view == "pictures":
-            self._pictures.draw(ui, rows["pictures"], size, lambda pixel: self._numbers(ui, study, pixel, shape))
+            self._pictures.draw(ui, rows["pictures"], size, lambda pixel: self._numbers(ui, pixel, shape))
         if both:
             self._pictures.draw(ui, rows["spectra"], size, captions=False)
         elif self._view == "spectra":
@@ -230,7 +171,7 @@ class EncodingPanel:
         hint(ui, lesson)
         imgui.end_child()
         pixel = self._pictures.pixel or (shape[1] // 2, shape[0] // 2)
-        count = round(self._wanted(study).get(L, 4))
+        count = round(self._page.wanted().get(L, 4))
         if wide:
             imgui.same_line(0, ui.em)
             imgui.begin_child("plots", ImVec2(0, 0))
@@ -257,8 +198,8 @@ class EncodingPanel:
         """Return the pictures and the spectra, the target's first."""
         looks = {look.name: look.image for look in study.looks} if study is not None else {}
         target = looks.get("photo", self._source.preview)
-        wanted = self._wanted(study)
-        count, sigma = str(round(wanted.get(L, 0))), figure(wanted.get(SIGMA, 0), ".3g")
+        learnt = self._page.learnt() if study is not None else self._page.wanted()
+        count, sigma = str(round(learnt.get(L, 0))), figure(learnt.get(SIGMA, 0), ".3g")
         captions = {
             "none": (tr("(x, y) alone"), "(x, y)"),
             "basic": (tr("basic, L = {n}").format(n="1"), "L = 1"),
@@ -277,29 +218,12 @@ class EncodingPanel:
             spectra.append(Shown(f"spectrum of {name}", looks.get(f"spectrum of {name}"), captions[name], notes, color))
         return {"pictures": pictures, "spectra": spectra}
 
-    def _numbers(self, ui: Ui, study: StudyState | None, pixel: tuple[int, int], shape: tuple[int, ...]) -> None:
+    def _numbers(self, ui: Ui, pixel: tuple[int, int], shape: tuple[int, ...]) -> None:
         """Draw, under the enlarged parts, the pixel's 4L numbers."""
-        count = round(self._wanted(study).get(L, 4))
+        count = round(self._page.learnt().get(L, 4))
         text = tr("column {column}, row {row}: {n} numbers of the positional encoding, L = {L}")
         imgui.text_colored(ui.theme.muted, text.format(column=pixel[0], row=pixel[1], n=4 * count, L=count))
         bar_code(ui, count, pixel, max(shape), imgui.get_content_region_avail().x)
-
-
-def _knobs(study: StudyState | None) -> tuple[Knob, ...]:
-    """Return L and σ with their ranges and values: the study's, or those that it would begin with."""
-    if study is not None and study.knobs:
-        return study.knobs
-    kind = STUDIES.get(STUDY)()
-    return kind.knobs() if isinstance(kind, Turnable) else ()
-
-
-def _failure(ui: Ui, study: StudyState) -> None:
-    """Say what went wrong."""
-    wrong = next((row.text for row in study.rows if row.state == "failed"), "")
-    if study.state == "failed":
-        hint(ui, tr("The study failed: see Notices."), ui.theme.error)
-    elif wrong:
-        hint(ui, tr(wrong), ui.theme.error)
 
 
 def _picture_size(
@@ -341,10 +265,3 @@ def _curves(ui: Ui, curves: Mapping[str, Curve], height: float) -> None:
 
 def _button_width(label: str) -> float:
     return imgui.calc_text_size(label).x + 2 * imgui.get_style().frame_padding.x
-
-
-def _same_line(ui: Ui, width: float, gap_em: float = 0.5) -> None:
-    """Stay on the line if an item of this width fits on it, after a gap; else start a line."""
-    right = imgui.get_window_pos().x + imgui.get_window_width() - imgui.get_style().window_padding.x
-    if imgui.get_item_rect_max().x + gap_em * ui.em + width <= right:
-        imgui.same_line(0, gap_em * ui.em)

@@ -19,7 +19,7 @@ from nerf_core.rendering.video import write_png
 from ..draw.paint_canvas import SIDE, PaintCanvas, blank, checker, stripes
 from ..ui.contract import Ui
 from ..ui.study_page import StudyFolders
-from ..ui.widgets import button, color_of, field_beside, field_width, hint, same_line_if_fits
+from ..ui.widgets import button, color_of, field_beside, field_width, hint, same_line_for, same_line_if_fits
 
 COLORS = ("000000", "ffffff", "7f7f7f", "d55e00", "e69f00", "f0e442", "009e73", "56b4e9", "0072b2", "cc79a7")
 BRUSH = 1.0, 32.0  # pixels
@@ -93,7 +93,7 @@ class Source:
         size = imgui.get_frame_height()
         for k, code in enumerate(COLORS):
             if k:
-                _same_line_for(size, 0.25 * ui.em)
+                same_line_for(size, 0.25 * ui.em)
             red, green, blue = bytes.fromhex(code)
             if _color(ui, code, size, chosen=(red, green, blue) == canvas.color):
                 canvas.color = red, green, blue
@@ -153,13 +153,6 @@ class Source:
         file = self._folders.kept("drawing") / DRAWING
         write_png(file, self.canvas.pixels)
         return file
-
-
-def _same_line_for(width: float, gap: float) -> None:
-    """Stay on the line if an item of this width fits on it."""
-    right = imgui.get_cursor_screen_pos().x + imgui.get_content_region_avail().x
-    if imgui.get_item_rect_max().x + gap + width <= right:
-        imgui.same_line(0, gap)
 
 
 def _color(ui: Ui, code: str, size: float, chosen: bool) -> bool:

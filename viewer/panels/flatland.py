@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -12,16 +13,15 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from nerf_core.common.language import figure, marked, tr
 from nerf_core.lab.flatland.view import FlatView
 from nerf_core.lab.records import Knob, StudyState
-from nerf_core.lab.study import STUDIES, Turnable
-from nerf_core.live.messages import CancelStudy, StartStudy, TurnKnob
+from nerf_core.live.messages import TurnKnob
 
 from ..draw.flat_map import Chosen, FlatMap
 from ..draw.flat_photos import FlatPhotos, strips_height
 from ..draw.flat_plots import psnr_plot, ray_plots
 from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
-from ..ui.study_page import StudyFolders
-from ..ui.widgets import button, color_of, hint, mono, packed
+from ..ui.study_page import StudyPage, single
+from ..ui.widgets import hint, mono, same_line_for, swatch
 
 STUDY = "flatland"
 CAMERA, PIXEL = "camera", "pixel"  # the knobs that choose a ray
@@ -63,113 +63,70 @@ class FlatlandPanel:
 
     def __init__(self) -> None:
         self._map, self._world, self._photos = FlatMap(), FlatMap(), FlatPhotos()
-        self._folders = StudyFolders("flatland")
-        self._values: dict[str, float] = {}  # of the sliders, where they differ from the study's knobs
+        self._page = StudyPage(STUDY, "flatland", {name: option for name, (option, _, _) in SLIDERS.items()})
         self._chosen = Chosen(0, None)
         self._held = False  # the ray stays where it is
         self._sent: tuple[int, int] | None = None  # the ray that the worker was last asked for
         self._truth = False  # where there is room for one picture, it is the world's
-        self._begun: StartStudy | None = None
-        self._problem = ""
+        self._newest: tuple[Path, str] | None = None  # the study that was asked for it, and its state
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
         snapshot = state.snapshot
         if snapshot.status == "loading" and not snapshot.loaded:
             hint(ui, tr("A flat world that is learnt in seconds: it appears when PyTorch is loaded."))
             return
-        study = snapshot.study if snapshot.study is not None and snapshot.study.name == STUDY else None
-        other, obstacle = snapshot.study, ""
-        if other is not None and other.name != STUDY and other.state == "running":
-            text = tr(
-                "The study “{name}” is running, and there is one at a time: wait for it, or cancel it in the Lab."
-            )
-            obstacle = text.format(name=tr(STUDIES.get(other.name).title))
-        yield from self._toolbar(ui, study, obstacle)
+        study = self._page.look(snapshot)
+        newest = (study.folder, study.state) if study is not None else None
+        if newest != self._newest:
+            self._newest, self._sent = newest, None  # this one has not been asked
+        yield from self._toolbar(ui)
         imgui.begin_child("page", ImVec2(0, 0))
-        if obstacle or self._problem:
-            hint(ui, obstacle or self._problem, ui.theme.warning)
-        wrong = next((row.text for row in study.rows if row.state == "failed"), "") if study is not None else ""
-        if wrong or (study is not None and study.state == "failed"):
-            hint(ui, tr(wrong) or tr("The study failed: see Notices."), ui.theme.error)
+        self._page.remarks(ui)
         if study is None or study.flat is None:
             hint(ui, tr(BEFORE))
         else:
-            yield from self._page(ui, study, study.flat)
+            yield from self._learning(ui, study, study.flat)
         imgui.end_child()
 
     # ---- above --------------------------------------------------------------------------------------------------
 
-    def _toolbar(self, ui: Ui, study: StudyState | None, obstacle: str) -> Iterator[Action]:
-        yield from self._buttons(ui, study, obstacle)
-        knobs = {knob.name: knob for knob in _knobs(study)}
-        gap, padding = 0.4, imgui.get_style().window_padding.x
+    def _toolbar(self, ui: Ui) -> Iterator[Action]:
+        yield from self._page.buttons(ui)
+        knobs = {knob.name: knob for knob in self._page.knobs()}
+        gap, padding = 0.4 * ui.em, imgui.get_style().window_padding.x
         room = imgui.get_window_pos().x + imgui.get_window_width() - padding - imgui.get_item_rect_max().x
-        wide = min(max(room / len(SLIDERS) - gap * ui.em, SLIDER_EM[0] * ui.em), SLIDER_EM[1] * ui.em)
+        wide = min(max(room / len(SLIDERS) - gap, SLIDER_EM[0] * ui.em), SLIDER_EM[1] * ui.em)
         for name in SLIDERS:
             if name in knobs:
-                _same_line(ui, float(int(wide)), gap)
+                same_line_for(float(int(wide)), gap)
                 imgui.set_next_item_width(float(int(wide)))
-                yield from self._slider(ui, knobs[name], tr(SLIDERS[name][1]), study)
+                yield from self._slider(ui, knobs[name], tr(SLIDERS[name][1]))
 
-    def _buttons(self, ui: Ui, study: StudyState | None, obstacle: str) -> Iterator[Action]:
-        tip = obstacle or tr("Training and the window go on meanwhile.")
-        if study is not None and study.state == "running":
-            kept = tr("What is learnt is kept: you can go on from there.")
-            if button(ui, f"{icons.ICON_FA_STOP}  {tr('Stop')}", "flatland.stop", tip=kept):
-                yield CancelStudy()
-        elif study is not None and study.state == "cancelled" and self._begun and self._begun.folder == study.folder:
-            if button(ui, f"{icons.ICON_FA_PLAY}  {tr('Go on')}", "flatland.go_on", enabled=not obstacle, tip=tip):
-                self._sent = None
-                yield self._begun
-                yield from (TurnKnob(name, value) for name, value in self._values.items())
-        elif button(ui, f"{icons.ICON_FA_PLAY}  {tr('Start')}", "flatland.start", enabled=not obstacle, tip=tip):
-            yield from self._begin(study)
-        if study is not None:
-            imgui.same_line()
-            again = obstacle or tr("Begin again")
-            if button(ui, icons.ICON_FA_ROTATE_LEFT, "flatland.again", enabled=not obstacle, tip=again):
-                yield from self._begin(study)
-
-    def _begin(self, study: StudyState | None) -> Iterator[Action]:
-        """Begin with what the sliders say."""
-        try:
-            folder = self._folders.fresh(study.folder if study is not None else None)
-        except OSError as error:
-            self._problem = str(error)
-            return
-        if study is not None and study.state == "running":
-            yield CancelStudy()
-        knobs = {knob.name: self._values.get(knob.name, knob.value) for knob in _knobs(study)}
-        options = {SLIDERS[name][0]: f"{value:.6g}" for name, value in knobs.items() if name in SLIDERS}
-        self._begun, self._problem, self._sent = StartStudy(STUDY, options, folder), "", None
-        yield self._begun
-
-    def _slider(self, ui: Ui, knob: Knob, label: str, study: StudyState | None) -> Iterator[Action]:
+    def _slider(self, ui: Ui, knob: Knob, label: str) -> Iterator[Action]:
         """Draw a slider, which turns its knob when it is let go: most knobs begin anew."""
-        name = knob.name
-        value = self._values.get(name, knob.value)
+        name, page = knob.name, self._page
+        value = page.values.get(name, knob.value)
         sign = " = " if len(label) <= LETTERS else " "
         shown = f"{label}{sign}%.2f" if name == "noise" else f"{label}{sign}%d"
         if name == "noise":
-            changed, value = imgui.slider_float(f"##flatland.{name}", value, knob.least, knob.most, shown)
+            changed, number = imgui.slider_float(f"##flatland.{name}", value, knob.least, knob.most, shown)
         else:
             ends = round(knob.least), round(knob.most)
-            changed, whole = imgui.slider_int(f"##flatland.{name}", round(value), *ends, shown)
-            value = float(whole)
+            changed, number = imgui.slider_int(f"##flatland.{name}", round(value), *ends, shown)
         ui.mark(f"flatland.{name}")
         active, ended = imgui.is_item_active(), imgui.is_item_deactivated_after_edit()
         imgui.set_item_tooltip(tr(SLIDERS[name][2]))
         if changed:
-            self._values[name] = value
-        running = study is not None and study.state == "running"
-        if running and ended:
+            value = page.values[name] = single(number)
+        if ended and page.running:
             yield TurnKnob(name, value)
-        if running and not (active or ended) and value == knob.value:
-            self._values.pop(name, None)  # the worker has obeyed
+        elif ended:
+            yield from page.let_go(knob, value)
+        page.settle(knob, dragged=active or changed)
 
     # ---- below --------------------------------------------------------------------------------------------------
 
-    def _page(self, ui: Ui, study: StudyState, view: FlatView) -> Iterator[Action]:
+    def _learning(self, ui: Ui, study: StudyState, view: FlatView) -> Iterator[Action]:
         over = self._laid_out(ui, study, view)
         if over is not None and study.state != "running":
             imgui.set_tooltip(tr("Start or go on, to open other rays."))
@@ -265,8 +222,8 @@ class FlatlandPanel:
             imgui.text_colored(ui.theme.ray, icons.ICON_FA_LOCK)
             imgui.set_item_tooltip(tr("The ray is held: another click lets it follow the mouse."))
         for label, color in ((tr("learnt"), ray.passes[-1].color), (tr("world"), ray.truth)):
-            _same_line(ui, imgui.calc_text_size(label).x + 1.3 * ui.em, 0.6)
-            _swatch(ui, color)
+            same_line_for(imgui.calc_text_size(label).x + 1.3 * ui.em, 0.6 * ui.em)
+            swatch(ui, color)
             imgui.same_line(0, 0.25 * ui.em)
             imgui.text_colored(ui.theme.muted, label)
         room = imgui.get_content_region_avail()
@@ -293,27 +250,3 @@ class FlatlandPanel:
         left = imgui.get_content_region_avail()
         psnr_plot(ui, study.curves, ImVec2(max(left.x, ui.em), max(left.y, least) if wide else least))
         return over
-
-
-def _knobs(study: StudyState | None) -> tuple[Knob, ...]:
-    """Return the knobs with their values: the study's, or those that it would begin with."""
-    if study is not None and study.knobs:
-        return study.knobs
-    kind = STUDIES.get(STUDY)()
-    return kind.knobs() if isinstance(kind, Turnable) else ()
-
-
-def _swatch(ui: Ui, rgb: np.ndarray) -> None:
-    at, high = imgui.get_cursor_screen_pos(), imgui.get_text_line_height()
-    low, far = ImVec2(at.x, at.y + 0.15 * high), ImVec2(at.x + ui.em, at.y + 0.9 * high)
-    draw = imgui.get_window_draw_list()
-    draw.add_rect_filled(low, far, packed(color_of(rgb)))
-    draw.add_rect(low, far, packed(ui.theme.hairline))
-    imgui.dummy(ImVec2(ui.em, high))
-
-
-def _same_line(ui: Ui, width: float, gap_em: float) -> None:
-    """Stay on the line if an item of this width fits on it, after a gap; else start a line."""
-    right = imgui.get_window_pos().x + imgui.get_window_width() - imgui.get_style().window_padding.x
-    if imgui.get_item_rect_max().x + gap_em * ui.em + width <= right:
-        imgui.same_line(0, gap_em * ui.em)

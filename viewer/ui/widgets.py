@@ -123,6 +123,13 @@ def same_line_if_fits(label: str, more: float = 0.0) -> None:
         imgui.same_line()
 
 
+def same_line_for(width: float, gap: float) -> None:
+    """Stay on the line if an item of this width fits on it after a gap, both in pixels; else start a line."""
+    right = imgui.get_cursor_screen_pos().x + imgui.get_content_region_avail().x
+    if imgui.get_item_rect_max().x + gap + width <= right:
+        imgui.same_line(0, gap)
+
+
 def swatch(ui: Ui, rgb: Sequence[float] | np.ndarray) -> None:
     """Draw a square of a colour, as high as a line, with a hairline so that it shows on any background."""
     size = imgui.get_text_line_height()

@@ -129,7 +129,31 @@ def test_sliders_turn_the_running_study_while_they_are_dragged(screen: Screen) -
     turned_in_the_lab = replace(study, knobs=tuple(knob._replace(value=3.0) for knob in study.knobs))
     state.snapshot = replace(state.snapshot, study=turned_in_the_lab)
     screen.frame(panel, state)
-    assert panel._wanted(turned_in_the_lab) == {"L": 3.0, "σ": 3.0}
+    assert panel._page.wanted() == {"L": 3.0, "σ": 3.0}
+
+
+@pytest.mark.parametrize("ended", ["done", "cancelled"])
+def test_a_slider_that_is_let_go_begins_an_ended_study_again(screen: Screen, ended: str) -> None:
+    panel, state = opened(screen), with_study(ended)
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    left, top, right, bottom = screen.widgets["encoding.L"]
+    y = (top + bottom) / 2
+    (start,) = screen.drag(panel, state, ((left + right) / 2, y), (right, y))
+    assert isinstance(start, StartStudy)
+    assert start.options == {"frequencies": "12", "sigma": "10"}
+    study = state.snapshot.study
+    assert study is not None
+    captions = {one.name: one.captions[-1] for one in panel._rows(screen, study, {})["pictures"]}
+    assert captions["positional"] == "L = 6"  # what is shown was learnt with it
+    begun = replace(study, state="running", folder=start.folder, knobs=(study.knobs[0]._replace(value=12.0),))
+    state.snapshot = replace(state.snapshot, study=begun)
+    screen.frame(panel, state)
+    assert {one.name: one.captions[-1] for one in panel._rows(screen, begun, {})["pictures"]}["positional"] == "L = 12"
+    begun_in_the_lab = replace(make_study("running", "image"), folder=start.folder / "other")
+    state.snapshot = replace(state.snapshot, study=begun_in_the_lab)
+    screen.frame(panel, state)
+    assert panel._page.wanted() == {"L": 6.0, "σ": 10.0}
 
 
 def test_the_numbers_are_those_that_networks_get() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -112,6 +113,26 @@ def test_a_slider_turns_a_running_study_and_begins_another(
     state.snapshot = replace(state.snapshot, study=replace(study, name="image"))
     assert "flatland.stop" not in screen.widgets
     assert screen.click(panel, state, "flatland.start") == []  # one at a time
+
+
+@pytest.mark.parametrize("ended", ["done", "cancelled"])
+def test_a_slider_that_is_let_go_begins_an_ended_study_again(
+    screen: Screen, page: tuple[FlatlandPanel, AppState], ended: Literal["done", "cancelled"]
+) -> None:
+    panel, state = page
+    study = state.snapshot.study
+    assert study is not None
+    state.snapshot = replace(state.snapshot, study=replace(study, state=ended))
+    screen.frame(panel, state)
+    screen.frame(panel, state)
+    left, top, right, bottom = screen.widgets["flatland.fine"]
+    (begun,) = screen.drag(panel, state, ((left + right) / 2, (top + bottom) / 2), (left + 2, top + 3))
+    assert isinstance(begun, StartStudy)
+    assert (begun.options["fine"], begun.options["cameras"]) == ("0", "16")
+    new = replace(study, folder=begun.folder, knobs=Flatland(fine=0).knobs())
+    state.snapshot = replace(state.snapshot, study=new)
+    assert hover(screen, panel, state, 5, 5) == {"camera": 0.0, "pixel": PIXELS // 2}  # it is told the ray, too
+    assert panel._page.values == {}
 
 
 def test_it_shows_the_world_and_the_pictures_once(screen: Screen, page: tuple[FlatlandPanel, AppState]) -> None:
