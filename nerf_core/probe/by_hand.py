@@ -97,14 +97,18 @@ def hand_cdf(ray: HandRay) -> np.ndarray:
 
 
 def hand_levels(count: int) -> np.ndarray:
-    """Return the levels of the CDF at which samples are placed: `count` evenly spaced numbers from 0 to 1."""
-    return np.linspace(0.0, 1.0, count)
+    """Return the levels of the CDF at which samples are placed: (k + ½) / `count` for k = 0 … `count` − 1.
+
+    They are the middles of equal shares of the weight. At level 1 a sample would lie at `far`, where nothing is left.
+    """
+    return (np.arange(count) + 0.5) / count
 
 
 def resample_by_weights(ray: HandRay, count: int) -> np.ndarray:
     """Place samples where the weight is: inverse transform sampling, as the paper's fine pass (NeRF, section 5.2).
 
-    The CDF of the weights is inverted at evenly spaced levels. Training draws random levels instead.
+    The CDF of the weights is inverted at `hand_levels`, as `nerf_core.volume.sampling.quantiles` does at given levels.
+    Training draws random levels instead. The renderer's are evenly spaced from 0 to 1, both included.
 
     Args:
         ray: at least one sample.

@@ -32,7 +32,7 @@ SHOWN_WEIGHT = 0.005  # a lesser weight would stand as 0.00 in the sum, and is l
 DRAWN, MOST_DRAWN = 16, 64  # samples by the weights, at first and at most
 WHY_BOTH = marked(
     "A sample stands for all up to the next: alone, the drawn ones blur every edge. "
-    "The fine pass keeps the first samples too."
+    "The fine pass keeps the first samples too. That is exact here: the field is constant between your samples."
 )
 PICKER = (
     imgui.ColorEditFlags_.no_inputs | imgui.ColorEditFlags_.no_label | imgui.ColorEditFlags_.no_alpha
@@ -223,13 +223,13 @@ class ByHandPanel:
         both = np.unique(np.concatenate([ray.t, drawn]))
         count = str(self._count)
         rows = (
-            (tr("{n} evenly").format(n=str(len(even))), even),
-            (tr("{n} by w alone").format(n=count), drawn),
-            (tr("{n} + {m}, fine pass").format(n=str(len(ray.t)), m=count), both),
+            (tr("{n} evenly").format(n=str(len(even))), even, True),
+            (tr("{n} by w alone").format(n=count), drawn, True),
+            (tr("{n} + {m}, fine pass").format(n=str(len(ray.t)), m=count), both, False),  # it is always exact
         )
         numbered = imgui.get_content_region_avail().x > TRIPLE_EM * ui.em
         if imgui.begin_table("resampled", 4 if numbered else 3, imgui.TableFlags_.sizing_fixed_fit):
-            for name, t in rows:
+            for name, t, errs in rows:
                 pixel = hand_terms(sampled_at(ray, t)).pixel
                 imgui.table_next_column()
                 imgui.text_colored(ui.theme.muted, name)
@@ -239,7 +239,8 @@ class ByHandPanel:
                     if numbered:
                         _cell(triple(pixel))
                     imgui.table_next_column()
-                    imgui.text_colored(ui.theme.muted, f"±{figure(np.abs(pixel - terms.pixel).max(), '.3f')}")
+                    error = f"±{figure(np.abs(pixel - terms.pixel).max(), '.3f')}" if errs else ""
+                    imgui.text_colored(ui.theme.muted, error)
             imgui.end_table()
         hint(ui, tr(WHY_BOTH))
         ui.mark("hand.resampled")
