@@ -73,7 +73,7 @@ class FlatlandPanel:
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
         snapshot = state.snapshot
         if snapshot.status == "loading" and not snapshot.loaded:
-            hint(ui, tr("A flat world that is learnt in seconds: it appears when PyTorch is loaded."))
+            hint(ui, tr("A flat world that takes shape in seconds: it appears when PyTorch is loaded."))
             return
         study = self._page.look(snapshot)
         newest = (study.folder, study.state) if study is not None else None

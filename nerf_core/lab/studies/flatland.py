@@ -1,4 +1,4 @@
-"""`nerf-core lab flatland`: a world of two dimensions, learnt from one-dimensional photos in seconds."""
+"""`nerf-core lab flatland`: a world of two dimensions, learnt from one-dimensional photos in a minute or two."""
 
 from __future__ import annotations
 
