@@ -32,7 +32,8 @@ CROP = 0.22  # the side of a crop, as a share of the picture's shorter side
 FRAMES = (RED, BLUE)  # of the two crops
 
 
-def _page(width: float, height: float) -> Any:
+def blank_page(width: float, height: float) -> Any:
+    """Return an empty figure of this size in inches, which no window shows."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -41,7 +42,8 @@ def _page(width: float, height: float) -> Any:
     return page
 
 
-def _png(page: Any) -> bytes:
+def png_of(page: Any) -> bytes:
+    """Return a figure as a PNG."""
     data = io.BytesIO()
     page.savefig(data, format="png")
     return data.getvalue()
@@ -57,7 +59,7 @@ def memory_plot(done: Sequence[Result], value_bytes: int) -> bytes:
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):
-        page = _page(5.2, 2.6)
+        page = blank_page(5.2, 2.6)
         left, right = page.subplots(1, 2)
         sides = [r["side"] for r in done]
         for axes in (left, right):
@@ -74,7 +76,7 @@ def memory_plot(done: Sequence[Result], value_bytes: int) -> bytes:
         right.plot(sides, [r["psnr"] for r in done], "o-", color=BLUE, ms=4, lw=1.4)
         right.set_ylabel("PSNR of held-out views (dB)")
         right.set_title("quality", fontsize=9, loc="left")
-        return _png(page)
+        return png_of(page)
 
 
 def sampling_plot(groups: Mapping[tuple[str, int], Sequence[float]]) -> bytes:
@@ -82,7 +84,7 @@ def sampling_plot(groups: Mapping[tuple[str, int], Sequence[float]]) -> bytes:
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):
-        page = _page(4.2, 2.8)
+        page = blank_page(4.2, 2.8)
         axes = page.subplots()
         for way, color, mark in (("uniform", ORANGE, "s"), ("hierarchical", BLUE, "o")):
             calls = sorted(n for name, n in groups if name == way)
@@ -98,7 +100,7 @@ def sampling_plot(groups: Mapping[tuple[str, int], Sequence[float]]) -> bytes:
         axes.set(xlabel="network calls per ray", ylabel="PSNR of held-out views (dB)")
         axes.grid(color=GRID, lw=0.6)
         axes.legend(frameon=False, loc="best")
-        return _png(page)
+        return png_of(page)
 
 
 def ablation_plot(groups: Mapping[int, Sequence[float]]) -> bytes:
@@ -110,7 +112,7 @@ def ablation_plot(groups: Mapping[int, Sequence[float]]) -> bytes:
 
     base = COMPLETE if COMPLETE in groups else max(groups)
     with mpl.rc_context(STYLE):
-        page = _page(5.6, 0.7 + 0.34 * len(groups))
+        page = blank_page(5.6, 0.7 + 0.34 * len(groups))
         axes = page.subplots()
         for place, n in enumerate(sorted(groups)):
             own = [value - mean(groups[base]) for value in groups[n]]
@@ -126,7 +128,7 @@ def ablation_plot(groups: Mapping[int, Sequence[float]]) -> bytes:
         axes.grid(axis="x", color=GRID, lw=0.6)
         axes.set_axisbelow(True)
         axes.legend(frameon=False, loc="best")
-        return _png(page)
+        return png_of(page)
 
 
 def comparison(
@@ -148,7 +150,7 @@ def comparison(
     from PIL import Image
 
     with mpl.rc_context(STYLE):
-        page = _page(2.1 + 1.05 * (len(names) + 1), 2.25 * len(views))
+        page = blank_page(2.1 + 1.05 * (len(names) + 1), 2.25 * len(views))
         grid = page.add_gridspec(2 * len(views), 2 + len(names), width_ratios=[2.1, *([1.0] * (len(names) + 1))])
         for k, index in enumerate(views):
             truth = to_bytes(scene.images[index].astype(np.float32) / 65535)
@@ -171,7 +173,7 @@ def comparison(
                     if j == 0:
                         psnr = "" if name == "photo" else f"\n{results[name]['images'][k]['psnr']:.1f} dB"
                         axes.set_title(f"{name}{psnr}", fontsize=7)
-        return _png(page)
+        return png_of(page)
 
 
 def detailed(image: np.ndarray, side: int, count: int) -> list[tuple[int, int]]:

@@ -12,6 +12,7 @@ from nerf_core.common.language import tr
 
 from ..ui.contract import Ui
 from ..ui.widgets import mono, packed
+from .opaque import OpaquePictures
 
 ZOOMED = 20  # pixels of a side of the enlarged part
 ZOOM_EM = 6.0  # its side on the screen
@@ -47,15 +48,12 @@ class PictureRow:
     def __init__(self) -> None:
         self.pixel: tuple[int, int] | None = None
         self.top = 0.0
-        self._known: dict[str, tuple[np.ndarray, np.ndarray]] = {}  # arrays and their RGBA, so that each is sent once
+        self._opaque = OpaquePictures()
 
     def texture(self, ui: Ui, name: str, image: np.ndarray, smooth: bool = True) -> imgui.ImTextureRef:
-        known = self._known.get(name)
-        if known is None or known[0] is not image:
-            opaque = np.full((*image.shape[:2], 1), 255, np.uint8)
-            known = self._known[name] = image, np.concatenate([image, opaque], -1)
         # a texture has one filter: the enlarged one, whose pixels are to be seen, is another
-        return ui.texture(f"encoding {name}{'' if smooth else ' zoomed'}", known[1], smooth)
+        rgba = self._opaque.rgba(name, image)
+        return ui.texture(f"encoding {name}{'' if smooth else ' zoomed'}", rgba, smooth)
 
     def draw(
         self,

@@ -12,6 +12,7 @@ from imgui_bundle import ImVec2, imgui
 from nerf_core.lab.flatland.view import FlatPass, FlatRay, FlatView
 
 from ..ui.widgets import faded, packed, tints
+from .opaque import OpaquePictures
 
 if TYPE_CHECKING:
     from ..ui.contract import Ui
@@ -33,6 +34,9 @@ class Chosen:
 
 class FlatMap:
     """A square picture of [−1, 1]² within the ring."""
+
+    def __init__(self) -> None:
+        self._opaque = OpaquePictures()
 
     def draw(self, ui: Ui, view: FlatView, side: float, learnt: bool, mark: str, camera: int) -> Chosen | None:
         """Draw it, and return what the mouse chooses.
@@ -59,7 +63,7 @@ class FlatMap:
         picture = view.field if learnt else view.truth
         ground = tints(picture[:1, 0] / 255)[0]  # the background goes on outside the square
         draw.add_rect_filled(at, ImVec2(at.x + side, at.y + side), ground)
-        texture = ui.texture(f"{mark} picture", opaque(mark, picture))
+        texture = ui.texture(f"{mark} picture", self._opaque.rgba(mark, picture))
         draw.add_image(texture, place(np.array([-1.0, 1.0])), place(np.array([1.0, -1.0])))
         for k, p in enumerate(view.cameras):
             self._camera(ui, draw, place, p, 0.5 * ui.em / scale, k < view.training, k == camera)
@@ -143,14 +147,3 @@ def pixel_towards(view: FlatView, camera: int, p: np.ndarray) -> int:
     slope = float(offset @ right) / max(float(offset @ inwards), 1e-6)
     edge = 1 / np.sqrt(away**2 - 1)
     return int(np.clip((slope / edge + 1) / 2 * wide, 0, wide - 1))
-
-
-_OPAQUE: dict[str, tuple[np.ndarray, np.ndarray]] = {}  # by key, an array and its RGBA, so that it is uploaded once
-
-
-def opaque(key: str, rgb: np.ndarray) -> np.ndarray:
-    """Return an RGBA picture of (h, w, 3) uint8; the same array as long as `rgb` is the same."""
-    known = _OPAQUE.get(key)
-    if known is None or known[0] is not rgb:
-        _OPAQUE[key] = rgb, np.concatenate([rgb, np.full((*rgb.shape[:2], 1), 255, np.uint8)], -1)
-    return _OPAQUE[key][1]

@@ -10,7 +10,8 @@ from imgui_bundle import ImVec2, imgui
 from nerf_core.lab.flatland.view import FlatView
 
 from ..ui.widgets import packed
-from .flat_map import Chosen, opaque
+from .flat_map import Chosen
+from .opaque import OpaquePictures
 
 if TYPE_CHECKING:
     from ..ui.contract import Ui
@@ -36,6 +37,7 @@ class FlatPhotos:
     def __init__(self) -> None:
         self._of: tuple[np.ndarray, np.ndarray] | None = None
         self._rows = np.zeros((2, 1, 3), np.uint8)
+        self._opaque = OpaquePictures()
 
     def draw(self, ui: Ui, view: FlatView, size: tuple[float, float], chosen: Chosen) -> Chosen | None:
         """Draw them into a size in pixels, and return what the mouse chooses."""
@@ -48,7 +50,8 @@ class FlatPhotos:
         imgui.invisible_button("flatland.photos", ImVec2(wide, high))
         ui.mark("flatland.photos")
         draw, low, far = imgui.get_window_draw_list(), ImVec2(at.x + gutter, at.y), ImVec2(at.x + wide, at.y + high)
-        draw.add_image(ui.texture("flatland photos", opaque("flatland photos", self._rows), smooth=False), low, far)
+        rows = self._opaque.rgba("rows", self._rows)
+        draw.add_image(ui.texture("flatland photos", rows, smooth=False), low, far)
         pair, pixels = high / len(order), view.photos.shape[1]
         for k, camera in enumerate(order.tolist()):
             top, middle = at.y + k * pair, at.y + (k + 0.5) * pair

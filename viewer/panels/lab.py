@@ -18,6 +18,7 @@ from nerf_core.lab.records import Curve, Look, StudyState, Table
 from nerf_core.lab.study import STUDIES, Study, takes_photo
 from nerf_core.live.messages import CancelStudy, StartStudy, TurnKnob
 
+from ..draw.opaque import OpaquePictures
 from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import axis_name, button, field_width, hint, mono, path_line
@@ -234,15 +235,11 @@ def _looks(ui: Ui, looks: tuple[Look, ...]) -> None:
         imgui.end_group()
 
 
-_SEEN: dict[str, tuple[np.ndarray, np.ndarray]] = {}  # the array of each look and its RGBA, so that it is uploaded once
+_OPAQUE = OpaquePictures()
 
 
 def _texture(ui: Ui, look: Look) -> imgui.ImTextureRef:
-    known = _SEEN.get(look.name)
-    if known is None or known[0] is not look.image:
-        opaque = np.full((*look.image.shape[:2], 1), 255, np.uint8)
-        _SEEN[look.name] = look.image, np.concatenate([look.image, opaque], -1)
-    return ui.texture(f"lab {look.name}", _SEEN[look.name][1])
+    return ui.texture(f"lab {look.name}", _OPAQUE.rgba(look.name, look.image))
 
 
 def _curves(ui: Ui, curves: tuple[Curve, ...]) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nerf_core.lab.figures import BLUE, GREEN, GRID, ORANGE, RED, STYLE, _page, _png
+from nerf_core.lab.figures import BLUE, GREEN, GRID, ORANGE, RED, STYLE, blank_page, png_of
 from nerf_core.lab.records import Result
 
 COLORS = (BLUE, ORANGE, GREEN, RED, "#cc79a7", "#56b4e9", "#f0e442", "0.4")  # Okabe and Ito's
@@ -29,7 +29,7 @@ def draw_figure(results: Mapping[str, Result], pictures: Path) -> bytes:
     columns = min(len(shown), COLUMNS)
     rows = -(-len(shown) // columns)
     with mpl.rc_context(STYLE):
-        page = _page(max(1.5 * columns, 4.2), 1.65 * rows + 2.2)
+        page = blank_page(max(1.5 * columns, 4.2), 1.65 * rows + 2.2)
         above, below = page.subfigures(2, 1, height_ratios=[1.65 * rows, 2.2])
         grid = above.subplots(rows, columns, squeeze=False).flatten()
         for axes in grid:
@@ -44,4 +44,4 @@ def draw_figure(results: Mapping[str, Result], pictures: Path) -> bytes:
         axes.grid(color=GRID, lw=0.6)
         if len(results) > 1:
             axes.legend(frameon=False, fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
-        return _png(page)
+        return png_of(page)
