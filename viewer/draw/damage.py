@@ -81,11 +81,13 @@ class Drawn(NamedTuple):
         """Return a rectangle outside of which nothing is drawn; an empty one if nothing is drawn at all."""
         if not self.parts:
             return EMPTY
-        places = np.frombuffer(self.vertices, VERTEX)["place"] - np.array(self.origin, np.float32)
-        (left, top), (right, bottom) = np.floor(places.min(0)), np.ceil(places.max(0))
         clipped = self.parts[0].box
         for part in self.parts[1:]:
             clipped = clipped.around(part.box)
+        places = np.frombuffer(self.vertices, VERTEX)["place"] - np.array(self.origin, np.float32)
+        if not np.isfinite(places).all():  # a plot without a range makes such vertices; the GPU draws what it likes
+            return clipped
+        (left, top), (right, bottom) = np.floor(places.min(0)), np.ceil(places.max(0))
         return clipped.common(Box(int(left), int(top), int(right), int(bottom)))
 
 

@@ -96,7 +96,8 @@ class RayHistoryPanel:
             if not weightless(history):
                 implot.plot_image("weights", ui.texture("ray history", self._map, smooth=False), low, high, spec=unfit)
             line = implot.Spec(line_color=ui.theme.text, line_weight=0.1 * ui.em, flags=implot.ItemFlags_.no_fit)
-            implot.plot_line("depth", x, history.depth.astype(np.float64), line)  # with gaps where there is no depth
+            for run in _runs(history.depth):  # gaps where there is no depth
+                implot.plot_line("depth", x[run], history.depth[run].astype(np.float64), line)
             unseen = implot.Spec(line_color=faded(ui.theme.text, 0.0))
             implot.plot_line(
                 "open", np.array([0.0, end]), np.array(self._open), unseen
@@ -136,6 +137,12 @@ def _outlook(state: AppState, history: RayHistory) -> str:
     if weightless(history):
         return tr("Train on to see how its colour and depth move.")
     return tr("Train on to see how its weights move.")
+
+
+def _runs(values: np.ndarray) -> list[slice]:
+    """The stretches of a curve that are finite. implot would draw vertices that are not finite for the others."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], np.isfinite(values), [False]]).astype(np.int8)))
+    return [slice(*pair) for pair in ends.reshape(-1, 2).tolist()]
 
 
 def _depth_name(history: RayHistory) -> str:

@@ -52,6 +52,12 @@ def test_a_change_outside_the_clip_rectangle_is_none() -> None:
     assert damage([NOTHING], [NOTHING]) == []
 
 
+def test_a_vertex_that_is_not_finite_changes_all_that_its_window_may_draw_to() -> None:
+    clip = Box(10, 10, 40, 40)
+    odd = quad(float("nan"), 0, 10, 10, clip=clip)
+    assert damage([], [odd]) == [clip]
+
+
 @pytest.fixture(params=["egl", "glfw"])
 def window(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Window]:
     if request.param == "glfw":

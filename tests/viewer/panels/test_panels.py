@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
@@ -62,6 +63,7 @@ from nerf_core.probe.axis import contracted_axis
 from nerf_core.rendering.export.models import EXPORTS
 from nerf_core.training.settings import RunSettings
 from viewer.commands.registry import USER_COMMANDS
+from viewer.draw.damage import VERTEX
 from viewer.draw.picture_stack import cards
 from viewer.model.state import (
     Action,
@@ -1051,6 +1053,22 @@ def test_known_steps_are_named() -> None:
 
     assert ticks(0, 12_000, 0.1) == [0, 2, 10, 30, 100, 300, 1000, 3000, 12_000]
     assert ticks(381, 12_000, 0.1) == [381, 385, 400, 500, 1000, 2000, 12_000]
+
+
+def test_a_history_with_hardly_any_depth_makes_no_vertex_that_is_not_finite(screen: Screen) -> None:
+    panel, state = PANELS.get("ray_history")(), make_state(make_snapshot())
+    screen.size = (900, 260)
+    history = make_ray_history()
+    for kept in ([], [0], [8], [3], [2, 3, 6], range(1, 9)):  # a depth alone has no line
+        depth = np.full(len(history.depth), np.nan)
+        depth[list(kept)] = 3.8
+        pin = replace(state.snapshot.pins[0], history=replace(history, depth=depth))
+        state.snapshot = replace(state.snapshot, pins=(pin,))
+        screen.frame(panel, state)
+        for commands in imgui.get_draw_data().cmd_lists:
+            vertices = commands.vtx_buffer
+            data = ctypes.string_at(vertices.data_address(), vertices.size() * imgui.VERTEX_SIZE)
+            assert np.isfinite(np.frombuffer(data, VERTEX)["place"]).all(), list(kept)
 
 
 def test_the_history_opens_where_the_weights_are_and_follows_them(screen: Screen) -> None:
