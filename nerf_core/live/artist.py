@@ -47,6 +47,8 @@ class Artist:
         """Draw everything anew, because the model was exchanged."""
         self._picture = self._model = self._copy = self._ready = self._shown = None
         self._number = _fresh()
+        self._rates.clear()  # of another method: a fast one's would give a slow one a first level of many seconds
+        self._least.clear()
         self.ray.forget()
         self.pins.forget()
 

@@ -28,14 +28,18 @@ FLAGS = (
 )  # fmt: skip
 
 
+LEAST_LETTERS = 12  # of a line: in a bar so narrow, the rest of an equation is cut off
+
+
 def broken(equation: str, letters: int) -> list[str]:
     """Break a line of symbols that is longer than so many letters: before an equals sign, else at a space."""
+    letters = max(letters, LEAST_LETTERS)
     lines: list[str] = []
     rest = equation
     while len(rest) > letters:
-        at = max(rest.rfind(" = ", 1, letters), rest.rfind(" → ", 1, letters))
-        at = at if at > letters // 3 else rest.rfind(" ", 1, letters + 1)
-        if at <= 0:
+        at = max(rest.rfind(" = ", 3, letters), rest.rfind(" → ", 3, letters))
+        at = at if at > letters // 3 else rest.rfind(" ", 3, letters + 1)  # from 3: behind the two spaces of a new line
+        if at < 0:
             break
         lines.append(rest[:at])
         rest = f"  {rest[at:].strip()}"
@@ -47,6 +51,7 @@ class SideBar:
 
     def __init__(self, guide: Guide) -> None:
         self.guide = guide
+        self._just_answered: tuple[str, int] | None = None  # the question whose answer comes into view
         self._shown = ""  # the step whose text begins at the top
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
@@ -173,8 +178,15 @@ class SideBar:
         key = step.name, number
         if key in self.guide.answered:
             rich_text(ui, block.answer, ui.theme.good)
-        elif block.answer and button(ui, f"{icons.ICON_FA_EYE}  {tr('Show the answer')}", "tour.answer"):
-            self.guide.answered.add(key)
+            if self._just_answered == key:  # it may lie below the visible part
+                imgui.set_scroll_here_y(1.0)
+                self._just_answered = None
+        elif block.answer:
+            imgui.push_id(number)  # a step may ask several questions
+            if button(ui, f"{icons.ICON_FA_EYE}  {tr('Show the answer')}", "tour.answer"):
+                self.guide.answered.add(key)
+                self._just_answered = key
+            imgui.pop_id()
 
     def _footer(self, ui: Ui, state: AppState) -> None:
         guide = self.guide

@@ -101,7 +101,7 @@ VALUES: dict[str, Callable[[AppState], str]] = {
     "rays": _of_scene(_rays),
     "t": _of_sample(lambda p, k: p.t[k], ".3f"),
     "delta": _delta,
-    "sigma": _of_sample(lambda p, k: p.sigma[k], ".1f"),
+    "sigma": _of_sample(lambda p, k: p.sigma[k], ".4g"),
     "alpha": _of_sample(lambda p, k: p.alpha[k], ".3f"),
     "T": _of_sample(lambda p, k: p.transmittance[k], ".3f"),
     "w": _of_sample(lambda p, k: p.weights[k], ".3f"),

@@ -268,3 +268,23 @@ def test_the_programs_own_tour_is_the_same_in_every_language() -> None:
             assert one.name == other.name
             assert one.panels == other.panels
             assert [type(block) for block in one.blocks] == [type(block) for block in other.blocks]
+
+
+def test_several_questions_of_a_step_are_answered_one_by_one(start: Callable[..., App], tmp_path: Path) -> None:
+    (tmp_path / "1.md").write_text(
+        "# A\nText.\n@question B?\n@answer C.\n@question D?\n@answer E.\n@question F?\n@answer G."
+    )
+    app = start(tmp_path)
+    shown(app)
+    click(app, "tour.answer")  # the last one has the mark
+    assert app.tour.answered == {("1", 3)}
+    click(app, "tour.answer")
+    assert app.tour.answered == {("1", 2), ("1", 3)}
+
+
+def test_an_equation_is_broken_in_the_narrowest_bar() -> None:
+    from viewer.tour.side_bar import broken
+
+    text = "α_i = 1 − exp(−σ_i δ_i) = 1 − exp(−3.6 · 0.137) = 0.379"
+    for letters in range(-3, 60):
+        assert "".join("".join(broken(text, letters)).split()) == "".join(text.split())
