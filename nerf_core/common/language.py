@@ -83,7 +83,7 @@ def tr(text: str) -> str:
     """
     if isinstance(text, _Phrase):
         return text.said()
-    if _speaker.language == ENGLISH or not text:
+    if _speaker.language == ENGLISH or not text or isinstance(text, _Shown):
         return text
     if NUMBERS.fullmatch(text):
         return NUMBER.sub(lambda found: localized(found[0]), text)
@@ -158,6 +158,10 @@ class _Digits(_Phrase):
         return localized(self)
 
 
+class _Shown(str):
+    """A number with the language's separators."""
+
+
 class _Fields(Formatter):
     """Fills the fields of a phrase in the window's language."""
 
@@ -175,8 +179,11 @@ def figure(value: float, spec: str = "") -> str:
 
 
 def localized(digits: str) -> str:
-    """Return a number that Python formatted, with the language's separators instead of "," and "."."""
-    return digits.translate(_separators(_speaker.language))
+    """Return a number that Python formatted, with the language's separators instead of "," and ".".
+
+    One that has them already stays as it is: its decimal comma must not become a separator of thousands.
+    """
+    return digits if isinstance(digits, _Shown) else _Shown(digits.translate(_separators(_speaker.language)))
 
 
 @cache

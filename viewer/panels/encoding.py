@@ -213,7 +213,7 @@ class EncodingPanel:
             curve = curves.get(name)
             reached = float(curve.y[-1]) if curve is not None and len(curve.y) else math.nan
             number = figure(reached, ".1f") if math.isfinite(reached) else NOTHING
-            notes = (f"{number} dB", number) if math.isfinite(reached) else (number,)
+            notes = (tr("{psnr} dB").format(psnr=number), number) if math.isfinite(reached) else (number,)
             pictures.append(Shown(name, looks.get(name), captions[name], notes, color))
             spectra.append(Shown(f"spectrum of {name}", looks.get(f"spectrum of {name}"), captions[name], notes, color))
         return {"pictures": pictures, "spectra": spectra}

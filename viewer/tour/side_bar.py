@@ -21,14 +21,12 @@ if TYPE_CHECKING:
     from ..ui.contract import Ui
 
 WIDTH_EM, MOST_SHARE = 24.0, 0.34  # of the bar, and at most this share of the window
+LEAST_LETTERS = 12  # of a line: in a bar so narrow, the rest of an equation is cut off
 BACK, NEXT, LEAVE = marked("Back"), marked("Next"), marked("Leave the tour")
 FLAGS = (
     imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_saved_settings | imgui.WindowFlags_.no_nav
     | imgui.WindowFlags_.no_title_bar | imgui.WindowFlags_.no_resize | imgui.WindowFlags_.no_move
 )  # fmt: skip
-
-
-LEAST_LETTERS = 12  # of a line: in a bar so narrow, the rest of an equation is cut off
 
 
 def broken(equation: str, letters: int) -> list[str]:

@@ -8,7 +8,7 @@ import pickle
 import pytest
 
 from nerf_core.common import language
-from nerf_core.common.language import digits, listed, phrase, phrases, tr
+from nerf_core.common.language import digits, figure, listed, localized, phrase, phrases, tr
 
 TEXTS = {"{share:.0%} at {t:.3g}, {why}": "{why}: {t:.3g}, {share:.0%}", "of {name}": "у {name}", "train": "учёба"}
 
@@ -57,3 +57,9 @@ def test_a_name_of_digits_is_not_a_number(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(language._speaker, "language", "ru")
     assert tr(phrase("of {name}", name="2024.10")) == "у 2024.10"  # a folder, say
     assert tr(phrase("of {name}", name=digits("1,024.5"))) == "у 1\xa0024,5"
+
+
+def test_a_number_that_is_said_already_is_not_said_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(language._speaker, "language", "ru")
+    assert figure(0.362, ".3f") == localized(figure(0.362, ".3f")) == tr(figure(0.362, ".3f")) == "0,362"
+    assert localized("1,000.5") == "1\xa0000,5"
