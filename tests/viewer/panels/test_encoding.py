@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from imgui_bundle import imgui
 from panel_screen import Screen
 from panel_states import make_snapshot, make_state, make_study
 from PIL import Image
@@ -65,6 +67,20 @@ def test_what_is_painted_is_learnt(screen: Screen) -> None:
     assert start.photo is not None
     np.testing.assert_array_equal(np.asarray(Image.open(start.photo)), stroke)
     assert "encoding.canvas" not in screen.widgets  # the pictures that learn it are in its place
+
+
+def test_a_photo_is_opened_by_its_path(screen: Screen, tmp_path: Path) -> None:
+    panel, state = opened(screen), make_state(make_snapshot())
+    photo = tmp_path / "a photo.png"
+    Image.fromarray(np.zeros((8, 8, 3), np.uint8)).save(photo)
+    screen.click(panel, state, "encoding.view.draw")
+    assert screen.click(panel, state, "encoding.learn_photo") == []  # no path yet
+    screen.click(panel, state, "encoding.path")
+    imgui.get_io().add_input_characters_utf8(str(photo))
+    screen.frame(panel, state)
+    (start,) = screen.click(panel, state, "encoding.learn_photo")
+    assert isinstance(start, StartStudy)
+    assert (start.name, start.photo) == ("image", photo)
 
 
 def test_the_drawing_and_what_may_still_run_outlive_those_that_begin_again(screen: Screen) -> None:
