@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-import subprocess
 from pathlib import Path
 
-import imageio_ffmpeg
 import numpy as np
 import pytest
 import torch
+from films import decoded
 
 from nerf_core.datasets import LoadOptions
 from nerf_core.lab.flatland.course import CAMERA, PIXEL, Course, L
@@ -119,20 +118,8 @@ def job(folder: Path, seed: int = 0, fine: int = 4) -> StudyJob:
 
 
 def frames_of(film: Path) -> np.ndarray:
-    command = [
-        imageio_ffmpeg.get_ffmpeg_exe(),
-        "-v",
-        "error",
-        "-i",
-        str(film),
-        "-f",
-        "rawvideo",
-        "-pix_fmt",
-        "rgb24",
-        "-",
-    ]
-    data = subprocess.run(command, capture_output=True, check=True).stdout
-    return np.frombuffer(data, np.uint8).reshape(-1, *frame_size()[::-1], 3)
+    wide, high = frame_size()
+    return decoded(film, high, wide)
 
 
 def through(job: StudyJob) -> str:

@@ -12,6 +12,7 @@ from pathlib import Path
 import imageio_ffmpeg
 import numpy as np
 import pytest
+from films import decoded
 from PIL import Image
 
 from nerf_core.common.errors import UserError
@@ -22,24 +23,6 @@ def frames(count: int, height: int, width: int) -> np.ndarray:
     """Smooth pictures, told apart by their brightness: H.264 keeps them almost exactly."""
     ramp = np.linspace(40, 160, width)[None, None, :, None] * np.ones((count, height, 1, 3))
     return (ramp + 10 * np.arange(count)[:, None, None, None] * [1, 0.5, 0]).astype(np.uint8)
-
-
-def decoded(path: Path, height: int, width: int) -> np.ndarray:
-    """All frames, uint8 (F, height, width, 3), as a player shows them."""
-    command = [
-        imageio_ffmpeg.get_ffmpeg_exe(),
-        "-v",
-        "error",
-        "-i",
-        str(path),
-        "-f",
-        "rawvideo",
-        "-pix_fmt",
-        "rgb24",
-        "-",
-    ]
-    data = subprocess.run(command, capture_output=True, check=True).stdout
-    return np.frombuffer(data, np.uint8).reshape(-1, height, width, 3)
 
 
 def described(path: Path) -> str:
