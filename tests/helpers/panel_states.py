@@ -8,6 +8,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from nerf_core.common.language import digits, phrase
 from nerf_core.datasets import LoadOptions
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.photos import Photos
@@ -131,7 +132,7 @@ def make_opened(ray: RayProbe) -> Opened:
     layer = Layer(3.2, 3.17, 3.1, 3.3, 0.1, 0.03, 0.4, 1.0, np.array([0.9, 0.1, 0.1]))
     standing = Standing(layer, evidence, 9, 11, 11, 8, 2, 1, 9, 0.2, 0.03, 0.3, 0.1)
     reasons = (
-        "a layer at 3.2 makes 40% of the pixel, but of 11 photos that see it 8 contradict it and 2 would miss it",
+        "a layer behind makes 40% of the pixel, but of 11 photos that see it 8 contradict it and 2 would miss it",
     )
     verdict = Verdict("floater", reasons, 3.8, (standing,), "warning")
     t = np.linspace(2, 6, 9)
@@ -252,9 +253,9 @@ def make_study(state: Literal["running", "done", "cancelled", "failed"], name: s
     rows = RowState("voxels", "done"), RowState("srn", "failed", "no"), RowState("nerf", "running", "step 12")
     return StudyState(
         name, Path("lab/x"), state, rows, 0.4, "nerf: step 12", 70.0,
-        looks=(Look("voxels", image, "30.1 dB"), Look("nerf", image[:, :3])),
+        looks=(Look("voxels", image, phrase("{psnr:.1f} dB", psnr=30.1)), Look("nerf", image[:, :3])),
         curves=(Curve("none", np.arange(3), np.array([1.0, np.nan, 3.0])), Curve("basic", np.zeros(0), np.zeros(0))),
-        tables=(Table("Results", ("method", "PSNR"), (("voxels", "30.1"), ("nerf | x", "–")), ("A note.",)),),
+        tables=(Table("Results", ("method", "PSNR"), (("voxels", digits("30.1")), ("nerf | x", "–")), ("A note.",)),),
         knobs=(Knob("L", 1, 12, 6), Knob("σ", 0.5, 64.0, 10.0)),
         files=(Path("lab/x/report.md"),) if state == "done" else (),
         figures=(Look("compare", image),) if state == "done" else (),

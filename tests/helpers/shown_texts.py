@@ -28,6 +28,11 @@ TEXTS: dict[str, tuple[int | str, ...]] = {
     "progress_bar": (2, "overlay"), "set_tooltip": (0,), "set_item_tooltip": (0,),
 }  # fmt: skip
 PLOT_TEXTS: dict[str, tuple[int | str, ...]] = {"setup_axis": (1,), "setup_axis_ticks": (2,), "annotation": (4,)}
+PLOT_TEXTS |= {"begin_plot": (0,), "end_plot": ()}
+AXES = (implot.ImAxis_.x1.value, implot.ImAxis_.y1.value)
+# A decimal point, or a format that writes one. (A comma between thousands cannot be told from a decimal one.)
+ENGLISH_NUMBER = re.compile(r"(?<![\w.])\d+\.\d|%(?:\.[1-9]\d*)?[feg](?![a-z])")
+VERSION = re.compile(r"\b(?:version|OpenGL|torch)\b.*")
 NO_ITEM = {
     "begin",
     "begin_menu",
@@ -81,10 +86,16 @@ class Cut(NamedTuple):
 
 
 class Shown:
-    """texts: what was shown. cut: what of it did not fit; forget it after the first frames, in which columns settle."""
+    """texts: what was shown. cut: what of it did not fit; forget it after the first frames, in which columns settle.
+
+    english_numbers: texts with a decimal point, formats that make one, and plots that have an axis with implot's own
+    ticks.
+    """
 
     def __init__(self) -> None:
         self.texts: set[str] = set()
+        self.english_numbers: set[str] = set()
+        self._plot, self._own_ticks = "", set[int]()  # the plot being set up, and its axes that implot does not number
         self.cut: set[Cut] = set()
         self._columns: list[str] = []  # of the table being set up: they are shown if it has a row of headers
 
@@ -93,6 +104,20 @@ class Shown:
             self._columns += texts
         else:
             self.texts.update(texts)
+
+    def numbers(self, name: str, args: tuple[Any, ...], texts: list[str]) -> None:
+        """Note the numbers that a call shows in English, whatever the language."""
+        if name == "input_text_with_hint":
+            return  # an option, as the command line spells it
+        self.english_numbers |= {text for text in texts if ENGLISH_NUMBER.search(VERSION.sub("", text))}
+        if name == "begin_plot":
+            self._plot, self._own_ticks = args[0], set()
+        elif name == "setup_axis_ticks" or (
+            name == "setup_axis" and len(args) > 2 and args[2] & implot.AxisFlags_.no_tick_labels
+        ):
+            self._own_ticks.add(int(args[0]))
+        elif name == "end_plot":
+            self.english_numbers |= {f"{self._plot} axis {axis}" for axis in AXES if axis not in self._own_ticks}
 
     def headers(self) -> None:
         self.texts.update(self._columns)
@@ -174,6 +199,7 @@ def _recording(shown: Shown, name: str, real: Callable[..., Any], places: tuple[
         if name == "begin" and len(args) > 2 and args[2] & imgui.WindowFlags_.no_title_bar:
             texts = []
         shown.note(name, texts)
+        shown.numbers(name, args, found)
         if instead is not None or name == "set_tooltip":
             return instead
         result = real(*args, **options)
@@ -186,7 +212,9 @@ def _recording(shown: Shown, name: str, real: Callable[..., Any], places: tuple[
 
 def _drawing(shown: Shown, real: Callable[..., Any]) -> Callable[..., Any]:
     def call(draw: imgui.ImDrawList, *args: Any, **options: Any) -> Any:
-        shown.texts.update(text for text in (*args, *options.values()) if isinstance(text, str))
+        texts = [text for text in (*args, *options.values()) if isinstance(text, str)]
+        shown.texts.update(texts)
+        shown.numbers("add_text", (), texts)
         return real(draw, *args, **options)
 
     return call

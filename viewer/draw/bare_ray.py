@@ -14,7 +14,8 @@ from nerf_core.methods import lacking
 from nerf_core.probe import RayProbe
 
 from ..model.state import AppState, SampleRef
-from ..ui.widgets import Limits, Row, faded, figures, hint, swatch, visit_tooltip
+from ..ui.axes import Limits, ticks_at
+from ..ui.widgets import Row, faded, figures, hint, swatch, visit_tooltip
 from .visits import Ink, discs
 
 if TYPE_CHECKING:
@@ -82,11 +83,11 @@ class BareRay:
         if not implot.begin_plot("##visits", ImVec2(-1, -1), PLOT):
             return
         implot.setup_axis(X1, None, 0)
-        implot.setup_axis_links(X1, self._t.low, self._t.high)
+        self._t.link(X1)
         implot.setup_axis(Y1, None, implot.AxisFlags_.invert | implot.AxisFlags_.lock)
         implot.setup_axis_limits(Y1, 0.3, count + 0.7, implot.Cond_.always)
         ticks = range(1, count + 1, max(1, -(-(count - 1) // TICKS)))
-        implot.setup_axis_ticks(Y1, [float(v) for v in ticks], [f"{v}" for v in ticks])
+        ticks_at(Y1, ticks)
         way = implot.Spec(line_color=faded(ui.theme.fine, 0.7), line_weight=0.1 * ui.em)
         implot.plot_line("way", t, order, way)
         if ray.depth_expected is not None:

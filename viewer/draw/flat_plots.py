@@ -12,7 +12,8 @@ from nerf_core.common.language import tr
 from nerf_core.lab.flatland.view import FlatRay
 from nerf_core.lab.records import Curve
 
-from ..ui.widgets import axis_name, faded, packed, tints
+from ..ui.axes import axis_name, fitted_axes, ticks_at
+from ..ui.widgets import faded, packed, tints
 
 if TYPE_CHECKING:
     from ..ui.contract import Ui
@@ -56,7 +57,7 @@ def _weights(ui: Ui, ray: FlatRay, size: ImVec2) -> None:
     _share_t(ray, implot.AxisFlags_.no_tick_labels)
     implot.setup_axis(Y1, None, implot.AxisFlags_.lock)
     implot.setup_axis_limits(Y1, 0, 1.05, implot.Cond_.always)
-    implot.setup_axis_ticks(Y1, [0.5, 1.0], ["0.5", "1"])
+    ticks_at(Y1, (0.5, 1.0))
     for one in ray.passes:
         last = one is ray.passes[-1]
         color = ui.theme.coarse if one.name == "coarse" else ui.theme.fine
@@ -89,7 +90,7 @@ def _density(ui: Ui, ray: FlatRay, size: ImVec2) -> tuple[float, float]:
     half = 10 ** np.floor(np.log10(top))
     ticks = [half * k for k in range(int(1.25 * top / half) + 1)]
     ticks = ticks[:: -(-len(ticks) // 4)]
-    implot.setup_axis_ticks(Y1, ticks, [f"{t:g}" for t in ticks])
+    ticks_at(Y1, ticks)
     truth = implot.Spec(line_color=faded(ui.theme.text, 0.45), line_weight=0.1 * ui.em)
     truth.fill_color, truth.flags = faded(ui.theme.text, 0.12), implot.LineFlags_.shaded
     implot.plot_line("world", ray.true_t.astype(np.float64), ray.true_sigma.astype(np.float64), truth)
@@ -107,7 +108,7 @@ def _share_t(ray: FlatRay, flags: implot.AxisFlags_) -> None:
     implot.setup_axis(X1, None, flags)
     implot.setup_axis_limits(X1, ray.near, ray.far, implot.Cond_.always)
     ticks = np.arange(np.ceil(2 * ray.near), 2 * ray.far) / 2
-    implot.setup_axis_ticks(X1, ticks.tolist(), [f"{t:g}" for t in ticks])
+    ticks_at(X1, ticks.tolist())
 
 
 def _colors(ui: Ui, ray: FlatRay, left: float, right: float) -> None:
@@ -130,10 +131,9 @@ def psnr_plot(ui: Ui, curves: Sequence[Curve], size: ImVec2) -> None:
     implot.push_style_var(implot.StyleVar_.plot_min_size, ImVec2(ui.em, ui.em))
     implot.push_style_var(implot.StyleVar_.plot_padding, ImVec2(ui.em, 0.25 * ui.em))
     if implot.begin_plot("##flat psnr", size, PLOT):
-        implot.setup_axis(X1, None, implot.AxisFlags_.auto_fit)
-        implot.setup_axis(Y1, None, implot.AxisFlags_.auto_fit)
+        fitted_axes([(curve.x, curve.y) for curve in curves])
         between = 5 if size.y > LOW_EM * ui.em else 10
-        implot.setup_axis_ticks(Y1, [float(db) for db in range(0, 61, between)])
+        ticks_at(Y1, range(0, 61, between))
         for k, curve in reversed(list(enumerate(curves))):
             color = faded(ui.theme.muted, 0.7) if k else ui.theme.accent
             line = implot.Spec(line_color=color, line_weight=(0.08 if k else 0.14) * ui.em)

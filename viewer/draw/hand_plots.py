@@ -12,7 +12,8 @@ from nerf_core.common.language import tr
 from nerf_core.probe import HandRay, HandTerms, hand_cdf
 
 from ..model.hand_bench import BEHIND, HandBench
-from ..ui.widgets import axis_name, color_of, faded, packed, tints
+from ..ui.axes import axis_name, number_ticks, ticks_at
+from ..ui.widgets import color_of, faded, packed, tints
 from .plot_marks import be_item, pixels, row_of, ticks
 from .ray_steps import wants_log
 
@@ -100,6 +101,7 @@ class HandPlots:
         implot.setup_axis(X1, None, flags | implot.AxisFlags_.lock | implot.AxisFlags_.no_highlight)
         margin = 0.02 * (self._until - ray.near)
         implot.setup_axis_limits(X1, ray.near - margin, self._until, implot.Cond_.always)
+        number_ticks(X1, ray.near - margin, self._until)
 
     # ---- densities --------------------------------------------------------------------------------------------------
 
@@ -111,7 +113,7 @@ class HandPlots:
         implot.setup_axis(Y1, None, implot.AxisFlags_.lock | implot.AxisFlags_.no_highlight)
         implot.setup_axis_limits(Y1, FLOOR, CEILING, implot.Cond_.always)
         marks = _round_marks(self._top)
-        implot.setup_axis_ticks(Y1, self._place(np.array(marks)).tolist(), [f"{v:g}" for v in marks])
+        ticks_at(Y1, self._place(np.array(marks)).tolist(), marks)
         implot.setup_finish()
         axis_name(ui, tr("σ (1/unit), roots") if self._root else tr("σ (1/unit)"))
         _end_line(ui, ray, "far")
@@ -218,7 +220,7 @@ class HandPlots:
         self._share_t(ray, implot.AxisFlags_.no_tick_labels)
         implot.setup_axis(Y1, None, implot.AxisFlags_.lock | implot.AxisFlags_.no_highlight)
         implot.setup_axis_limits(Y1, 0, 1.08, implot.Cond_.always)
-        implot.setup_axis_ticks(Y1, [0.0, 0.5, 1.0], ["0", "0.5", "1"])
+        ticks_at(Y1, (0.0, 0.5, 1.0))
         edges = np.concatenate([[ray.near], ray.edges])
         bars = implot.Spec(
             fill_color=faded(theme.fine, 0.5), line_color=theme.fine, flags=implot.StairsFlags_.shaded

@@ -11,7 +11,7 @@ from imgui_bundle import ImVec2, imgui, implot
 from nerf_core.common.language import figure, marked, tr
 from nerf_core.live.messages import Snapshot
 
-from ..ui.widgets import Limits, axis_name
+from ..ui.axes import Limits, axis_name, ticks_at
 
 if TYPE_CHECKING:
     from ..ui.contract import Ui
@@ -65,12 +65,11 @@ class HistoryPlots:
         if not implot.begin_plot(f"##{curve.mark}", ImVec2(-1, HEIGHT_EM * ui.em), PLOT):
             return
         implot.setup_axis(X1, None, implot.AxisFlags_.no_tick_labels if curve.log else 0)
-        implot.setup_axis_links(X1, self._steps.low, self._steps.high)
+        self._steps.link(X1)
         implot.setup_axis(Y1, None)
         implot.setup_axis_scale(Y1, implot.Scale_.log10 if curve.log else implot.Scale_.linear)
         implot.setup_axis_limits(Y1, *curve.limits, implot.Cond_.always if fresh else implot.Cond_.once)
-        if curve.ticks:
-            implot.setup_axis_ticks(Y1, list(curve.ticks), [figure(v, "g") for v in curve.ticks])
+        ticks_at(Y1, curve.ticks)
         color = ui.theme.accent if curve.log else ui.theme.good
         good = np.isfinite(values) & ((values > 0) if curve.log else True)  # a log axis cannot show 0
         steps, values = steps[good].astype(np.float64), values[good].astype(np.float64)

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 
-from nerf_core.common.language import figure, tr
+from nerf_core.common.language import tr
 from nerf_core.probe import RayProbe
 from nerf_core.probe.axis import Axis
 
-from ..ui.widgets import axis_name, faded, number_ticks, packed
+from ..ui.axes import Limits, axis_name, number_ticks, ticks_at
+from ..ui.widgets import faded, packed
 from .plot_marks import be_item, color_strip, depth_marks, row_of, ticks, x_of
 from .ray_steps import Steps, sample_at, wants_log
 
@@ -61,9 +62,8 @@ class RayPlots:
         self.log_choice: LogChoice = "auto"
         self.log_density = False
         self.hovered: tuple[Steps, int] | None = None
-        self._t_min, self._t_max = implot.BoxedValue(0.0), implot.BoxedValue(1.0)
-        self._sigma_limits = (0.0, 1.0)
-        self._fresh_density = True
+        self._t, self._sigma = Limits(), Limits()
+        self._sigma_fits = (0.0, 1.0)  # the limits that fit the densities
         self._dragged: float | None = None
 
     def open(self, passes: tuple[Steps, ...], low: float, high: float) -> None:
@@ -75,15 +75,15 @@ class RayPlots:
     def show(self, low: float, high: float) -> None:
         """Show the part of the axis between two places."""
         air = 0.01 * max(high - low, 1e-6)  # a ray without length still needs an axis
-        self._t_min.value, self._t_max.value = low - air, high + air
+        self._t.set(low - air, high + air)
 
     def shows(self, low: float, high: float) -> bool:
         """Return whether all between two places is shown."""
-        return self._t_min.value <= low and self._t_max.value >= high
+        return self._t.low.value <= low and self._t.high.value >= high
 
     def shown(self) -> tuple[float, float]:
         """Return the places between which the axis runs."""
-        return self._t_min.value, self._t_max.value
+        return self._t.shown()
 
     def choose_log(self, choice: LogChoice, passes: tuple[Steps, ...]) -> None:
         """Choose the density's axis. "auto" chooses for this ray, and again for each one opened later."""
@@ -93,13 +93,13 @@ class RayPlots:
 
     def _scale_density(self, passes: tuple[Steps, ...]) -> None:
         top = max([float(p.sigma.max()) for p in passes], default=0.0) or 1.0
-        self._sigma_limits = (top * 10.0**-LOG_DECADES, 3 * top) if self.log_density else (0.0, 1.2 * top)
-        self._fresh_density = True
+        self._sigma_fits = (top * 10.0**-LOG_DECADES, 3 * top) if self.log_density else (0.0, 1.2 * top)
+        self._sigma.set(*self._sigma_fits)
 
     def draw(self, ui: Ui, opened: Opened, size: ImVec2) -> float | None:
         """Draw everything into `size`. Returns the t to which the user drags the radiance point, else None."""
         ray, passes = opened.ray, opened.passes
-        if max((float(p.sigma.max()) for p in passes), default=0.0) > self._sigma_limits[1]:
+        if max((float(p.sigma.max()) for p in passes), default=0.0) > self._sigma_fits[1]:
             self._scale_density(passes)  # training has raised it beyond the axis
         pad = 0.25 * ui.em
         implot.push_style_var(implot.StyleVar_.plot_min_size, ImVec2(ui.em, ui.em))
@@ -136,9 +136,7 @@ class RayPlots:
         self._share_t(implot.AxisFlags_.no_tick_labels)
         implot.setup_axis(Y1, None, implot.AxisFlags_.lock)
         implot.setup_axis_limits(Y1, 0, 1.05, implot.Cond_.always)
-        implot.setup_axis_ticks(
-            Y1, [0.5, 1.0], [figure(0.5), "1"]
-        )  # a label 0 would touch the topmost label of the next plot
+        ticks_at(Y1, (0.5, 1.0))  # a label 0 would touch the topmost label of the next plot
         for steps in passes[-1:]:
             filled = implot.Spec(fill_color=faded(ui.theme.fine, 0.55), flags=implot.StairsFlags_.shaded)
             filled.line_color = ui.theme.fine
@@ -173,13 +171,12 @@ class RayPlots:
         else:
             number_ticks(X1, *self.shown())
         implot.setup_axis(Y1, None)
-        low, high = self._sigma_limits
+        low, high = self._sigma_fits
         implot.setup_axis_scale(Y1, implot.Scale_.log10 if self.log_density else implot.Scale_.linear)
-        implot.setup_axis_limits(Y1, low, high, _when(self._fresh_density))
+        self._sigma.link(Y1, least=2)
         if self.log_density:
             decades = [10.0**k for k in range(math.ceil(math.log10(low)), math.floor(math.log10(high)) + 1)][::-2]
-            implot.setup_axis_ticks(Y1, decades, [figure(v, "g") for v in decades])
-        self._fresh_density = False
+            ticks_at(Y1, decades)
         for steps in passes:
             last = steps is passes[-1]
             # a log axis cannot show 0: empty space lies on its lower limit
@@ -225,7 +222,7 @@ class RayPlots:
 
     def _share_t(self, flags: implot.AxisFlags_) -> None:
         implot.setup_axis(X1, None, flags)
-        implot.setup_axis_links(X1, self._t_min, self._t_max)
+        implot.setup_axis_links(X1, self._t.low, self._t.high)
 
     def _drag_point(self, ui: Ui, opened: Opened) -> float | None:
         """Draw the point's line. Returns the place to which the user drags it, else None."""
@@ -258,7 +255,3 @@ class RayPlots:
 def _of_largest(steps: Steps) -> np.ndarray:
     """Weights (E,) divided by the largest of their pass, because many narrow samples have smaller weights than few."""
     return steps.weights / max(float(steps.weights.max()), 1e-12)  # 1e-12: if all are zero they stay zero
-
-
-def _when(fresh: bool) -> implot.Cond_:
-    return implot.Cond_.always if fresh else implot.Cond_.once

@@ -19,7 +19,7 @@ from ..draw.hand_plots import HandPlots
 from ..model.hand_bench import MOST, PRESETS, HandBench
 from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import button, hint, mono, same_line_if_fits, swatch
+from ..ui.widgets import button, hint, mono, rounded, same_line_if_fits, shown, swatch
 
 BESIDE_EM = 33.0  # width of the panel from which the numbers are beside the plots
 APART_EM, APART_NUMBERS_EM, TABLE_EM = 74.0, 24.0, 22.0  # from which the table is apart; the widths of both then
@@ -205,9 +205,10 @@ class ByHandPanel:
             imgui.set_next_item_width(wide)
             with mono(ui):
                 flags = imgui.SliderFlags_.always_clamp
-                changed, wanted = imgui.drag_float(f"##{name}", value, speed, 0.0, 1e6, "%.3f", flags)
+                changed, wanted = imgui.drag_float(f"##{name}", value, speed, 0.0, 1e6, shown(value, ".3f"), flags)
             ui.mark(f"hand.{name}")
             if changed:
+                wanted = rounded(wanted, ".3f")
                 moved = (wanted, sigma) if name == "t" else (t, wanted)
                 bench.move(i, *moved, gesture=name)
                 break  # it may have passed others

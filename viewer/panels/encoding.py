@@ -18,9 +18,10 @@ from ..draw.encoding_pictures import GAP_EM, LINE_EM, PictureRow, Shown
 from ..draw.encoding_waves import WavePlot, bar_code
 from ..draw.paint_canvas import SIDE
 from ..model.state import Action, AppState
+from ..ui.axes import fitted_axes
 from ..ui.contract import PANELS, Ui
-from ..ui.study_page import StudyPage, single
-from ..ui.widgets import button, hint, mono, same_line_for
+from ..ui.study_page import StudyPage
+from ..ui.widgets import button, hint, mono, rounded, same_line_for, shown
 from .encoding_source import Source
 
 STUDY = "image"
@@ -34,6 +35,7 @@ WIDE_EM, SIDE_EM = 60.0, 21.0  # the page's width from which plots lie beside th
 PICTURE_EM = 3.0, 22.0  # least and largest width of a picture
 BOTH_EM = 8.5  # height of a picture from which spectra lie under the pictures
 PLOTS_EM = 13.0  # height of the plots under the pictures
+SIGMA_SPEC = ".3g"  # as its slider shows it
 STEP = 1.05  # a slider that is dragged sends σ whenever it has changed by this factor
 LESSON = marked(
     "Bare coordinates learn a blur: a network learns low frequencies first (spectral bias). With L too small the "
@@ -126,7 +128,7 @@ class EncodingPanel:
             changed, number = imgui.slider_int(label, round(value), round(knob.least), round(knob.most))
         else:
             flags = imgui.SliderFlags_.logarithmic
-            changed, number = imgui.slider_float(label, value, knob.least, knob.most, "%.3g", flags)
+            changed, number = imgui.slider_float(label, value, knob.least, knob.most, shown(value, SIGMA_SPEC), flags)
         ui.mark(f"encoding.{name}")
         if imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip):
             imgui.set_tooltip(
@@ -135,7 +137,7 @@ class EncodingPanel:
                 else tr("deviation of the Gaussian encoding's frequencies, in cycles per picture")
             )
         if changed:
-            value = page.values[name] = single(number)
+            value = page.values[name] = rounded(number, SIGMA_SPEC)
         sent = self._sent.get(name, knob.value)
         ended = imgui.is_item_deactivated_after_edit()
         far = value != sent if name == L else abs(math.log(value / sent)) > math.log(STEP)
@@ -252,8 +254,7 @@ def _curves(ui: Ui, curves: Mapping[str, Curve], height: float) -> None:
     height -= imgui.get_text_line_height_with_spacing()
     implot.push_style_var(implot.StyleVar_.plot_min_size, ImVec2(ui.em, ui.em))
     if implot.begin_plot("##psnr", ImVec2(-1, max(height, ui.em)), PLOT):
-        implot.setup_axis(implot.ImAxis_.x1, None, implot.AxisFlags_.auto_fit)
-        implot.setup_axis(implot.ImAxis_.y1, None, implot.AxisFlags_.auto_fit)
+        fitted_axes([(curve.x, curve.y) for curve in curves.values()])
         for name, color in zip(NAMES, ui.theme.pins, strict=False):
             if name in curves:
                 x, y = (values.astype(np.float64) for values in (curves[name].x, curves[name].y))

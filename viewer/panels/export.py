@@ -24,9 +24,10 @@ from nerf_core.rendering.export.requests import ExportModel
 from ..commands.registry import with_keys
 from ..model.state import Action, AppState, FilmForm, StartFilmExport
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import button, field_beside, field_width, hint, path_line, same_line_if_fits
+from ..ui.widgets import button, field_beside, field_width, hint, path_line, rounded, same_line_if_fits, shown
 
 CANCEL, MODEL = marked("Cancel"), marked("Write model")
+HELD = ".5g"  # the digits that a field holds: enough for 23.976 fps
 MAX_FRAMES, MAX_FPS, MAX_SIDE = 10_000, 240, 8192
 PNG = marked("PNG frames")
 LABELS = (marked("frames"), marked("fps"), marked("width"), marked("height"))  # of the fields that every path has
@@ -130,16 +131,17 @@ def _form(ui: Ui, form: FilmForm, kind: type[CameraPath], own: Automatic) -> Non
     if imgui.begin_table("form", 2, imgui.TableFlags_.sizing_stretch_same | imgui.TableFlags_.no_pad_outer_x):
         # A kind without a number of its own takes it from the scene, which has no more.
         most = own.frames if kind.default_frames is None else MAX_FRAMES
-        shown = "%.0f" if form.frames else _auto(figure(own.frames, ","))
+        text = shown(form.frames, ",") if form.frames else _auto(figure(own.frames, ","))
         tip = tr("0: as many as the path has")
-        form.frames = round(_number(ui, "frames", form.frames, (0, most), shown, longest, tip)[1])
-        form.fps = _number(ui, "fps", form.fps, (1, MAX_FPS), "%.4g", longest)[1]
+        form.frames = round(_number(ui, "frames", form.frames, (0, most), text, longest, tip)[1])
+        form.fps = _number(ui, "fps", form.fps, (1, MAX_FPS), shown(form.fps, HELD), longest)[1]
         for name, option in kind.options.items():
             _option(ui, form, name, option, own.options[name], longest)
         for side, photos in (("width", own.width), ("height", own.height)):
             value: int = getattr(form, side)
-            shown, tip = tr("%.0f px") if value else _auto(figure(photos, ",")), tr("0: as the photos were taken")
-            setattr(form, side, round(_number(ui, side, value, (0, MAX_SIDE), shown, longest, tip)[1]))
+            text = tr("{n} px").format(n=figure(value, ",")) if value else _auto(figure(photos, ","))
+            tip = tr("0: as the photos were taken")
+            setattr(form, side, round(_number(ui, side, value, (0, MAX_SIDE), text, longest, tip)[1]))
         imgui.end_table()
     png = tr(PNG)
     field_beside(ui, png, "")  # a box is at most as wide as an empty button
@@ -166,11 +168,11 @@ def _kind(ui: Ui, form: FilmForm) -> None:
 
 def _option(ui: Ui, form: FilmForm, name: str, option: Option, default: float, longest: str) -> None:
     """A field for an option of this kind of path. A right click goes back to the default."""
-    usual, unit = tr(number(default, 3)), option.unit.replace("%", "%%")  # what a field shows is a format
-    shown = f"%.4g{unit}" if name in form.options else _auto(f"{usual}{unit}")
+    auto = _auto(f"{tr(number(default, 3))}{option.unit}")
     value, limits = form.options.get(name, default), (option.least, option.most)
-    tip = tr("right click: {auto}").format(auto=_auto(f"{usual}{option.unit}"))
-    changed, value = _number(ui, name, value, limits, shown, longest, tip)
+    text = shown(value, HELD, after=option.unit) if name in form.options else auto.replace("%", "%%")
+    tip = tr("right click: {auto}").format(auto=auto)
+    changed, value = _number(ui, name, value, limits, text, longest, tip)
     if changed:
         form.options[name] = value
     if imgui.is_item_clicked(imgui.MouseButton_.right):
@@ -198,24 +200,24 @@ def _models(ui: Ui, state: AppState) -> Iterator[Action]:
 
 
 def _number(
-    ui: Ui, label: str, value: float, limits: tuple[float, float], shown: str, longest: str, tip: str = ""
+    ui: Ui, label: str, value: float, limits: tuple[float, float], text: str, longest: str, tip: str = ""
 ) -> tuple[bool, float]:
     """The form's next number field: whether the user changed it, and its number within the limits.
 
     It can be dragged, or edited after a double click. longest: the longest label, as it is drawn, which sets the width
-    of all fields.
+    of all fields. text: what it shows, as a format: see `shown`.
     """
     low, high = limits
     imgui.table_next_column()
     field_width(ui, longest)
     speed = min((high - low) / 1000, 0.5)
     changed, value = imgui.drag_float(
-        f"{tr(label)}###export {label}", value, speed, low, high, shown, imgui.SliderFlags_.always_clamp
+        f"{tr(label)}###export {label}", value, speed, low, high, text, imgui.SliderFlags_.always_clamp
     )
     ui.mark(f"export.{label}")
     if tip:
         imgui.set_item_tooltip(tip)
-    return changed, min(max(value, low), high)
+    return changed, min(max(rounded(value, HELD), low), high)
 
 
 def _progress(ui: Ui, export: Export) -> None:

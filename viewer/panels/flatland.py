@@ -20,8 +20,8 @@ from ..draw.flat_photos import FlatPhotos, strips_height
 from ..draw.flat_plots import psnr_plot, ray_plots
 from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
-from ..ui.study_page import StudyPage, single
-from ..ui.widgets import hint, mono, same_line_for, swatch
+from ..ui.study_page import StudyPage
+from ..ui.widgets import hint, mono, rounded, same_line_for, shown, swatch
 
 STUDY = "flatland"
 CAMERA, PIXEL = "camera", "pixel"  # the knobs that choose a ray
@@ -107,17 +107,18 @@ class FlatlandPanel:
         name, page = knob.name, self._page
         value = page.values.get(name, knob.value)
         sign = " = " if len(label) <= LETTERS else " "
-        shown = f"{label}{sign}%.2f" if name == "noise" else f"{label}{sign}%d"
+        spec = ".2f" if name == "noise" else ".0f"
+        text = shown(value, spec, before=f"{label}{sign}")
         if name == "noise":
-            changed, number = imgui.slider_float(f"##flatland.{name}", value, knob.least, knob.most, shown)
+            changed, number = imgui.slider_float(f"##flatland.{name}", value, knob.least, knob.most, text)
         else:
             ends = round(knob.least), round(knob.most)
-            changed, number = imgui.slider_int(f"##flatland.{name}", round(value), *ends, shown)
+            changed, number = imgui.slider_int(f"##flatland.{name}", round(value), *ends, text)
         ui.mark(f"flatland.{name}")
         active, ended = imgui.is_item_active(), imgui.is_item_deactivated_after_edit()
         imgui.set_item_tooltip(tr(SLIDERS[name][2]))
         if changed:
-            value = page.values[name] = single(number)
+            value = page.values[name] = rounded(number, spec)
         if ended and page.running:
             yield TurnKnob(name, value)
         elif ended:

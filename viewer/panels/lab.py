@@ -20,8 +20,9 @@ from nerf_core.live.messages import CancelStudy, StartStudy, TurnKnob
 
 from ..draw.opaque import OpaquePictures
 from ..model.state import Action, AppState
+from ..ui.axes import axis_name, fitted_axes
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import axis_name, button, field_width, hint, mono, path_line
+from ..ui.widgets import button, field_width, hint, mono, path_line, rounded, shown
 
 START, CANCEL = marked("Start"), marked("Cancel")
 FORM_EM, RUNNING_EM = 18.0, 13.0  # width of the options, and of the progress while the study runs
@@ -151,13 +152,13 @@ class LabPanel:
             field_width(ui, tr(knob.name))
             value = self._turned.get(knob.name, knob.value)
             whole = all(v == round(v) for v in (knob.value, knob.least, knob.most))
-            shown = "%.0f" if whole else "%.3g"
+            spec = ".0f" if whole else ".3g"
             flags = imgui.SliderFlags_.logarithmic if knob.most > WIDE * knob.least > 0 else imgui.SliderFlags_.none
             label = f"{tr(knob.name)}###knob {knob.name}"
-            changed, value = imgui.slider_float(label, value, knob.least, knob.most, shown, flags)
+            changed, value = imgui.slider_float(label, value, knob.least, knob.most, shown(value, spec), flags)
             ui.mark(f"lab.knob.{knob.name}")
             if changed:
-                self._turned[knob.name] = value
+                self._turned[knob.name] = rounded(value, spec)
             if imgui.is_item_deactivated_after_edit():
                 yield TurnKnob(knob.name, self._turned[knob.name])
 
@@ -245,8 +246,7 @@ def _texture(ui: Ui, look: Look) -> imgui.ImTextureRef:
 def _curves(ui: Ui, curves: tuple[Curve, ...]) -> None:
     implot.push_style_var(implot.StyleVar_.plot_min_size, ImVec2(ui.em, ui.em))
     if implot.begin_plot("##curves", ImVec2(-1, PLOT_EM * ui.em), PLOT):
-        implot.setup_axis(implot.ImAxis_.x1, None, implot.AxisFlags_.auto_fit)
-        implot.setup_axis(implot.ImAxis_.y1, None, implot.AxisFlags_.auto_fit)
+        fitted_axes([(curve.x, curve.y) for curve in curves])
         implot.setup_legend(implot.Location_.south_east)
         for k, curve in enumerate(curves):
             color = ui.theme.pins[k % len(ui.theme.pins)]

@@ -16,8 +16,9 @@ from nerf_core.methods import lacking
 from nerf_core.probe import RayHistory
 
 from ..model.state import Action, AppState, nothing_to_train_in
+from ..ui.axes import Limits, axis_name
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import Limits, axis_name, color_scale, faded, hint, packed, same_line_if_fits
+from ..ui.widgets import color_scale, faded, hint, packed, same_line_if_fits
 
 COLUMNS = 320  # columns of the map: more than there are records, so that each has its own
 STRIP_EM = 1.4
@@ -86,7 +87,7 @@ class RayHistoryPanel:
         if implot.begin_plot("##ray history", size, PLOT):
             for axis, limits in ((implot.ImAxis_.x1, self._x), (implot.ImAxis_.y1, self._t)):
                 implot.setup_axis(axis, None, 0)
-                implot.setup_axis_links(axis, limits.low, limits.high)
+                limits.link(axis)
             wide = imgui.calc_text_size(figure(last, ",")).x + ui.em
             steps = ticks(first, last, max(wide / max(room.x - 6 * ui.em, wide), 0.1))
             places = np.log1p(np.array(steps) - first).tolist()

@@ -11,8 +11,9 @@ from imgui_bundle import ImVec2, ImVec4, imgui, implot
 from nerf_core.common.language import figure, marked, tr
 
 from ..model.state import Action, AppState
+from ..ui.axes import Limits, axis_name
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import axis_name, color_of, field_width, hint, nothing_yet
+from ..ui.widgets import color_of, field_width, hint, nothing_yet
 
 NEAR_DEGREES = 12.0  # photos farther from the slice's plane are left out
 CHANNELS = (ImVec4(0.92, 0.36, 0.32, 1), ImVec4(0.36, 0.78, 0.42, 1), ImVec4(0.40, 0.58, 0.95, 1))
@@ -27,6 +28,7 @@ class SlicePanel:
 
     def __init__(self) -> None:
         self.degrees = 0.0
+        self._angle, self._color = Limits(-90.0, 90.0), Limits(0.0, 1.05)
 
     def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
         yield from ()
@@ -43,8 +45,8 @@ class SlicePanel:
         angles, rgb = probe.slice(azimuth, state.radiance_of)
         if not implot.begin_plot("##slice", ImVec2(-1, max(imgui.get_content_region_avail().y, 6 * ui.em)), PLOT):
             return
-        implot.setup_axis(implot.ImAxis_.x1, None, 0)
-        implot.setup_axes_limits(-90, 90, 0, 1.05, implot.Cond_.once)
+        self._angle.link(implot.ImAxis_.x1)
+        self._color.link(implot.ImAxis_.y1)
         for c, color in enumerate(CHANNELS):
             line = implot.Spec(line_color=color, line_weight=0.12 * ui.em)
             implot.plot_line(f"channel {c}", np.degrees(angles), rgb[:, c].astype(np.float64), line)

@@ -14,8 +14,9 @@ from nerf_core.methods.stages import BarCode, Chart, Colors, Marks, Pictures, St
 
 from ..draw.picture_stack import picture_stack
 from ..model.state import Action, AppState
+from ..ui.axes import axis_name, number_ticks
 from ..ui.contract import PANELS, Ui
-from ..ui.widgets import axis_name, color_of, faded, figures, hint, nothing_yet, packed, swatch
+from ..ui.widgets import color_of, faded, figures, hint, nothing_yet, packed, swatch
 
 WIDTH_EM = 19.0
 CHART_EM = 2.0, 9.0  # least and largest height of a plot; in between, the plots of a stage share its height
@@ -133,7 +134,9 @@ def _begin(ui: Ui, name: str, t: np.ndarray, top: float, space: Space) -> bool:
     if begun:
         implot.setup_axis(implot.ImAxis_.x1, None, QUIET | (0 if space.numbered else implot.AxisFlags_.no_tick_labels))
         implot.setup_axis(implot.ImAxis_.y1, None, QUIET | implot.AxisFlags_.no_tick_labels)
-        implot.setup_axes_limits(*space.limits(t), 0, 1.15 * max(top, 1e-30), implot.Cond_.always)
+        ends = space.limits(t)
+        implot.setup_axes_limits(*ends, 0, 1.15 * max(top, 1e-30), implot.Cond_.always)
+        number_ticks(implot.ImAxis_.x1, *ends)
     return begun
 
 

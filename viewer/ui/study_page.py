@@ -146,11 +146,6 @@ class StudyPage:
             hint(ui, tr(wrong) if wrong else tr("The study failed: see Notices."), ui.theme.error)
 
 
-def single(value: float) -> float:
-    """Return the number that was meant by a slider, whose numbers have single precision, as an option spells it."""
-    return float(f"{value:.6g}")
-
-
 class StudyFolders:
     """Folders for studies, in a temporary folder that goes when the page does: a page is for playing.
 

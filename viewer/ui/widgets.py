@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -12,12 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from imgui_bundle import ImVec2, ImVec4, imgui, implot
+from imgui_bundle import ImVec2, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.common.colormaps import Name, colored
 from nerf_core.common.errors import UserError
-from nerf_core.common.language import ENGLISH, figure, language, marked, said, tr
+from nerf_core.common.language import figure, marked, said, tr
 from nerf_core.common.names import printable
 from nerf_core.common.text import decimal, number, triple
 from nerf_core.common.user_paths import own_path
@@ -219,6 +218,20 @@ def field_width(ui: Ui, label: str) -> None:
     imgui.set_next_item_width(max(avail - label_width - spacing, min(avail, 4 * ui.em)))
 
 
+def shown(value: float, spec: str, before: str = "", after: str = "") -> str:
+    """Return what a slider or a field to drag shows: a number in the window's language, between two texts.
+
+    imgui takes a format, and would write the number with a decimal point. This one has no place for a number, so imgui
+    does not round either: see `rounded`. While a number is typed it has a point, and a typed comma counts as one.
+    """
+    return f"{before}{figure(value, spec)}{after}".replace("%", "%%")
+
+
+def rounded(value: float, spec: str) -> float:
+    """Return a field's new number, which has single precision, as the field shows it by a format specification."""
+    return float(format(value, spec))
+
+
 LEVELS = {
     "info": icons.ICON_FA_CIRCLE_INFO,
     "warning": icons.ICON_FA_TRIANGLE_EXCLAMATION,
@@ -256,49 +269,6 @@ def path_line(ui: Ui, path: Path, mark: str) -> None:
         imgui.set_clipboard_text(shown)
     imgui.same_line()
     imgui.text_wrapped(shown)
-
-
-def axis_name(ui: Ui, text: str, *, right: bool = False, height: float = 0.0) -> None:
-    """Write an axis's name inside the plot, where it takes no space. Call it between begin and end of the plot.
-
-    height: how far down, from 0 (the top) to 1.
-    """
-    at, size, extent = implot.get_plot_pos(), implot.get_plot_size(), imgui.calc_text_size(text)
-    gap = 0.25 * ui.em
-    x = at.x + size.x - extent.x - gap if right else at.x + gap
-    y = at.y + height * (size.y - extent.y)
-    draw = implot.get_plot_draw_list()
-    implot.push_plot_clip_rect()
-    plate = faded(implot.get_style().color_(implot.Col_.plot_bg), 0.75)
-    draw.add_rect_filled(ImVec2(x - gap, y), ImVec2(x + extent.x + gap, y + extent.y), packed(plate))
-    draw.add_text(ImVec2(x, y), packed(ui.theme.muted), text)
-    implot.pop_plot_clip_rect()
-
-
-def number_ticks(axis: int, low: float, high: float) -> None:
-    """Set an axis's ticks as the window's language writes numbers. implot itself writes English ones.
-
-    low, high: the axis's ends. It gets 4 to 10 ticks, at multiples of 1, 2 or 5 times a power of ten.
-    """
-    if language() == ENGLISH or not high > low:
-        return
-    power = 10.0 ** math.floor(math.log10((high - low) / 4))
-    step = next(power * m for m in (5, 2, 1) if power * m <= (high - low) / 4)
-    places = step * np.arange(math.ceil(low / step - 1e-6), math.floor(high / step + 1e-6) + 1)  # despite rounding
-    implot.setup_axis_ticks(axis, places.tolist(), [figure(float(f"{v:.6g}") or 0.0, "g") for v in places])
-
-
-class Limits:
-    """The limits of an axis. They follow the data until the user moves them."""
-
-    def __init__(self) -> None:
-        self.low, self.high = implot.BoxedValue(0.0), implot.BoxedValue(1.0)
-        self._set = (0.0, 1.0)
-
-    def follow(self, low: float, high: float, fresh: bool) -> None:
-        """Set the limits to the data. fresh: the data is new, so that the user's limits no longer count."""
-        if fresh or (self.low.value, self.high.value) == self._set:
-            self._set = self.low.value, self.high.value = low, high
 
 
 class Confirmation:

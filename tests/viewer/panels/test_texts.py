@@ -20,8 +20,8 @@ from nerf_core.common.language import ENGLISH, languages, use_language
 from viewer.app import bars
 from viewer.commands.registry import MENUS
 from viewer.model.state import Action, AppState
+from viewer.ui.axes import number_ticks
 from viewer.ui.contract import PANELS
-from viewer.ui.widgets import number_ticks
 
 WIDTHS = {"right": 23.0, "bottom": 39.0, "bottom_right": 23.0, "overlay": 50.0}  # em, in a window of 1280 × 800
 HEIGHTS = {"right": 40.0, "bottom": 17.5, "bottom_right": 17.5, "overlay": 45.0}
@@ -79,6 +79,17 @@ def test_no_untranslated_text_reaches_the_screen(screen: Screen, name: str, brac
     }
     assert not found, dict(sorted(found))
     assert not brackets.unknown
+
+
+@pytest.mark.parametrize("name", PANELS.names())
+def test_every_number_on_the_screen_has_the_languages_separators(screen: Screen, name: str) -> None:
+    use_language("ru")
+    found = {
+        (text, key)
+        for key, state in all_states().items()
+        for text in draw(screen, name, state, everything=True).english_numbers
+    }
+    assert not found, dict(sorted(found))
 
 
 class Bars:
