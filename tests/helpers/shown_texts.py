@@ -95,7 +95,8 @@ class Shown:
     def __init__(self) -> None:
         self.texts: set[str] = set()
         self.english_numbers: set[str] = set()
-        self._plot, self._own_ticks = "", set[int]()  # the plot being set up, and its axes that implot does not number
+        # The plot being set up, its axes with ticks of ours, and those without numbers.
+        self._plot, self._own_ticks, self._bare = "", set[int](), set[int]()
         self.cut: set[Cut] = set()
         self._columns: list[str] = []  # of the table being set up: they are shown if it has a row of headers
 
@@ -111,13 +112,17 @@ class Shown:
             return  # an option, as the command line spells it
         self.english_numbers |= {text for text in texts if ENGLISH_NUMBER.search(VERSION.sub("", text))}
         if name == "begin_plot":
-            self._plot, self._own_ticks = args[0], set()
-        elif name == "setup_axis_ticks" or (
-            name == "setup_axis" and len(args) > 2 and args[2] & implot.AxisFlags_.no_tick_labels
-        ):
+            self._plot, self._own_ticks, self._bare = args[0], set(), set()
+        elif name == "setup_axis_ticks" and int(args[0]) in self._own_ticks:
+            self.english_numbers.add(f"{self._plot} axis {args[0]} twice")  # implot would show both
+        elif name == "setup_axis_ticks":
             self._own_ticks.add(int(args[0]))
+        elif name == "setup_axis" and len(args) > 2 and args[2] & implot.AxisFlags_.no_tick_labels:
+            self._bare.add(int(args[0]))
         elif name == "end_plot":
-            self.english_numbers |= {f"{self._plot} axis {axis}" for axis in AXES if axis not in self._own_ticks}
+            self.english_numbers |= {
+                f"{self._plot} axis {axis}" for axis in AXES if axis not in self._own_ticks | self._bare
+            }
 
     def headers(self) -> None:
         self.texts.update(self._columns)

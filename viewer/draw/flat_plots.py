@@ -131,9 +131,8 @@ def psnr_plot(ui: Ui, curves: Sequence[Curve], size: ImVec2) -> None:
     implot.push_style_var(implot.StyleVar_.plot_min_size, ImVec2(ui.em, ui.em))
     implot.push_style_var(implot.StyleVar_.plot_padding, ImVec2(ui.em, 0.25 * ui.em))
     if implot.begin_plot("##flat psnr", size, PLOT):
-        fitted_axes([(curve.x, curve.y) for curve in curves])
         between = 5 if size.y > LOW_EM * ui.em else 10
-        ticks_at(Y1, range(0, 61, between))
+        fitted_axes([(curve.x, curve.y) for curve in curves], range(0, 61, between))
         for k, curve in reversed(list(enumerate(curves))):
             color = faded(ui.theme.muted, 0.7) if k else ui.theme.accent
             line = implot.Spec(line_color=color, line_weight=(0.08 if k else 0.14) * ui.em)

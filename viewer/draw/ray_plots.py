@@ -173,7 +173,7 @@ class RayPlots:
         implot.setup_axis(Y1, None)
         low, high = self._sigma_fits
         implot.setup_axis_scale(Y1, implot.Scale_.log10 if self.log_density else implot.Scale_.linear)
-        self._sigma.link(Y1, least=2)
+        self._sigma.link(Y1, None if self.log_density else 2)
         if self.log_density:
             decades = [10.0**k for k in range(math.ceil(math.log10(low)), math.floor(math.log10(high)) + 1)][::-2]
             ticks_at(Y1, decades)
@@ -222,7 +222,7 @@ class RayPlots:
 
     def _share_t(self, flags: implot.AxisFlags_) -> None:
         implot.setup_axis(X1, None, flags)
-        implot.setup_axis_links(X1, self._t.low, self._t.high)
+        self._t.link(X1, None)
 
     def _drag_point(self, ui: Ui, opened: Opened) -> float | None:
         """Draw the point's line. Returns the place to which the user drags it, else None."""

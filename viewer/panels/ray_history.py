@@ -85,9 +85,9 @@ class RayHistoryPanel:
         )  # half the width of a step's number
         size = ImVec2(-1, max(room.y - (STRIP_EM + 0.4) * ui.em, 5 * ui.em))
         if implot.begin_plot("##ray history", size, PLOT):
-            for axis, limits in ((implot.ImAxis_.x1, self._x), (implot.ImAxis_.y1, self._t)):
+            for axis, limits, least in ((implot.ImAxis_.x1, self._x, None), (implot.ImAxis_.y1, self._t, 4)):
                 implot.setup_axis(axis, None, 0)
-                limits.link(axis)
+                limits.link(axis, least)
             wide = imgui.calc_text_size(figure(last, ",")).x + ui.em
             steps = ticks(first, last, max(wide / max(room.x - 6 * ui.em, wide), 0.1))
             places = np.log1p(np.array(steps) - first).tolist()

@@ -54,13 +54,19 @@ def number_ticks(axis: int, low: float, high: float, least: int = 4) -> None:
     ticks_at(axis, places.tolist(), [float(f"{v:.6g}") or 0.0 for v in places])
 
 
-def fitted_axes(curves: Iterable[tuple[np.ndarray, np.ndarray]]) -> None:
-    """Let both axes of a plot fit these curves, x (N,) and y (N,) each, with ticks in the window's language."""
+def fitted_axes(curves: Iterable[tuple[np.ndarray, np.ndarray]], ticks: Sequence[float] | None = None) -> None:
+    """Let both axes of a plot fit these curves, x (N,) and y (N,) each, with ticks in the window's language.
+
+    ticks: those of y.
+    """
     both = list(curves)
     for k, axis in enumerate((implot.ImAxis_.x1, implot.ImAxis_.y1)):
         implot.setup_axis(axis, None, implot.AxisFlags_.auto_fit)
         values = np.concatenate([curve[k] for curve in both]) if both else np.empty(0)
         values = values[np.isfinite(values)]
+        if k == 1 and ticks is not None:
+            ticks_at(axis, ticks)
+            continue
         low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 1.0)
         if not high > low:
             low, high = low - 0.5, high + 0.5  # as implot does
@@ -87,7 +93,11 @@ class Limits:
         """Return the limits as they are, perhaps moved by the user."""
         return self.low.value, self.high.value
 
-    def link(self, axis: int, least: int = 4) -> None:
-        """Give them to an axis of the plot that is being set up, with its ticks: see `number_ticks`."""
+    def link(self, axis: int, least: int | None = 4) -> None:
+        """Give them to an axis of the plot that is being set up.
+
+        least: of its `number_ticks`. None: it has none, or gets its own; implot would show both.
+        """
         implot.setup_axis_links(axis, self.low, self.high)
-        number_ticks(axis, *self.shown(), least)
+        if least is not None:
+            number_ticks(axis, *self.shown(), least)
