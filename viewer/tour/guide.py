@@ -77,6 +77,11 @@ class Guide:
         """Return whether something of the step is still to be done, so that frames are needed."""
         return self.on and bool(self._read or (self._deeds and not self._waiting))
 
+    @property
+    def stands(self) -> bool:
+        """Return whether the step is all there: its deeds are done, and what the reader does is noticed."""
+        return self.on and not self._deeds and self._before is not None
+
     # ---- beginning, turning pages, leaving ----------------------------------------------------------------------
 
     def begin(self, state: AppState, folder: Path | None = None) -> None:
