@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Union
 
 import tyro
 
+from nerf_core.captures.opening import open_capture
 from nerf_core.commands import COMMANDS
 from nerf_core.commands.shared import loading, tell
 from nerf_core.common.configs import constants
@@ -15,7 +16,7 @@ from nerf_core.common.console import Display
 from nerf_core.common.errors import UserError
 from nerf_core.common.output import say
 from nerf_core.common.signals import Interrupted, Signals
-from nerf_core.datasets import LoadOptions, load_scene
+from nerf_core.datasets import LoadOptions
 from nerf_core.lab.job import StudyJob, failure, summary
 from nerf_core.lab.study import STUDIES, Subject, takes_photo
 from nerf_core.lab.workers import rows_on
@@ -80,7 +81,7 @@ class Lab:
         if kind.of_scene:
             load = given.load.loading()
             with loading() as progress:
-                scene = load_scene(data, load, progress)
+                scene = open_capture(data, load, progress)
             tell(scene.notes)
         subject = Subject(data, load, scene, given.device)
         folder = given.out or Path("lab") / (run_name(data, name) if kind.of_scene or data else name)

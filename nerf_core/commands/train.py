@@ -10,6 +10,7 @@ from typing import Annotated, ClassVar
 
 import tyro
 
+from nerf_core.captures.opening import open_capture
 from nerf_core.commands import COMMANDS
 from nerf_core.commands.shared import loading, restored, tell, warn
 from nerf_core.common.console import Display
@@ -19,7 +20,6 @@ from nerf_core.common.output import say
 from nerf_core.common.processes import started_together
 from nerf_core.common.signals import Signals
 from nerf_core.common.text import counted, duration
-from nerf_core.datasets import load_scene
 from nerf_core.kernels import choice as kernels
 from nerf_core.methods import nothing_to_train
 from nerf_core.methods.group import ALONE, Group
@@ -78,7 +78,7 @@ class Train:
                 if first:
                     run.must_be_new()
                 with loading() as progress:
-                    scene = load_scene(self.data, settings.load, progress)
+                    scene = open_capture(self.data, settings.load, progress)
                 tell(scene.notes)
                 trainer = Trainer(scene, replace(settings, device=device), group)
                 trainer.compare()

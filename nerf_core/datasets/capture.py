@@ -20,6 +20,9 @@ from nerf_core.geometry.camera import Camera
 HOLD_OUT = 8  # every 8th photo, from the first, is held out if a capture names no splits (LLFF's rule)
 
 
+Quality = Literal["fast", "normal", "high"]
+
+
 @dataclass(frozen=True)
 class LoadOptions:
     """The user's choices about loading.
@@ -30,6 +33,7 @@ class LoadOptions:
     ndc: whether to train in normalised device coordinates; "auto": where that is possible.
     background: the colour behind transparent photos; "auto": white for photos with alpha, else black.
     memory_gb: the limit for all loaded photos together, in 10⁹ bytes; photos are downscaled further to fit.
+    poses: how carefully the poses of photos are found that have none.
     """
 
     format: str = "auto"
@@ -38,6 +42,7 @@ class LoadOptions:
     ndc: Literal["auto", "on", "off"] = "auto"
     background: Literal["auto", "white", "black"] = "auto"
     memory_gb: float = 8.0
+    poses: Quality = "normal"
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from nerf_core.captures.records import PoseProgress
 from nerf_core.common.names import printable
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
@@ -413,6 +414,7 @@ class Snapshot:
     opened_look: the `Inspect.look` that is answered whole; 0: not yet.
     opened_step: the training step of the whole opened ray; −1: some of it is of another step, or not there yet.
     loading: what is being loaded, with a count, while `status` is "loading".
+    posing: how far poses are found, while they are; None: they are not.
     preview_rays_per_second: at full quality, while drawing; 0: not measured yet.
     study: the newest study of the worker, whatever run it is about; None: there was none.
     """
@@ -420,6 +422,7 @@ class Snapshot:
     run: int = FIRST_RUN
     status: Status = "empty"
     loaded: int = 0
+    posing: PoseProgress | None = None
     scene: Scene | None = None
     method: str = ""
     method_reason: str = ""

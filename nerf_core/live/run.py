@@ -13,12 +13,13 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from nerf_core.captures.opening import open_capture
+from nerf_core.captures.records import PoseProgress
 from nerf_core.common.device import enough_memory
 from nerf_core.common.errors import UserError
 from nerf_core.common.language import marked, phrase, phrases
 from nerf_core.common.names import printable
 from nerf_core.common.user_paths import absolute
-from nerf_core.datasets import load_scene
 from nerf_core.geometry.scene import Scene
 from nerf_core.kernels import choice as kernels
 from nerf_core.live import messages, pin_files
@@ -72,6 +73,7 @@ class Run:
         self._ray_command = 0  # the number of the command that opened the ray
         self.failed = False
         self.loading = ""
+        self.posing: PoseProgress | None = None
         self.loaded = 0
         self.until: int | None = None  # the step at which training pauses; None: it does not train
         self._until_seconds = math.inf
@@ -153,12 +155,17 @@ class Run:
         def progress(words: str, done: int, total: int) -> None:
             self._busy_with(phrase("{words}: {done:,} of {total:,}", words=words, done=done, total=total), now=False)
 
+        def posing(state: PoseProgress) -> None:
+            self.posing = state
+            words = phrase("{words}: {done:,} of {total:,}", words=state.stage, done=state.done, total=state.total)
+            self._busy_with(words, now=False)
+
         path = None if path is None else absolute(path)  # the current folder may go while it is open
         opening = phrase("opening the demo scene") if path is None else phrase("opening {path}", path=str(path))
         with self._busy(opening):
             stored = None if file is None else Stored(file, *checkpoint.load(file))
             try:
-                scene = load_scene(path, settings.load, progress)
+                scene = open_capture(path, settings.load, progress, posing)
             except UserError as error:
                 raise error if file is None else UserError(f"{error}; then load {file}") from None
             trainer = self._made(scene, settings) if stored is None else self._resumed(scene, settings, stored)
@@ -411,7 +418,7 @@ class Run:
                 self._busy_with(words)
             yield
         finally:
-            self.loading = ""
+            self.loading, self.posing = "", None
 
     def _busy_with(self, words: str, now: bool = True) -> None:
         self.loading = printable(words)

@@ -16,8 +16,8 @@ def snapshot_of(run: Run, before: Snapshot, scheduler: Scheduler) -> Snapshot:
         before = replace(before, preview=None)
     status, trainer, budget = status_of(run), run.trainer, scheduler.budget
     shown = replace(
-        before, run=run.number, status=status, loading=run.loading, loaded=run.loaded, scene=run.scene,
-        wanted_share=scheduler.wanted, share_rule=scheduler.rule,
+        before, run=run.number, status=status, loading=run.loading, posing=run.posing, loaded=run.loaded,
+        scene=run.scene, wanted_share=scheduler.wanted, share_rule=scheduler.rule,
         frame_share=budget.frame_share(), export=run.exports.newest,
     )  # fmt: skip
     if trainer is None:

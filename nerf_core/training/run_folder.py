@@ -15,11 +15,12 @@ from typing import Any
 
 from torch import Tensor
 
+from nerf_core.captures.opening import open_capture
 from nerf_core.common import device
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.files import clear_leftovers, locked_file, write_atomically
 from nerf_core.common.json_files import Fields, read_json
-from nerf_core.datasets import LoadOptions, load_scene
+from nerf_core.datasets import LoadOptions
 from nerf_core.methods.group import ALONE, Group
 from nerf_core.training import checkpoint
 from nerf_core.training.settings import RunSettings, filled
@@ -194,7 +195,7 @@ class RunFolder:
         """
         stored, settings = self.config()
         path, description, state, rejected = checkpoint.newest(self.path)
-        scene = load_scene(data or stored, settings.load, progress)
+        scene = open_capture(data or stored, settings.load, progress)
         if not scene.is_of(description):
             raise UserError(f"{path}: {scene.difference(description)}")
         device.pick_device(on)  # a wrong one is no fault of the checkpoint

@@ -1,0 +1,1 @@
+"""Photos and videos without poses, and what a capture is like."""

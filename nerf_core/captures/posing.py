@@ -1,0 +1,453 @@
+"""Find the poses of photos or of a video's frames, in a process of its own, and keep them as a COLMAP folder."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+import os
+import selectors
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import ExifTags, Image
+
+from nerf_core.captures.advice import reason, summary, too_few
+from nerf_core.captures.raw_photos import RawPhotos
+from nerf_core.captures.records import Growing, PoseOptions, PoseProgress
+from nerf_core.captures.video_frames import write_frames
+from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.files import write_atomically
+from nerf_core.common.language import marked, phrase
+from nerf_core.common.names import printable
+from nerf_core.common.text import counted, duration
+from nerf_core.datasets.images import UnreadableError, measure, read_photo
+
+FORMAT = 1  # of poses.json
+DONE = "poses.json"
+WORK = ".work-"  # of the folder of one search; two may go on at once
+STALLED = 900.0  # seconds without a sign of life: one pair of photos, or one adjustment of a thousand, takes less
+POLL_SECONDS = 0.1
+MEMORY_SHARE = 0.75  # of the memory that is free, for the program
+COPY_QUALITY = 95  # of JPEG: its artefacts are then below SIFT's noise
+ALL_PAIRS = 120  # photos: up to here every pair is matched, 7,140 of them
+NEAR = 20  # photos that each is matched with above that, and 10 in the order of a video
+NEAR_IN_VIDEO = 10
+SEED = 0
+
+# The longer side of the copies, the most features of a photo, and SIFT's first octave: −1 doubles the picture first.
+QUALITIES: dict[str, tuple[int, int, int]] = {
+    "fast": (1000, 2048, 0),
+    "normal": (1600, 4096, 0),
+    "high": (3200, 8192, -1),
+}
+STAGES = {
+    "features": marked("finding features"),
+    "matches": marked("matching photos"),
+    "poses": marked("placing photos"),
+}
+COPYING = marked("reading photos")
+
+
+@dataclass(frozen=True)
+class Posed:
+    """Photos with poses.
+
+    folder: a COLMAP folder: sparse/0 and images.
+    names: all photos.
+    unplaced: those without a pose, each with the reason.
+    error: the mean distance between points and where photos show them, in pixels of the copies.
+    points: of the sparse model.
+    advice: what to photograph instead; empty if every photo has a pose.
+    seconds: that it took.
+    again: whether it was found from before.
+    """
+
+    folder: Path
+    names: tuple[str, ...]
+    unplaced: tuple[tuple[str, str], ...]
+    error: float
+    points: int
+    advice: str
+    seconds: float
+    again: bool = False
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Return what to tell the user of the photos that have no pose."""
+        if not self.unplaced:
+            return ()
+        listed = "; ".join(f"{name}: {why}" for name, why in self.unplaced[:3])
+        more = "" if len(self.unplaced) <= 3 else phrase("; {n} more", n=len(self.unplaced) - 3)
+        return (
+            phrase(
+                "{placed} of {photos} photos have a pose, without one: {listed}{more}",
+                placed=len(self.names) - len(self.unplaced),
+                photos=len(self.names),
+                listed=listed,
+                more=more,
+            ),
+            *filter(None, [self.advice]),
+        )
+
+
+Progress = Callable[[PoseProgress], None]
+
+
+def pose_folder(raw: RawPhotos, options: PoseOptions) -> Path:
+    """Return the folder in the cache where the poses of these photos lie, or will lie."""
+    import platformdirs
+
+    key = f"{raw.key()}-{options.quality}" + (f"-{options.frames}" if raw.video is not None else "")
+    return platformdirs.user_cache_path("nerf-viewer") / "poses" / key / (printable(raw.name) or "photos")
+
+
+def find_poses(raw: RawPhotos, out: Path | None, options: PoseOptions, progress: Progress) -> Posed:
+    """Find the poses of photos by structure from motion, or the result of an earlier time.
+
+    Args:
+        raw: the photos or the video.
+        out: the folder for the result; None: one in the cache. Nothing is written beside the photos.
+        options: the user's choices.
+        progress: called from this thread, some ten times a second; what it raises ends everything.
+
+    Returns:
+        The result. `out` then holds sparse/0, images (a link to the photos, or a video's frames) and poses.json.
+
+    Raises:
+        UserError: if no pose is found, with the reason and what to photograph instead, or if a limit is reached.
+            Nothing of the result is left then.
+    """
+    check(raw, options)
+    folder = pose_folder(raw, options) if out is None else out
+    key = f"{raw.key()}-{options.quality}-{options.frames}"
+    known = _known(folder, key)
+    if known is not None:
+        return known
+    if folder.is_dir() and not (folder / DONE).exists() and any(f for f in folder.iterdir() if WORK not in f.name):
+        raise UserError(f"{folder} is not empty: name a new folder")
+    begun = time.monotonic()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=WORK) as scratch:
+            work = Path(scratch)
+            job = _Job(raw, options, work, progress)
+            job.prepare()
+            result = job.run()
+            posed = _judged(job, result, folder, time.monotonic() - begun)
+            if (other := _known(folder, key)) is not None:
+                return other  # of a search that ended first
+            _keep(job, posed, folder, key)
+    except BaseException as error:
+        _remove_if_empty(folder)
+        if isinstance(error, OSError):
+            raise UserError(f"{folder}: {error.strerror or error}: choose another folder with --out") from error
+        raise
+    return posed
+
+
+def check(raw: RawPhotos, options: PoseOptions) -> None:
+    """Raise UserError for options out of range, for too few photos, and where pycolmap is missing."""
+    if options.quality not in QUALITIES:
+        raise UserError(f"--quality is {shorten(options.quality)}: choose one of {', '.join(QUALITIES)}")
+    if not (options.frames == 0 or 3 <= options.frames <= 5000):
+        raise UserError(f"--frames is {shorten(options.frames)}: give 3 to 5000, or 0 to choose by the length")
+    if not 0 < options.minutes <= 1e5:
+        raise UserError(f"--minutes is {options.minutes}: give the time limit in minutes, more than 0")
+    if not 0 <= options.memory_gb <= 1e5:
+        raise UserError(f"--memory-gb is {options.memory_gb}: give the limit in GB, or 0 for what is free")
+    if importlib.util.find_spec("pycolmap") is None:
+        raise UserError(f"{raw.source} has no poses: to find them, run `pip install pycolmap`")
+    if raw.video is None and (few := too_few(len(raw.photos))):
+        raise UserError(f"{raw.source} holds {few}")
+
+
+# ---- one search --------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class _Job:
+    """One search for poses, in the folder `work`."""
+
+    raw: RawPhotos
+    options: PoseOptions
+    work: Path
+    tell: Progress
+    photos: tuple[Path, ...] = ()  # the originals
+    names: list[str] = field(default_factory=list)  # of the originals, below `images`
+    damaged: list[str] = field(default_factory=list)
+    state: PoseProgress = field(default_factory=lambda: PoseProgress(""))
+    begun: float = 0.0  # the time at which the stage began
+
+    @property
+    def images(self) -> Path:
+        """The folder of the originals."""
+        return self.work / "images" if self.raw.video is not None else self.raw.root
+
+    # ---- photos
+
+    def prepare(self) -> None:
+        """Write the task: small upright copies of the photos, which pycolmap can read whatever the originals are."""
+        self.photos = self.raw.photos
+        if self.raw.video is not None:
+            self.images.mkdir()
+            self.photos = write_frames(self.raw.video, self.images, self.options.frames, self._stage)
+            if few := too_few(len(self.photos)):
+                raise UserError(
+                    f"{self.raw.video} gives {few}: in it the camera hardly moves: film while walking around the object"
+                )
+        side, features, octave = QUALITIES[self.options.quality]
+        sizes, copies, groups = list[tuple[int, int]](), list[str](), dict[tuple[int | str, ...], int]()
+        for k, photo in enumerate(self.photos):
+            self._stage(COPYING, k, len(self.photos))
+            try:
+                size, lens = self._copy(photo, side, k, groups)
+            except UnreadableError as error:
+                self.damaged.append(str(error))
+                continue
+            sizes.append(size)
+            copies.append(lens)
+            self.names.append(photo.relative_to(self.images).as_posix())
+        if few := too_few(len(self.names)):
+            raise UserError(f"{self.raw.source} has {few} that can be read ({self.damaged[0]})")
+        video = self.raw.video is not None
+        task: dict[str, Any] = {
+            "names": self.names, "sizes": sizes, "copies": copies, "side": side, "features": features, "octave": octave,
+            "pairs": "all" if len(copies) <= ALL_PAIRS else "video" if video else "alike",
+            "near": NEAR_IN_VIDEO if video else NEAR, "threads": max(1, os.cpu_count() or 1), "seed": SEED,
+        }  # fmt: skip
+        (self.work / "task.json").write_text(json.dumps(task), "utf-8")
+
+    def _copy(
+        self, photo: Path, side: int, k: int, groups: dict[tuple[int | str, ...], int]
+    ) -> tuple[tuple[int, int], str]:
+        """Write the copy of a photo. Returns the original's upright size and the copy's name below photos/."""
+        header = measure(photo)
+        size = (header.width, header.height) if header.orientation < 5 else (header.height, header.width)
+        scale = min(1.0, side / max(size))
+        small = max(1, round(size[0] * scale)), max(1, round(size[1] * scale))
+        pixels = read_photo(photo, small, (0.0, 0.0, 0.0), upright=True)
+        made_by, focal = _camera_of(photo)
+        group = groups.setdefault((*small, made_by, focal), len(groups))
+        name = f"{group}/{k:06d}.jpg"
+        file = self.work / "photos" / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        exif = Image.Exif()
+        if focal:  # the focal length that a camera writes is a better start than COLMAP's guess
+            exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = focal
+        Image.fromarray((pixels >> 8).astype(np.uint8)).save(file, quality=COPY_QUALITY, subsampling=0, exif=exif)
+        return size, name
+
+    def _stage(self, stage: str, done: int, total: int) -> None:
+        """Show how far a stage is, with the time that it needs if it goes on as it went."""
+        now = time.monotonic()
+        if stage != self.state.stage:
+            self.begun = now
+        spent = now - self.begun
+        left = spent * (total - done) / done if done and spent > 1 else None
+        self.state = replace(self.state, stage=stage, done=done, total=total, seconds_left=left,
+                             photos=len(self.names) or len(self.photos))  # fmt: skip
+        self.tell(self.state)
+
+    # ---- the program
+
+    def run(self) -> dict[str, Any]:
+        """Run the program on the task. Returns its result. Raises UserError if it fails or reaches a limit."""
+        program = Path(__file__).with_name("sfm_program.py")
+        # -P: this package's files must not be imported as top-level modules
+        command = [sys.executable, "-P", str(program), str(self.work.resolve())]
+        # its own session: a Ctrl-C in the terminal is ours to handle
+        child = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
+        )
+        try:
+            errors = self._follow(child)
+        finally:
+            child.kill()
+            child.wait()
+            for stream in (child.stdin, child.stdout, child.stderr):
+                if stream is not None:
+                    stream.close()
+        result = self.work / "result.json"
+        if child.returncode or not result.exists():
+            said = errors.decode("utf-8", "replace").strip().splitlines()
+            why = said[-1] if child.returncode > 0 and said else f"crash {child.returncode}"
+            raise UserError(
+                f"{self.raw.source}: finding poses failed while {self.state.stage} ({shorten(why, 200)}): try "
+                "--quality fast, or fewer photos"
+            )
+        return json.loads(result.read_text("utf-8"))
+
+    def _follow(self, child: subprocess.Popen[bytes]) -> bytes:
+        """Read what the program says until it ends; returns its standard error."""
+        assert child.stdout is not None
+        assert child.stderr is not None
+        begun = heard = time.monotonic()
+        limit = self.options.memory_gb * 1e9 or MEMORY_SHARE * free_memory()
+        lines, errors = b"", b""
+        with selectors.DefaultSelector() as selector:
+            for stream in (child.stdout, child.stderr):
+                os.set_blocking(stream.fileno(), False)
+                selector.register(stream, selectors.EVENT_READ)
+            while selector.get_map():
+                for key, _ in selector.select(POLL_SECONDS):
+                    data = os.read(key.fd, 65536)
+                    if not data:
+                        selector.unregister(key.fileobj)
+                    elif key.fileobj is child.stderr:
+                        errors = (errors + data)[-65536:]
+                    else:
+                        heard = time.monotonic()
+                        *whole, lines = (lines + data).split(b"\n")
+                        for line in whole:
+                            self._hear(line)
+                self.tell(self.state)
+                self._check_limits(child.pid, begun, heard, limit)
+        child.wait()
+        return errors
+
+    def _hear(self, line: bytes) -> None:
+        said = json.loads(line)
+        if said["stage"] == "poses":
+            self.state = replace(self.state, placed=said["done"], growing=_growing(self.work / "growing.npz"))
+        self._stage(STAGES[said["stage"]], said["done"], said["total"])
+
+    def _check_limits(self, pid: int, begun: float, heard: float, limit: float) -> None:
+        now, where = time.monotonic(), f"{self.raw.source}: finding poses was stopped while {self.state.stage}"
+        if now - begun > 60 * self.options.minutes:
+            raise UserError(f"{where}: it reached --minutes {self.options.minutes:g}: raise it, or take --quality fast")
+        if now - heard > STALLED and self.state.stage != STAGES["poses"]:
+            raise UserError(f"{where}: nothing happened for {duration(STALLED)}: try --quality fast, or fewer photos")
+        used = _memory_of(pid)
+        if used > limit:
+            raise UserError(
+                f"{where}: it took {used / 1e9:.1f} GB of memory, {limit / 1e9:.1f} are allowed: raise --memory-gb, or "
+                "take --quality fast or fewer photos"
+            )
+
+
+def _camera_of(photo: Path) -> tuple[str, int]:
+    """What tells the cameras of photos apart: maker and model, and the focal length in 35 mm film; 0: not known."""
+    if photo.suffix.lower() in (".exr", ".png", ".bmp"):
+        return "", 0
+    try:
+        with Image.open(photo) as image:
+            exif = image.getexif()
+            lens = exif.get_ifd(ExifTags.IFD.Exif)
+            focal = float(lens.get(ExifTags.Base.FocalLengthIn35mmFilm, 0) or 0)
+            names = [str(exif.get(tag, ""))[:100] for tag in (ExifTags.Base.Make, ExifTags.Base.Model)]
+            return "/".join(names), round(focal) if 1 <= focal <= 2000 else 0
+    except (OSError, SyntaxError, ValueError, TypeError, KeyError, ArithmeticError):
+        return "", 0  # a damaged tag costs nothing but its focal length
+
+
+def _growing(file: Path) -> Growing | None:
+    try:
+        with np.load(file, allow_pickle=False) as arrays:
+            return Growing(arrays["poses"], arrays["points"], arrays["colors"])
+    except (OSError, ValueError, KeyError):
+        return None  # not there yet
+
+
+def free_memory() -> float:
+    """Return the bytes of memory that programs can still take; infinity where the system does not tell."""
+    try:
+        for line in Path("/proc/meminfo").read_text("ascii").splitlines():
+            if line.startswith("MemAvailable:"):
+                return 1024.0 * int(line.split()[1])
+    except (OSError, ValueError, IndexError):
+        pass
+    return math.inf
+
+
+def _memory_of(pid: int) -> float:
+    """The resident bytes of a process; 0 where the system does not tell."""
+    try:
+        pages = int(Path(f"/proc/{pid}/statm").read_text("ascii").split()[1])
+        return float(pages * os.sysconf("SC_PAGE_SIZE"))
+    except (OSError, ValueError, IndexError):
+        return 0.0
+
+
+# ---- the result --------------------------------------------------------------------------------------------------
+
+
+def _judged(job: _Job, result: dict[str, Any], folder: Path, seconds: float) -> Posed:
+    """Raises UserError with plain words if the photos have no poses."""
+    placed = set(result["placed"])
+    if len(placed) < 2:
+        words = summary(result)
+        raise UserError(f"{job.raw.source}: no poses were found for its {counted(len(job.names), 'photo')}. {words}")
+    lost = [
+        (job.names[i], reason(result["features"][i], result["best"][i]))
+        for i in range(len(job.names))
+        if i not in placed
+    ]
+    lost += [(Path(text.split(":")[0]).name, marked("it cannot be read")) for text in job.damaged]
+    return Posed(
+        folder, tuple(job.names), tuple(lost), result["error"], result["points"], summary(result), seconds
+    )  # fmt: skip
+
+
+def _keep(job: _Job, posed: Posed, folder: Path, key: str) -> None:
+    """Move the result to its folder; poses.json, which says that it is complete, comes last."""
+    (folder / DONE).unlink(missing_ok=True)
+    for name in ("sparse", "images"):
+        place = folder / name
+        if place.is_symlink():
+            place.unlink()
+        elif place.exists():
+            shutil.rmtree(place)
+    (job.work / "sparse").rename(folder / "sparse")
+    if job.raw.video is not None:
+        (job.work / "images").rename(folder / "images")
+    else:
+        _link(folder / "images", job.raw.root, job.photos)
+    description = {
+        "format": FORMAT, "key": key, "names": posed.names, "unplaced": posed.unplaced, "error": posed.error,
+        "points": posed.points, "advice": posed.advice, "seconds": posed.seconds,
+    }  # fmt: skip
+    write_atomically(folder / DONE, json.dumps(description))
+
+
+def _link(link: Path, root: Path, photos: Sequence[Path]) -> None:
+    """Make a link to the folder of the photos; where a system has no links, copy them."""
+    try:
+        link.symlink_to(root.resolve(), target_is_directory=True)
+    except OSError:
+        for photo in photos:
+            copy = link / photo.relative_to(root)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(photo, copy)
+
+
+def _known(folder: Path, key: str) -> Posed | None:
+    """The result of an earlier time, if it is complete and of the same photos."""
+    try:
+        said = json.loads((folder / DONE).read_text("utf-8"))
+        if said["format"] != FORMAT or said["key"] != key or not (folder / "sparse" / "0").is_dir():
+            return None
+        if not (folder / "images").is_dir():
+            return None
+        lost = tuple((str(name), str(why)) for name, why in said["unplaced"])
+        numbers = float(said["error"]), int(said["points"]), str(said["advice"]), float(said["seconds"])
+        return Posed(folder, tuple(map(str, said["names"])), lost, *numbers, again=True)
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _remove_if_empty(folder: Path) -> None:
+    """Remove a folder without a result, and the cache's folder around it."""
+    for place in (folder, folder.parent):
+        try:
+            place.rmdir()
+        except OSError:
+            return

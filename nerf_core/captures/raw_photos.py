@@ -1,0 +1,70 @@
+"""Recognise photos and videos without poses."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from nerf_core.common.assets import assets_dir
+from nerf_core.common.errors import UserError
+from nerf_core.datasets.capture import DATASETS
+from nerf_core.datasets.images import SUFFIXES
+from nerf_core.datasets.photo_folders import photo_folders, photos_below
+
+VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".3gp")
+
+
+@dataclass(frozen=True)
+class RawPhotos:
+    """Photos or a video without poses.
+
+    source: what the user named.
+    root: the folder of the photos; for a video, its folder.
+    photos: absolute paths, sorted by name; empty for a video.
+    video: the video, or None.
+    """
+
+    source: Path
+    root: Path
+    photos: tuple[Path, ...]
+    video: Path | None = None
+
+    @property
+    def name(self) -> str:
+        """Return what to call the capture."""
+        return self.source.resolve().stem if self.video is not None else self.source.resolve().name
+
+    def key(self) -> str:
+        """Return a digest of the files' places, sizes and times of change: other files give another."""
+        files = [self.video] if self.video is not None else self.photos
+        found = [(str(f.resolve()), (s := f.stat()).st_size, s.st_mtime_ns) for f in files]
+        return hashlib.sha256(json.dumps(found).encode("utf-8", "surrogateescape")).hexdigest()[:16]
+
+
+def raw_photos(path: Path | None) -> RawPhotos | None:
+    """Return what a path holds that has no poses; None if some format of captures reads it, or it holds no photo.
+
+    In a folder, the photos themselves count first, then those in images, then those in any folder below it. A folder
+    without photos but with one video is that video.
+    """
+    if path is None or path == assets_dir():
+        return None
+    if path.is_file():
+        return RawPhotos(path, path.parent, (), path) if path.suffix.lower() in VIDEOS else None
+    if not path.is_dir() or any(DATASETS.get(name).matches(path) for name in DATASETS.names()):
+        return None
+    photos = tuple(sorted(f for f in path.iterdir() if f.suffix.lower() in SUFFIXES and not f.name.startswith(".")))
+    root = path
+    if not photos:
+        folders = photo_folders(path)
+        root = folders[0].path if folders and folders[0].files else path
+        photos = folders[0].files if folders and folders[0].files else photos_below(path)
+    if photos:
+        return RawPhotos(path, root, tuple(p.absolute() for p in photos))
+    videos = [f for f in path.iterdir() if f.suffix.lower() in VIDEOS and not f.name.startswith(".")]
+    if len(videos) > 1:
+        names = ", ".join(sorted(f.name for f in videos)[:5])
+        raise UserError(f"{path} holds {len(videos)} videos ({names}): name one of them")
+    return RawPhotos(path, path, (), videos[0]) if videos else None

@@ -1,0 +1,286 @@
+"""Find the poses of photos with pycolmap: `python -P sfm_program.py FOLDER`, a process of its own.
+
+FOLDER holds task.json (see `main`) and photos/, small upright copies of the photos. The program writes there:
+
+- lines of JSON on standard output: what is being done, how much of it, and how many photos have a pose;
+- growing.npz, the cameras and points so far, replaced again and again;
+- sparse/0, the largest model as COLMAP writes it, in pixels of the original photos;
+- result.json: what became of each photo.
+
+It is a process of its own because the mapper can crash, hang, or need more memory than there is. Structure from motion
+is COLMAP's (Schönberger and Frahm, CVPR 2016), with its incremental mapper.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import sqlite3
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+POLL_SECONDS = 0.4  # between looks at how far pycolmap is
+GROWING_SECONDS = 0.7  # between pictures of the growing model
+GROWING_POINTS = 6000  # enough to recognise a scene
+WORDS = 64  # of the vocabulary for `resemblance`: a VLAD of 64 words tells scenes apart (Jégou et al., CVPR 2010)
+SAMPLED = 40_000  # descriptors that the vocabulary is made of
+ROUNDS = 8  # of k-means: the words hardly move any more
+PANORAMIC = (5, 6)  # COLMAP's two-view configurations "panoramic" and "planar or panoramic": turned, not moved
+LEAST_MODEL = 3  # photos; COLMAP's 10 would give up small captures
+
+
+def say(**values: object) -> None:
+    """Tell the parent, on a line of its own."""
+    print(json.dumps(values), flush=True)  # noqa: T201  the parent reads it
+
+
+def main(folder: Path) -> None:
+    """Do the task in task.json.
+
+    names, sizes: of the original photos; (width, height) upright.
+    copies: their files in photos/. Those in one folder were taken by one camera.
+    side, features, octave: the longer side of a copy, the most features of a photo, and the first octave of SIFT.
+    pairs, near: "all", "video" or "alike", and how many others a photo is matched with then.
+    threads, seed: for pycolmap.
+    """
+    threading.Thread(target=_die_with_parent, daemon=True).start()
+    os.chdir(folder)  # pycolmap takes no path that is not UTF-8
+    task = json.loads(Path("task.json").read_text("utf-8"))
+    import pycolmap
+
+    pycolmap.logging.minloglevel = 2  # errors alone: standard error is for what went wrong
+    pycolmap.set_random_seed(task["seed"])
+    _features(pycolmap, task)
+    found = _matches(pycolmap, task)
+    models = _map(pycolmap, task)
+    _write(pycolmap, task, models, found)
+
+
+def _die_with_parent() -> None:
+    """Standard input ends when the parent does, however it ends."""
+    while os.read(0, 4096):  # not sys.stdin: its lock, held here, would abort the interpreter's own end
+        pass
+    os._exit(1)
+
+
+# ---- features ----------------------------------------------------------------------------------------------------
+
+
+def _features(pycolmap: Any, task: dict[str, Any]) -> None:
+    options = pycolmap.FeatureExtractionOptions()
+    options.num_threads, options.max_image_size = task["threads"], task["side"]
+    options.sift.max_num_features, options.sift.first_octave = task["features"], task["octave"]
+    total = len(task["copies"])
+    with _watched("features", total, "SELECT count(*) FROM descriptors"):
+        pycolmap.extract_features(
+            "database.db", "photos", image_names=task["copies"], camera_mode=pycolmap.CameraMode.PER_FOLDER,
+            extraction_options=options, device=pycolmap.Device.cpu,
+        )  # fmt: skip
+
+
+# ---- matches -----------------------------------------------------------------------------------------------------
+
+
+def _matches(pycolmap: Any, task: dict[str, Any]) -> dict[str, np.ndarray]:
+    """Match pairs of photos. Returns what is known of each photo then: features, its best match, pairs turned."""
+    pairs = list(_pairs(task))
+    Path("pairs.txt").write_text("".join(f"{task['copies'][i]} {task['copies'][j]}\n" for i, j in pairs), "ascii")
+    options, pairing = pycolmap.FeatureMatchingOptions(), pycolmap.ImportedPairingOptions()
+    options.num_threads = task["threads"]
+    pairing.match_list_path, pairing.block_size = "pairs.txt", max(1, min(100, len(pairs) // 40))  # for the progress
+    verifying = pycolmap.TwoViewGeometryOptions()
+    verifying.ransac.random_seed = task["seed"]
+    with _watched("matches", len(pairs), "SELECT count(*) FROM two_view_geometries"):
+        pycolmap.match_image_pairs(
+            "database.db", matching_options=options, pairing_options=pairing, verification_options=verifying,
+            device=pycolmap.Device.cpu,
+        )  # fmt: skip
+    return _known(task)
+
+
+def _pairs(task: dict[str, Any]) -> Iterator[tuple[int, int]]:
+    """The pairs to match, each once: all; or those near in time and alike; or those alike."""
+    count, near = len(task["copies"]), task["near"]
+    if task["pairs"] == "all":
+        yield from itertools.combinations(range(count), 2)
+        return
+    wanted = {(i, j) for i, row in enumerate(_resemblance(task, near)) for j in row.tolist()}
+    if task["pairs"] == "video":
+        wanted |= {(i, i + k) for i in range(count) for k in range(1, near + 1) if i + k < count}
+    yield from sorted({(min(p), max(p)) for p in wanted})
+
+
+def _resemblance(task: dict[str, Any], near: int) -> Iterator[np.ndarray]:
+    """For each photo, the `near` others that resemble it most, by VLAD of its SIFT descriptors."""
+    with sqlite3.connect("file:database.db?mode=ro", uri=True) as base:
+        rows = dict(base.execute("SELECT name, data FROM images JOIN descriptors USING (image_id)").fetchall())
+    described = [np.frombuffer(rows.get(name, b""), np.uint8).reshape(-1, 128) for name in task["copies"]]
+    rng = np.random.default_rng(task["seed"])
+    every = np.concatenate([d[rng.permutation(len(d))[: 1 + SAMPLED // len(described)]] for d in described])
+    words = every[rng.permutation(len(every))[:WORDS]].astype(np.float32)
+    for _ in range(ROUNDS if len(every) else 0):
+        nearest = _nearest(every, words)
+        for k in range(len(words)):
+            if len(members := every[nearest == k]):
+                words[k] = members.mean(0)
+    codes = np.stack([_vlad(d, words) for d in described])
+    alike = codes @ codes.T
+    np.fill_diagonal(alike, -np.inf)
+    return iter(np.argsort(-alike, 1, kind="stable")[:, : min(near, len(codes) - 1)])
+
+
+def _nearest(descriptors: np.ndarray, words: np.ndarray) -> np.ndarray:
+    return np.argmin((words**2).sum(1) - 2 * descriptors.astype(np.float32) @ words.T, 1)
+
+
+def _vlad(descriptors: np.ndarray, words: np.ndarray) -> np.ndarray:
+    """Sums of what is left of descriptors after their nearest word, each of length 1, together of length 1."""
+    code = np.zeros(words.shape, np.float32)
+    if len(descriptors):
+        nearest = _nearest(descriptors, words)
+        np.add.at(code, nearest, descriptors - words[nearest])
+    code /= np.maximum(np.linalg.norm(code, axis=1, keepdims=True), 1e-9)  # a word without descriptors stays 0
+    return code.ravel() / max(float(np.linalg.norm(code)), 1e-9)
+
+
+def _known(task: dict[str, Any]) -> dict[str, np.ndarray]:
+    count = len(task["copies"])
+    place = {name: k for k, name in enumerate(task["copies"])}
+    features, best, turned, fits = (np.zeros(count, int) for _ in range(4))
+    with sqlite3.connect("file:database.db?mode=ro", uri=True) as base:
+        ids = {number: place[name] for number, name in base.execute("SELECT image_id, name FROM images")}
+        for number, rows in base.execute("SELECT image_id, rows FROM keypoints"):
+            features[ids[number]] = rows
+        for pair, rows, config in base.execute("SELECT pair_id, rows, config FROM two_view_geometries"):
+            # COLMAP's pair_id is id1 · (2³¹ − 1) + id2
+            i, j = ids[pair // 2147483647], ids[pair % 2147483647]
+            best[[i, j]] = np.maximum(best[[i, j]], rows)
+            if rows:
+                fits[[i, j]] += 1
+                turned[[i, j]] += config in PANORAMIC
+    return {"features": features, "best": best, "pairs": fits, "turned": turned}
+
+
+# ---- poses -------------------------------------------------------------------------------------------------------
+
+
+def _map(pycolmap: Any, task: dict[str, Any]) -> list[Any]:
+    """Run the incremental mapper. Returns its models, the one with most photos first."""
+    total = len(task["copies"])
+    say(stage="poses", done=0, total=total)
+    options = pycolmap.IncrementalPipelineOptions()
+    options.num_threads, options.min_model_size = task["threads"], min(10, max(LEAST_MODEL, total // 3))
+    options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = task["seed"]
+    options.image_path, options.max_num_models = "photos", 5
+    shown = 0.0
+
+    def grown() -> None:
+        nonlocal shown
+        if manager.size() and time.monotonic() - shown > GROWING_SECONDS:
+            model = manager.get(manager.size() - 1)
+            if model.num_reg_images():
+                _picture(model)
+                say(stage="poses", done=model.num_reg_images(), total=total)
+                shown = time.monotonic()
+
+    manager = pycolmap.ReconstructionManager()
+    with pycolmap.Database.open("database.db") as base:
+        pipeline = pycolmap.IncrementalPipeline(options, base, manager)
+        kinds = pycolmap.IncrementalPipelineCallback
+        for kind in (kinds.INITIAL_IMAGE_PAIR_REG_CALLBACK, kinds.NEXT_IMAGE_REG_CALLBACK):
+            pipeline.add_callback(kind, grown)
+        pipeline.run()
+    return sorted((manager.get(k) for k in range(manager.size())), key=lambda m: -m.num_reg_images())
+
+
+def _picture(model: Any) -> None:
+    """Write the cameras (N, 3, 4), camera to world in OpenGL's axes, the points (P, 3) and their colours (P, 3)."""
+    poses = np.array([_c2w(i.cam_from_world().matrix()) for i in model.images.values() if i.has_pose]).reshape(-1, 3, 4)
+    every = model.points3D
+    chosen = list(every)[:: max(1, len(every) // GROWING_POINTS)]
+    points = np.array([every[k].xyz for k in chosen], np.float32).reshape(-1, 3)
+    colors = np.array([every[k].color for k in chosen], np.uint8).reshape(-1, 3)
+    with open("growing.tmp", "wb") as file:
+        np.savez(file, poses=poses.astype(np.float32), points=points, colors=colors)
+    Path("growing.tmp").replace("growing.npz")
+
+
+def _c2w(pose: np.ndarray) -> np.ndarray:
+    """World to camera (3, 4) in OpenCV's axes → camera to world in OpenGL's."""
+    return np.column_stack([pose[:, :3].T * (1, -1, -1), -pose[:, :3].T @ pose[:, 3]])
+
+
+# ---- the result --------------------------------------------------------------------------------------------------
+
+
+def _write(pycolmap: Any, task: dict[str, Any], models: list[Any], found: dict[str, np.ndarray]) -> None:
+    names, place = task["names"], {name: k for k, name in enumerate(task["copies"])}
+    placed: list[int] = []
+    result: dict[str, Any] = {name: values.tolist() for name, values in found.items()}
+    if models:
+        model = models[0]
+        model.extract_colors_for_all_images("photos")
+        _picture(model)
+        result["error"], result["points"] = float(model.compute_mean_reprojection_error()), model.num_points3D()
+        result["track"] = float(model.compute_mean_track_length())
+        placed = [place[image.name] for image in model.images.values() if image.has_pose]
+        _restore_sizes(model, task, place)
+        for image in model.images.values():
+            image.name = names[place[image.name]]
+        Path("sparse/0").mkdir(parents=True, exist_ok=True)
+        model.write("sparse/0")
+    result["placed"] = sorted(placed)
+    result["models"] = [m.num_reg_images() for m in models]
+    Path("result.json").write_text(json.dumps(result), "utf-8")
+
+
+def _restore_sizes(model: Any, task: dict[str, Any], place: dict[str, int]) -> None:
+    """Scale cameras and observed points from the copies to the original photos. One camera has one size."""
+    scales: dict[int, np.ndarray] = {}
+    for image in model.images.values():
+        camera = model.cameras[image.camera_id]
+        if image.camera_id not in scales:
+            width, height = task["sizes"][place[image.name]]
+            scales[image.camera_id] = np.array([width / camera.width, height / camera.height])
+            camera.rescale(width, height)
+        for point in image.points2D:
+            point.xy = point.xy * scales[image.camera_id]
+
+
+# ---- progress ----------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def _watched(stage: str, total: int, query: str) -> Iterator[None]:
+    """Say how far pycolmap is, which does not say it itself, from the rows that it has written."""
+    ended = threading.Event()
+    say(stage=stage, done=0, total=total)
+    watcher = threading.Thread(target=_watch, args=(ended, query, lambda n: say(stage=stage, done=n, total=total)))
+    watcher.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        watcher.join()
+    say(stage=stage, done=total, total=total)
+
+
+def _watch(ended: threading.Event, query: str, tell: Callable[[int], None]) -> None:
+    while not ended.wait(POLL_SECONDS):
+        try:
+            with sqlite3.connect("file:database.db?mode=ro", uri=True, timeout=0.1) as base:
+                tell(base.execute(query).fetchone()[0])
+        except sqlite3.Error:
+            continue  # it is being made, or written to
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

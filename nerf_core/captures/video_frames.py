@@ -1,0 +1,167 @@
+"""Choose the frames of a video that structure from motion needs: sharp ones, with the camera moved in between."""
+
+from __future__ import annotations
+
+import logging
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from nerf_core.common.errors import UserError, shorten
+
+SMALL = 192  # the longer side of the frames that are looked at: motion and blur show at this size
+PER_SECOND, FEWEST, MOST = 3.0, 30, 120  # frames that are taken: as many as fit the time, between these bounds
+STILL = 0.004  # of the picture's side: a smaller motion between two frames is noise
+LONGEST = 3600.0  # seconds of video
+QUALITY = 95  # of JPEG: its artefacts are then below SIFT's noise
+
+
+@dataclass(frozen=True)
+class Looked:
+    """What is known of each of N frames. sharpness: (N,). path: (N,) how far the picture has moved since the first."""
+
+    sharpness: np.ndarray
+    path: np.ndarray
+
+
+def write_frames(video: Path, folder: Path, count: int, progress: Callable[[str, int, int], None]) -> tuple[Path, ...]:
+    """Write the chosen frames of a video as JPEG.
+
+    Args:
+        video: any that ffmpeg reads; it is turned upright.
+        folder: where the files go; it must exist.
+        count: how many frames; 0 chooses by the video's length.
+        progress: called as (what is done, frames done, frames in all); it may raise to cancel.
+
+    Returns:
+        The files, in the order of the video.
+
+    Raises:
+        UserError: if the video cannot be read, or shows too little.
+    """
+    looked, seconds = _look(video, progress)
+    if len(looked.path) < 2:
+        raise UserError(f"{video} has {len(looked.path)} frame: photograph from many sides, or film while walking")
+    wanted = count or int(np.clip(round(PER_SECOND * seconds), FEWEST, MOST))
+    chosen = choose(looked, wanted)
+    files: list[Path] = []
+    for k, frame in enumerate(_frames(video, "rgb24", None)):
+        if k in chosen:
+            files.append(folder / f"frame_{k:06d}.jpg")
+            Image.fromarray(frame).save(files[-1], quality=QUALITY, subsampling=0)
+            progress("writing frames", len(files), len(chosen))
+    return tuple(files)
+
+
+def choose(looked: Looked, count: int) -> set[int]:
+    """Choose `count` frames at most: evenly along the picture's motion, the sharpest in each part.
+
+    Where the camera stands still the path does not grow, so that it gives one frame however long it stands.
+    """
+    end = float(looked.path[-1])
+    if end <= 0:
+        return {int(looked.sharpness.argmax())}
+    part = np.minimum((looked.path / end * count).astype(int), count - 1)
+    chosen = set[int]()
+    for k in range(count):
+        members = np.flatnonzero(part == k)
+        if len(members):
+            chosen.add(int(members[looked.sharpness[members].argmax()]))
+    return chosen
+
+
+def _look(video: Path, progress: Callable[[str, int, int], None]) -> tuple[Looked, float]:
+    meta = _meta(video)
+    seconds = float(meta.get("duration") or 0.0)
+    if not 0 <= seconds <= LONGEST:
+        raise UserError(f"{video} is {seconds / 60:,.0f} minutes long, {LONGEST / 60:.0f} are allowed: cut it")
+    total = max(1, round(seconds * float(meta.get("fps") or 30.0)))
+    sharpness, path = list[float](), list[float]()
+    kept: np.ndarray | None = None  # the last frame that had moved: slow motion adds up until it shows
+    for k, frame in enumerate(_frames(video, "gray", SMALL)):
+        picture = frame.astype(np.float32)
+        sharpness.append(_sharpness(picture))
+        moved = 0.0 if kept is None else motion(kept, picture)
+        path.append((path[-1] if path else 0.0) + (moved if moved > STILL else 0.0))
+        if kept is None or moved > STILL:
+            kept = picture
+        if k % 10 == 0:
+            progress("looking at frames", min(k, total), total)
+    return Looked(np.array(sharpness), np.array(path)), seconds or len(sharpness) / 30.0
+
+
+def _sharpness(picture: np.ndarray) -> float:
+    """The variance of the Laplacian (Pech-Pacheco et al., ICPR 2000)."""
+    inner = picture[1:-1, 1:-1]
+    laplacian = picture[:-2, 1:-1] + picture[2:, 1:-1] + picture[1:-1, :-2] + picture[1:-1, 2:] - 4 * inner
+    return float(laplacian.var())
+
+
+def motion(a: np.ndarray, b: np.ndarray) -> float:
+    """How far the content has moved between two pictures (H, W), as a share of the longer side.
+
+    The median over 3 × 3 tiles of the shift with the best phase correlation (Kuglin and Hines, 1975).
+    """
+    high, wide = (side // 3 for side in a.shape)
+    window = np.outer(np.hanning(high), np.hanning(wide))
+    shifts = []
+    for y in range(3):
+        for x in range(3):
+            part = np.s_[y * high : (y + 1) * high, x * wide : (x + 1) * wide]
+            spectra = [np.fft.rfft2((v[part] - v[part].mean()) * window) for v in (a, b)]
+            cross = spectra[0] * spectra[1].conj()
+            peak = np.fft.irfft2(cross / (np.abs(cross) + 1e-6), s=(high, wide))  # 1e-6: a tile without texture
+            dy, dx = np.unravel_index(int(peak.argmax()), peak.shape)
+            shifts.append(np.hypot(min(dy, high - dy), min(dx, wide - dx)))
+    return float(np.median(shifts)) / max(a.shape)
+
+
+def _meta(video: Path) -> dict[str, Any]:
+    import imageio_ffmpeg
+
+    with _named(video):
+        reader = imageio_ffmpeg.read_frames(str(video), pix_fmt="gray")
+        try:
+            return next(reader)  # pyright: ignore[reportReturnType]: the first item describes the video
+        finally:
+            reader.close()
+
+
+def _frames(video: Path, pixels: str, side: int | None) -> Iterator[np.ndarray]:
+    """The frames of a video (H, W, …), of its own size or with a longer side of `side`."""
+    import imageio_ffmpeg
+
+    options = ["-fps_mode", "passthrough"]  # every frame once, also where their times are uneven
+    if side is not None:
+        options += ["-vf", f"scale={side}:{side}:force_original_aspect_ratio=decrease"]
+    logging.getLogger("imageio_ffmpeg").setLevel(logging.ERROR)  # it warns that the frames are scaled, as asked
+    colors = 3 if pixels == "rgb24" else 1
+    reader = imageio_ffmpeg.read_frames(str(video), pix_fmt=pixels, bits_per_pixel=8 * colors, output_params=options)
+    try:
+        with _named(video):
+            width, height = next(reader)["size"]  # pyright: ignore[reportArgumentType,reportCallIssue]: the first item describes the video
+        while True:
+            with _named(video):
+                frame = next(reader, None)
+            if frame is None:
+                return
+            yield np.frombuffer(frame, np.uint8).reshape(height, width, colors).squeeze(-1 if colors == 1 else ())  # pyright: ignore[reportArgumentType]: after the first item all are bytes
+    finally:
+        reader.close()
+
+
+@contextmanager
+def _named(video: Path) -> Iterator[None]:
+    try:
+        yield
+    except (OSError, RuntimeError, KeyError, ValueError, StopIteration, subprocess.SubprocessError) as error:
+        text = str(error).strip().splitlines()
+        raise UserError(
+            f"{video} cannot be read as a video ({shorten(text[-1] if text else 'no frame', 200)}): convert it to MP4"
+        ) from error

@@ -1,0 +1,71 @@
+"""`nerf-core pose`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+import tyro
+
+from nerf_core.captures.posing import find_poses
+from nerf_core.captures.raw_photos import raw_photos
+from nerf_core.captures.records import PoseOptions, PoseProgress
+from nerf_core.commands import COMMANDS
+from nerf_core.common.console import Display
+from nerf_core.common.errors import UserError
+from nerf_core.common.output import complain, say
+from nerf_core.common.signals import Signals
+from nerf_core.common.text import duration
+from nerf_core.common.user_paths import own_path
+from nerf_core.datasets.capture import Quality
+
+
+@COMMANDS.register("pose")
+@dataclass(frozen=True)
+class Pose:
+    """Find the poses of photos or of a video's frames (structure from motion), as a COLMAP folder."""
+
+    order: ClassVar[int] = 7
+
+    photos: Annotated[
+        tyro.conf.Positional[Path], tyro.conf.arg(metavar="PHOTOS", help="A folder of photos or a video.")
+    ]
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Where the result goes; by default into the cache, where the window and `nerf-core train` look for it."""
+    quality: Quality = "normal"
+    """fast takes a third of the time; high doubles the photos to find more points."""
+    frames: int = 0
+    """How many frames of a video are taken; 0 chooses by its length."""
+    minutes: float = 120.0
+    """The time limit."""
+    memory_gb: float = 0.0
+    """The memory limit; 0: three quarters of what is free."""
+
+    def run(self, signals: Signals) -> int:
+        source = own_path(self.photos)
+        if not source.exists():
+            raise UserError(f"{source} does not exist: name a folder of photos, or a video")
+        raw = raw_photos(source)
+        if raw is None:
+            raise UserError(f"{source} holds no photos without poses: name a folder of photos, or a video")
+        signals.be_polite()
+        options = PoseOptions(self.quality, self.frames, self.minutes, self.memory_gb)
+        with Display("finding poses") as display:
+
+            def show(state: PoseProgress) -> None:
+                signals.check()
+                words = f"{state.stage}: {state.done:,} of {state.total:,}"
+                words += f", {state.placed:,} placed" if state.placed and state.placed != state.done else ""
+                display.show(state.done / max(state.total, 1), words, state.seconds_left)
+
+            posed = find_poses(raw, None if self.out is None else own_path(self.out), options, show)
+        for name, why in posed.unplaced:
+            complain(f"without a pose: {name}: {why}")
+        if posed.advice:
+            complain(posed.advice)
+        placed = f"{len(posed.names) - len(posed.unplaced):,} of {len(posed.names):,} photos"
+        found = "found again" if posed.again else f"found in {duration(posed.seconds)}"
+        say(f"{placed} have a pose, {posed.points:,} points, mean error {posed.error:.2f} pixels; {found}")
+        say(f"wrote {posed.folder}")
+        return 0
