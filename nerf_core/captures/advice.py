@@ -8,6 +8,7 @@ from nerf_core.common.language import marked, phrase, phrases
 
 FEW_FEATURES = 300  # of some thousands that a sharp photo with texture has
 OVERLAP = 30  # verified matches: COLMAP registers no photo with fewer
+SOME = 0.2  # a smaller share of lost photos needs no advice: their own reasons say enough
 MOST = 0.5  # more than this share of photos is "most"
 
 TURNED = marked(
@@ -27,7 +28,7 @@ MANY_SCENES = marked(
     "The photos fall into groups that do not join: photograph the way from one to the other as well, one photo a step."
 )
 DISAGREE = marked(
-    "Photos match, but no two agree on where the camera was: something that repeats (tiles, windows, leaves) looks "
+    "Photos match, but do not agree on where the cameras were: something that repeats (tiles, windows, leaves) looks "
     "the same in different places, or what was photographed moved. Photograph a still scene, with things in it that "
     "are there only once."
 )
@@ -54,7 +55,7 @@ def advice(
     placed: Sequence[int],
     models: Sequence[int],
 ) -> str:
-    """Return what to photograph instead, as one paragraph; empty if every photo has a pose.
+    """Return what to photograph instead, as one paragraph; empty if most have a pose.
 
     Args:
         features, best: (N,) as in `reason`.
@@ -64,7 +65,7 @@ def advice(
     """
     count = len(features)
     lost = [i for i in range(count) if i not in set(placed)]
-    if not lost:
+    if len(lost) <= SOME * count:
         return ""
     if sum(turned) > MOST * max(sum(pairs), 1):
         return TURNED

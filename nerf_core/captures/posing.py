@@ -8,11 +8,13 @@ import math
 import os
 import selectors
 import shutil
+import sqlite3
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +24,7 @@ from PIL import ExifTags, Image
 
 from nerf_core.captures.advice import reason, summary, too_few
 from nerf_core.captures.raw_photos import RawPhotos
-from nerf_core.captures.records import Growing, PoseOptions, PoseProgress
+from nerf_core.captures.records import COPYING, STAGES, Growing, PoseOptions, PoseProgress
 from nerf_core.captures.video_frames import write_frames
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.files import write_atomically
@@ -36,12 +38,15 @@ DONE = "poses.json"
 WORK = ".work-"  # of the folder of one search; two may go on at once
 STALLED = 900.0  # seconds without a sign of life: one pair of photos, or one adjustment of a thousand, takes less
 POLL_SECONDS = 0.1
+LOOK_SECONDS = 0.5  # between looks into the program's database
+TABLES = {"features": "descriptors", "matches": "two_view_geometries"}  # of COLMAP's database, a row each
 MEMORY_SHARE = 0.75  # of the memory that is free, for the program
 COPY_QUALITY = 95  # of JPEG: its artefacts are then below SIFT's noise
 ALL_PAIRS = 120  # photos: up to here every pair is matched, 7,140 of them
 NEAR = 20  # photos that each is matched with above that, and 10 in the order of a video
 NEAR_IN_VIDEO = 10
 SEED = 0
+LEAST_PHOTOS, LEAST_POINTS = 3, 100  # of a model: COLMAP places a photo by 30 points; fewer are chance
 
 # The longer side of the copies, the most features of a photo, and SIFT's first octave: −1 doubles the picture first.
 QUALITIES: dict[str, tuple[int, int, int]] = {
@@ -49,12 +54,6 @@ QUALITIES: dict[str, tuple[int, int, int]] = {
     "normal": (1600, 4096, 0),
     "high": (3200, 8192, -1),
 }
-STAGES = {
-    "features": marked("finding features"),
-    "matches": marked("matching photos"),
-    "poses": marked("placing photos"),
-}
-COPYING = marked("reading photos")
 
 
 @dataclass(frozen=True)
@@ -290,7 +289,7 @@ class _Job:
         """Read what the program says until it ends; returns its standard error."""
         assert child.stdout is not None
         assert child.stderr is not None
-        begun = heard = time.monotonic()
+        begun = heard = looked = time.monotonic()
         limit = self.options.memory_gb * 1e9 or MEMORY_SHARE * free_memory()
         lines, errors = b"", b""
         with selectors.DefaultSelector() as selector:
@@ -309,6 +308,9 @@ class _Job:
                         *whole, lines = (lines + data).split(b"\n")
                         for line in whole:
                             self._hear(line)
+                if time.monotonic() - looked > LOOK_SECONDS:
+                    looked = time.monotonic()
+                    heard = looked if self._look() else heard
                 self.tell(self.state)
                 self._check_limits(child.pid, begun, heard, limit)
         child.wait()
@@ -319,6 +321,23 @@ class _Job:
         if said["stage"] == "poses":
             self.state = replace(self.state, placed=said["done"], growing=_growing(self.work / "growing.npz"))
         self._stage(STAGES[said["stage"]], said["done"], said["total"])
+
+    def _look(self) -> bool:
+        """Read how many features or matches the program has written. Returns whether there are more than before."""
+        table = next((table for name, table in TABLES.items() if STAGES[name] == self.state.stage), None)
+        if table is None:
+            return False
+        try:
+            with closing(
+                sqlite3.connect(f"{(self.work / 'database.db').as_uri()}?mode=ro", uri=True, timeout=0.05)
+            ) as base:
+                done = min(base.execute(f"SELECT count(*) FROM {table}").fetchone()[0], self.state.total)
+        except sqlite3.Error:
+            return False  # it is being made, or written to
+        more = done > self.state.done
+        if more:
+            self._stage(self.state.stage, done, self.state.total)
+        return more
 
     def _check_limits(self, pid: int, begun: float, heard: float, limit: float) -> None:
         now, where = time.monotonic(), f"{self.raw.source}: finding poses was stopped while {self.state.stage}"
@@ -383,8 +402,8 @@ def _memory_of(pid: int) -> float:
 def _judged(job: _Job, result: dict[str, Any], folder: Path, seconds: float) -> Posed:
     """Raises UserError with plain words if the photos have no poses."""
     placed = set(result["placed"])
-    if len(placed) < 2:
-        words = summary(result)
+    if len(placed) < LEAST_PHOTOS or result["points"] < LEAST_POINTS:
+        words = summary({**result, "placed": []})
         raise UserError(f"{job.raw.source}: no poses were found for its {counted(len(job.names), 'photo')}. {words}")
     lost = [
         (job.names[i], reason(result["features"][i], result["best"][i]))

@@ -7,7 +7,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nerf_core.common.language import marked
 from nerf_core.datasets.capture import Quality
+
+STAGES = {  # of the program, in their order
+    "features": marked("finding features"),
+    "matches": marked("matching photos"),
+    "poses": marked("placing photos"),
+}
+COPYING = marked("reading photos")
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,9 @@
 
 FOLDER holds task.json (see `main`) and photos/, small upright copies of the photos. The program writes there:
 
-- lines of JSON on standard output: what is being done, how much of it, and how many photos have a pose;
+- lines of JSON on standard output: what is being done, how much of it, and how many photos have a pose. How far the
+  features and matches in database.db are the parent reads there itself: two copies of SQLite in one process, pycolmap's
+  and Python's, would break each other's locks on it;
 - growing.npz, the cameras and points so far, replaced again and again;
 - sparse/0, the largest model as COLMAP writes it, in pixels of the original photos;
 - result.json: what became of each photo.
@@ -20,14 +22,12 @@ import sqlite3
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-POLL_SECONDS = 0.4  # between looks at how far pycolmap is
 GROWING_SECONDS = 0.7  # between pictures of the growing model
 GROWING_POINTS = 6000  # enough to recognise a scene
 WORDS = 64  # of the vocabulary for `resemblance`: a VLAD of 64 words tells scenes apart (Jégou et al., CVPR 2010)
@@ -78,12 +78,11 @@ def _features(pycolmap: Any, task: dict[str, Any]) -> None:
     options = pycolmap.FeatureExtractionOptions()
     options.num_threads, options.max_image_size = task["threads"], task["side"]
     options.sift.max_num_features, options.sift.first_octave = task["features"], task["octave"]
-    total = len(task["copies"])
-    with _watched("features", total, "SELECT count(*) FROM descriptors"):
-        pycolmap.extract_features(
-            "database.db", "photos", image_names=task["copies"], camera_mode=pycolmap.CameraMode.PER_FOLDER,
-            extraction_options=options, device=pycolmap.Device.cpu,
-        )  # fmt: skip
+    say(stage="features", done=0, total=len(task["copies"]))
+    pycolmap.extract_features(
+        "database.db", "photos", image_names=task["copies"], camera_mode=pycolmap.CameraMode.PER_FOLDER,
+        extraction_options=options, device=pycolmap.Device.cpu,
+    )  # fmt: skip
 
 
 # ---- matches -----------------------------------------------------------------------------------------------------
@@ -98,11 +97,11 @@ def _matches(pycolmap: Any, task: dict[str, Any]) -> dict[str, np.ndarray]:
     pairing.match_list_path, pairing.block_size = "pairs.txt", max(1, min(100, len(pairs) // 40))  # for the progress
     verifying = pycolmap.TwoViewGeometryOptions()
     verifying.ransac.random_seed = task["seed"]
-    with _watched("matches", len(pairs), "SELECT count(*) FROM two_view_geometries"):
-        pycolmap.match_image_pairs(
-            "database.db", matching_options=options, pairing_options=pairing, verification_options=verifying,
-            device=pycolmap.Device.cpu,
-        )  # fmt: skip
+    say(stage="matches", done=0, total=len(pairs))
+    pycolmap.match_image_pairs(
+        "database.db", matching_options=options, pairing_options=pairing, verification_options=verifying,
+        device=pycolmap.Device.cpu,
+    )  # fmt: skip
     return _known(task)
 
 
@@ -224,13 +223,12 @@ def _c2w(pose: np.ndarray) -> np.ndarray:
 def _write(pycolmap: Any, task: dict[str, Any], models: list[Any], found: dict[str, np.ndarray]) -> None:
     names, place = task["names"], {name: k for k, name in enumerate(task["copies"])}
     placed: list[int] = []
-    result: dict[str, Any] = {name: values.tolist() for name, values in found.items()}
+    result: dict[str, Any] = {name: values.tolist() for name, values in found.items()} | {"points": 0, "error": 0.0}
     if models:
         model = models[0]
         model.extract_colors_for_all_images("photos")
         _picture(model)
         result["error"], result["points"] = float(model.compute_mean_reprojection_error()), model.num_points3D()
-        result["track"] = float(model.compute_mean_track_length())
         placed = [place[image.name] for image in model.images.values() if image.has_pose]
         _restore_sizes(model, task, place)
         for image in model.images.values():
@@ -253,33 +251,6 @@ def _restore_sizes(model: Any, task: dict[str, Any], place: dict[str, int]) -> N
             camera.rescale(width, height)
         for point in image.points2D:
             point.xy = point.xy * scales[image.camera_id]
-
-
-# ---- progress ----------------------------------------------------------------------------------------------------
-
-
-@contextmanager
-def _watched(stage: str, total: int, query: str) -> Iterator[None]:
-    """Say how far pycolmap is, which does not say it itself, from the rows that it has written."""
-    ended = threading.Event()
-    say(stage=stage, done=0, total=total)
-    watcher = threading.Thread(target=_watch, args=(ended, query, lambda n: say(stage=stage, done=n, total=total)))
-    watcher.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        watcher.join()
-    say(stage=stage, done=total, total=total)
-
-
-def _watch(ended: threading.Event, query: str, tell: Callable[[int], None]) -> None:
-    while not ended.wait(POLL_SECONDS):
-        try:
-            with sqlite3.connect("file:database.db?mode=ro", uri=True, timeout=0.1) as base:
-                tell(base.execute(query).fetchone()[0])
-        except sqlite3.Error:
-            continue  # it is being made, or written to
 
 
 if __name__ == "__main__":

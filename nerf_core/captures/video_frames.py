@@ -14,11 +14,13 @@ import numpy as np
 from PIL import Image
 
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.language import marked
 
 SMALL = 192  # the longer side of the frames that are looked at: motion and blur show at this size
 PER_SECOND, FEWEST, MOST = 3.0, 30, 120  # frames that are taken: as many as fit the time, between these bounds
 STILL = 0.004  # of the picture's side: a smaller motion between two frames is noise
 LONGEST = 3600.0  # seconds of video
+LOOKING, WRITING = marked("looking at frames"), marked("writing frames")
 QUALITY = 95  # of JPEG: its artefacts are then below SIFT's noise
 
 
@@ -55,7 +57,7 @@ def write_frames(video: Path, folder: Path, count: int, progress: Callable[[str,
         if k in chosen:
             files.append(folder / f"frame_{k:06d}.jpg")
             Image.fromarray(frame).save(files[-1], quality=QUALITY, subsampling=0)
-            progress("writing frames", len(files), len(chosen))
+            progress(WRITING, len(files), len(chosen))
     return tuple(files)
 
 
@@ -92,7 +94,7 @@ def _look(video: Path, progress: Callable[[str, int, int], None]) -> tuple[Looke
         if kept is None or moved > STILL:
             kept = picture
         if k % 10 == 0:
-            progress("looking at frames", min(k, total), total)
+            progress(LOOKING, min(k, total), total)
     return Looked(np.array(sharpness), np.array(path)), seconds or len(sharpness) / 30.0
 
 

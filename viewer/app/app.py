@@ -158,6 +158,10 @@ class App:
             self.state.snapshot = new
             picture = new.preview is not old.preview or _opened(new) != _opened(old)
             self._pacer.note(self.state.time, answer=self._is_answer(new), picture=picture, figures=True)
+            if new.posing is not None and old.posing is None:
+                self.state.raise_panel = "Capture"
+            elif new.posing is None and old.posing is not None:
+                self.state.raise_panel = "Scene"
             if new.loaded != old.loaded and new.scene is not None:
                 self.state.camera.set_scene(new.scene)
                 self.state.inspect = self.state.current_view = None

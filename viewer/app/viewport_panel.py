@@ -19,6 +19,7 @@ from nerf_core.rendering.modes import COLOR, MODES, Mode
 
 from ..commands.pointer import ViewportInput
 from ..commands.registry import USER_COMMANDS, with_keys
+from ..draw.growing import GrowingModel
 from ..draw.imgui_renderer import ImguiRenderer
 from ..draw.overlays import NEAR, Overlay, axis_directions, frusta
 from ..draw.photo import NearestPhoto
@@ -41,6 +42,7 @@ class ViewportPanel:
         self.input = ViewportInput()
         self.stale = False  # whether something is warped
         self._photo, self._photo_name = NearestPhoto(), ""
+        self._growing = GrowingModel()
         self._named: list[moderngl.Texture] = []  # the textures that the renderer knows
 
     def draw(self, ui: PanelUi, state: AppState, alone: bool) -> None:
@@ -51,7 +53,7 @@ class ViewportPanel:
         )  # a border would cover the picture's outermost pixels
         imgui.push_style_color(imgui.Col_.window_bg, ui.theme.ground)
         flags = imgui.WindowFlags_.no_scrollbar | imgui.WindowFlags_.no_scroll_with_mouse
-        if state.snapshot.preview is not None:  # the picture covers the window
+        if state.snapshot.preview is not None and state.snapshot.posing is None:  # the picture covers the window
             flags |= imgui.WindowFlags_.no_background
         if alone:
             area = imgui.get_main_viewport()
@@ -86,7 +88,7 @@ class ViewportPanel:
         active, hovered = imgui.is_item_active(), imgui.is_item_hovered()
         self.input.pointer(state, (origin.x, origin.y), active, hovered, ui.em)
         scene, ray = state.snapshot.scene, state.snapshot.ray
-        if scene is not None:
+        if scene is not None and state.snapshot.posing is None:
             overlay = Overlay(draw, camera, (origin.x, origin.y), NEAR * state.camera.distance)
             self._draw_space(ui, state, scene, overlay)
             if ray is not None and state.show_samples and hovered and not active:
@@ -97,7 +99,11 @@ class ViewportPanel:
         self, ui: PanelUi, draw: imgui.ImDrawList, state: AppState, camera: Camera, origin: ImVec2
     ) -> None:
         snapshot = state.snapshot
-        preview, scene = snapshot.preview, snapshot.scene
+        preview, scene, posing = snapshot.preview, snapshot.scene, snapshot.posing
+        if posing is not None and posing.growing is not None and len(posing.growing.poses):
+            self.stale, self._photo_name = False, ""
+            self._growing.draw(ui, draw, origin, (camera.width, camera.height), posing.growing, state.time)
+            return
         self.stale, self._photo_name = False, ""
         for texture in self._named:
             self._renderer.remove(texture)
@@ -156,6 +162,8 @@ class ViewportPanel:
 
     def _draw_words(self, ui: PanelUi, state: AppState, draw: imgui.ImDrawList, origin: ImVec2, size: ImVec2) -> None:
         snapshot = state.snapshot
+        if snapshot.posing is not None and snapshot.posing.growing is not None:
+            return  # the growing model is the picture
         if self._photo_name:
             words = tr("photo {name}: the first picture is on its way").format(name=self._photo_name)
             words = f"{icons.ICON_FA_IMAGE}  {words}"

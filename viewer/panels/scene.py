@@ -11,6 +11,7 @@ from typing import Any, Literal
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
+from nerf_core.captures.raw_photos import raw_photos
 from nerf_core.common.configs import Constant, constants
 from nerf_core.common.errors import UserError
 from nerf_core.common.language import figure, marked, phrase, phrases, tr, trn
@@ -137,7 +138,8 @@ class ScenePanel:
 def _can_be_opened(path: Path | None, state: AppState) -> bool:
     """Whether there is a capture. Without one nothing is forgotten, and the worker says what is wrong."""
     try:
-        recognise(None if path is None else own_path(path), state.settings.load.format)
+        if path is None or raw_photos(own_path(path)) is None:
+            recognise(None if path is None else own_path(path), state.settings.load.format)
     except (UserError, OSError):
         return False
     return True

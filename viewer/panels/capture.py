@@ -1,0 +1,90 @@
+"""The capture panel: how poses are found of photos that have none, and which photos could not be placed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Literal
+
+from imgui_bundle import ImVec2, imgui
+from imgui_bundle import icons_fontawesome_6 as icons
+
+from nerf_core.captures.records import COPYING, STAGES, PoseProgress
+from nerf_core.common.language import figure, marked, tr, trn
+from nerf_core.common.text import duration
+from nerf_core.datasets.capture import Quality
+from nerf_core.live.messages import CancelLoading
+
+from ..model.state import Action, AppState
+from ..ui.contract import PANELS, Ui
+from ..ui.widgets import button, field_width, hint
+
+WORDS: dict[Quality, str] = {
+    "fast": marked("a third of the time; enough for most photos"),
+    "normal": marked("photos of up to 1,600 pixels, 4,096 features each"),
+    "high": marked("photos of up to 3,200 pixels, 8,192 features each: for little texture"),
+}
+CANCEL = marked("Cancel")
+
+
+@PANELS.register("capture")
+class CapturePanel:
+    title = marked("Capture")
+    dock: Literal["right"] = "right"
+    order = 6
+
+    def draw(self, ui: Ui, state: AppState) -> Iterator[Action]:
+        posing = state.snapshot.posing
+        if posing is None:
+            _idle(ui, state)
+            return
+        _stages(ui, posing)
+        imgui.progress_bar(posing.done / max(posing.total, 1), ImVec2(-1, 0), "")
+        ui.mark("capture.progress")
+        if posing.seconds_left is not None:
+            left = tr("{time} left for this").format(time=tr(duration(posing.seconds_left)))
+            hint(ui, left)
+        if posing.growing is not None:
+            placed = trn("{n} of {total} photo has a pose", "{n} of {total} photos have a pose", posing.placed)
+            hint(ui, placed.format(n=figure(posing.placed, ","), total=figure(posing.photos, ",")), ui.theme.accent)
+        if button(
+            ui, f"{icons.ICON_FA_XMARK}  {tr(CANCEL)}", "capture.cancel", tip=tr("stop; nothing half done is kept")
+        ):
+            yield CancelLoading()
+
+
+def _stages(ui: Ui, posing: PoseProgress) -> None:
+    """The stages in their order: those that are done, the one that is going on with its count, those to come."""
+    order = [COPYING, *STAGES.values()]
+    now = order.index(posing.stage) if posing.stage in order else -1
+    if now < 0:
+        hint(ui, tr(posing.stage), ui.theme.accent)
+    for k, stage in enumerate(order):
+        sign = icons.ICON_FA_CHECK if k < now else icons.ICON_FA_ARROW_RIGHT if k == now else icons.ICON_FA_MINUS
+        color = ui.theme.good if k < now else ui.theme.accent if k == now else ui.theme.muted
+        imgui.text_colored(color, sign)
+        imgui.same_line(2 * ui.em)
+        text = tr(stage)
+        if k == now:
+            text = tr("{stage}: {done} of {total}").format(
+                stage=text, done=figure(posing.done, ","), total=figure(posing.total, ",")
+            )
+        imgui.text_wrapped(text)
+
+
+def _idle(ui: Ui, state: AppState) -> None:
+    """What can be opened, and how carefully its poses are found."""
+    hint(ui, tr("Open a folder of photos or a video in the Scene panel. If it has no poses, they are found first: you see "
+                "the cameras find their places here and in the viewport, then training begins."))  # fmt: skip
+    load = state.settings.load
+    field_width(ui, tr("care"))
+    if imgui.begin_combo(f"{tr('care')}###care", tr(load.poses)):
+        for name in WORDS:
+            chosen, _ = imgui.selectable(f"{tr(name)}##{name}", name == load.poses)
+            ui.mark(f"capture.care.{name}")
+            imgui.set_item_tooltip(tr(WORDS[name]))
+            if chosen:
+                state.settings = replace(state.settings, load=replace(load, poses=name))
+        imgui.end_combo()
+    ui.mark("capture.care")
+    hint(ui, tr(WORDS[load.poses]))
