@@ -1,4 +1,4 @@
-"""A sparse model while it grows: its points and cameras, seen from a place that goes around it."""
+"""A sparse model while it grows: its points and cameras, seen over the cameras' shoulders, from side to side."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..ui.contract import Ui
 from ..ui.widgets import faded
 from .overlays import Overlay, frusta
 
-TURN_SECONDS = 40.0  # for a round
+SWING, SWING_SECONDS = math.radians(40.0), 16.0  # how far the view swings to either side, and how long there and back
 ELEVATION = math.radians(28.0)
 FIELD_OF_VIEW = math.radians(50.0)
 AWAY = 1.6  # of what encloses most cameras: they then fill the picture
@@ -24,12 +24,12 @@ DIM = 150  # the least grey of a point: dark ones would not show on the dark gro
 
 
 class GrowingModel:
-    """Its picture is made anew for each model and each step of the turn."""
+    """Its picture is made anew for each model and each moment of the swing."""
 
     def draw(self, ui: Ui, draw: imgui.ImDrawList, origin: ImVec2, size: tuple[int, int], model: Growing, time: float) -> None:  # fmt: skip  # noqa: E501
-        """Draw into a rectangle of the screen. time: in seconds, turns the view."""
+        """Draw into a rectangle of the screen. time: in seconds, swings the view."""
         center, radius, up = frame(model)
-        camera = _camera(center, radius, up, 2 * math.pi * time / TURN_SECONDS, size)
+        camera = _camera(center, radius, up, _behind(model, center), time, size)
         far = ImVec2(origin.x + size[0], origin.y + size[1])
         draw.add_image(ui.texture("growing", splats(model, camera), smooth=False), origin, far)
         overlay = Overlay(draw, camera, (origin.x, origin.y), 0.01 * radius)
@@ -53,11 +53,22 @@ def frame(model: Growing) -> tuple[np.ndarray, float, np.ndarray]:
     return center, radius, up / length if length > 1e-6 else np.array([0.0, 0.0, 1.0])  # cameras of all attitudes
 
 
-def _camera(center: np.ndarray, radius: float, up: np.ndarray, azimuth: float, size: tuple[int, int]) -> Camera:
-    aside = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
-    aside /= np.linalg.norm(aside)
-    ahead = np.cross(up, aside)
-    level = math.cos(azimuth) * aside + math.sin(azimuth) * ahead
+def _behind(model: Growing, center: np.ndarray) -> np.ndarray:
+    """The direction (3,) from the centre to the cameras; one of a ring's that have no common side."""
+    away = model.poses[:, :, 3].astype(np.float64) - center
+    together = away.mean(0)
+    return together if np.linalg.norm(together) > 0.3 * np.linalg.norm(away, axis=1).mean() else away[0]
+
+
+def _camera(
+    center: np.ndarray, radius: float, up: np.ndarray, behind: np.ndarray, time: float, size: tuple[int, int]
+) -> Camera:
+    ahead = behind - (behind @ up) * up
+    if np.linalg.norm(ahead) < 1e-3 * np.linalg.norm(behind):  # cameras straight above: any side is as good
+        ahead = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
+    ahead /= np.linalg.norm(ahead)
+    azimuth = SWING * math.sin(2 * math.pi * time / SWING_SECONDS)
+    level = math.cos(azimuth) * ahead + math.sin(azimuth) * np.cross(up, ahead)
     back = math.cos(ELEVATION) * level + math.sin(ELEVATION) * up
     x = np.cross(up, back)
     x /= np.linalg.norm(x)

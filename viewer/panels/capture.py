@@ -10,7 +10,7 @@ from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.captures.records import COPYING, STAGES, PoseProgress
-from nerf_core.common.language import figure, marked, tr, trn
+from nerf_core.common.language import figure, marked, phrases, tr
 from nerf_core.common.text import duration
 from nerf_core.datasets.capture import Quality
 from nerf_core.live.messages import CancelLoading
@@ -45,11 +45,15 @@ class CapturePanel:
             left = tr("{time} left for this").format(time=tr(duration(posing.seconds_left)))
             hint(ui, left)
         if posing.growing is not None:
-            placed = trn("{n} of {total} photo has a pose", "{n} of {total} photos have a pose", posing.placed)
-            hint(ui, placed.format(n=figure(posing.placed, ","), total=figure(posing.photos, ",")), ui.theme.accent)
-        if button(
-            ui, f"{icons.ICON_FA_XMARK}  {tr(CANCEL)}", "capture.cancel", tip=tr("stop; nothing half done is kept")
-        ):
+            placed = phrases(
+                "{n:,} of {total:,} photos has a pose",
+                "{n:,} of {total:,} photos have a pose",
+                posing.placed,
+                total=posing.photos,
+            )
+            hint(ui, tr(placed), ui.theme.accent)
+        cancel = f"{icons.ICON_FA_XMARK}  {tr(CANCEL)}"
+        if button(ui, cancel, "capture.cancel", tip=tr("stop; nothing half done is kept")):
             yield CancelLoading()
 
 
@@ -74,15 +78,18 @@ def _stages(ui: Ui, posing: PoseProgress) -> None:
 
 def _idle(ui: Ui, state: AppState) -> None:
     """What can be opened, and how carefully its poses are found."""
-    hint(ui, tr("Open a folder of photos or a video in the Scene panel. If it has no poses, they are found first: you see "
-                "the cameras find their places here and in the viewport, then training begins."))  # fmt: skip
+    text = tr(
+        "Open a folder of photos or a video in the Scene panel. If it has no poses, they are found "
+        "first: the cameras find their places in the viewport, then training begins."
+    )
+    hint(ui, text)
     load = state.settings.load
     field_width(ui, tr("care"))
     if imgui.begin_combo(f"{tr('care')}###care", tr(load.poses)):
-        for name in WORDS:
+        for name, words in WORDS.items():
             chosen, _ = imgui.selectable(f"{tr(name)}##{name}", name == load.poses)
             ui.mark(f"capture.care.{name}")
-            imgui.set_item_tooltip(tr(WORDS[name]))
+            imgui.set_item_tooltip(tr(words))
             if chosen:
                 state.settings = replace(state.settings, load=replace(load, poses=name))
         imgui.end_combo()
