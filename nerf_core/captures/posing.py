@@ -34,6 +34,7 @@ from nerf_core.common.text import counted, duration
 from nerf_core.datasets.images import UnreadableError, measure, read_photo
 
 FORMAT = 1  # of poses.json
+PROGRAM = Path(__file__).with_name("sfm_program.py")
 DONE = "poses.json"
 WORK = ".work-"  # of the folder of one search; two may go on at once
 STALLED = 900.0  # seconds without a sign of life: one pair of photos, or one adjustment of a thousand, takes less
@@ -260,9 +261,8 @@ class _Job:
 
     def run(self) -> dict[str, Any]:
         """Run the program on the task. Returns its result. Raises UserError if it fails or reaches a limit."""
-        program = Path(__file__).with_name("sfm_program.py")
         # -P: this package's files must not be imported as top-level modules
-        command = [sys.executable, "-P", str(program), str(self.work.resolve())]
+        command = [sys.executable, "-P", str(PROGRAM), str(self.work.resolve())]
         # its own session: a Ctrl-C in the terminal is ours to handle
         child = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
@@ -410,9 +410,10 @@ def _judged(job: _Job, result: dict[str, Any], folder: Path, seconds: float) -> 
         for i in range(len(job.names))
         if i not in placed
     ]
-    lost += [(Path(text.split(":")[0]).name, marked("it cannot be read")) for text in job.damaged]
+    damaged = [Path(text.split(":")[0]).name for text in job.damaged]
+    lost += [(name, marked("it cannot be read")) for name in damaged]
     return Posed(
-        folder, tuple(job.names), tuple(lost), result["error"], result["points"], summary(result), seconds
+        folder, (*job.names, *damaged), tuple(lost), result["error"], result["points"], summary(result), seconds
     )  # fmt: skip
 
 

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import logging
 import subprocess
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image
 
-from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.errors import UserError
 from nerf_core.common.language import marked
 
 SMALL = 192  # the longer side of the frames that are looked at: motion and blur show at this size
@@ -53,7 +50,7 @@ def write_frames(video: Path, folder: Path, count: int, progress: Callable[[str,
     wanted = count or int(np.clip(round(PER_SECOND * seconds), FEWEST, MOST))
     chosen = choose(looked, wanted)
     files: list[Path] = []
-    for k, frame in enumerate(_frames(video, "rgb24", None)):
+    for k, frame in enumerate(_frames(video, True, None)):
         if k in chosen:
             files.append(folder / f"frame_{k:06d}.jpg")
             Image.fromarray(frame).save(files[-1], quality=QUALITY, subsampling=0)
@@ -79,14 +76,12 @@ def choose(looked: Looked, count: int) -> set[int]:
 
 
 def _look(video: Path, progress: Callable[[str, int, int], None]) -> tuple[Looked, float]:
-    meta = _meta(video)
-    seconds = float(meta.get("duration") or 0.0)
-    if not 0 <= seconds <= LONGEST:
+    total, seconds = _length(video)
+    if seconds > LONGEST:
         raise UserError(f"{video} is {seconds / 60:,.0f} minutes long, {LONGEST / 60:.0f} are allowed: cut it")
-    total = max(1, round(seconds * float(meta.get("fps") or 30.0)))
     sharpness, path = list[float](), list[float]()
     kept: np.ndarray | None = None  # the last frame that had moved: slow motion adds up until it shows
-    for k, frame in enumerate(_frames(video, "gray", SMALL)):
+    for k, frame in enumerate(_frames(video, False, SMALL)):
         picture = frame.astype(np.float32)
         sharpness.append(_sharpness(picture))
         moved = 0.0 if kept is None else motion(kept, picture)
@@ -94,7 +89,7 @@ def _look(video: Path, progress: Callable[[str, int, int], None]) -> tuple[Looke
         if kept is None or moved > STILL:
             kept = picture
         if k % 10 == 0:
-            progress(LOOKING, min(k, total), total)
+            progress(LOOKING, min(k, total), max(total, 1))
     return Looked(np.array(sharpness), np.array(path)), seconds or len(sharpness) / 30.0
 
 
@@ -124,46 +119,38 @@ def motion(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.median(shifts)) / max(a.shape)
 
 
-def _meta(video: Path) -> dict[str, Any]:
+def _length(video: Path) -> tuple[int, float]:
+    """The number of frames and the seconds of a video. Raises UserError if it is none."""
     import imageio_ffmpeg
 
-    with _named(video):
-        reader = imageio_ffmpeg.read_frames(str(video), pix_fmt="gray")
-        try:
-            return next(reader)  # pyright: ignore[reportReturnType]: the first item describes the video
-        finally:
-            reader.close()
-
-
-def _frames(video: Path, pixels: str, side: int | None) -> Iterator[np.ndarray]:
-    """The frames of a video (H, W, …), of its own size or with a longer side of `side`."""
-    import imageio_ffmpeg
-
-    options = ["-fps_mode", "passthrough"]  # every frame once, also where their times are uneven
-    if side is not None:
-        options += ["-vf", f"scale={side}:{side}:force_original_aspect_ratio=decrease"]
-    logging.getLogger("imageio_ffmpeg").setLevel(logging.ERROR)  # it warns that the frames are scaled, as asked
-    colors = 3 if pixels == "rgb24" else 1
-    reader = imageio_ffmpeg.read_frames(str(video), pix_fmt=pixels, bits_per_pixel=8 * colors, output_params=options)
     try:
-        with _named(video):
-            width, height = next(reader)["size"]  # pyright: ignore[reportArgumentType,reportCallIssue]: the first item describes the video
-        while True:
-            with _named(video):
-                frame = next(reader, None)
-            if frame is None:
-                return
-            yield np.frombuffer(frame, np.uint8).reshape(height, width, colors).squeeze(-1 if colors == 1 else ())  # pyright: ignore[reportArgumentType]: after the first item all are bytes
+        frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(video))
+        return int(frames or 0), float(seconds)
+    except (OSError, RuntimeError, ValueError, subprocess.SubprocessError) as error:
+        raise UserError(f"{video} cannot be read as a video: convert it to MP4") from error
+
+
+def _frames(video: Path, color: bool, side: int | None) -> Iterator[np.ndarray]:
+    """The frames of a video, upright, uint8 (H, W, 3) or grey (H, W), of its size or with a longer side of `side`."""
+    import imageio_ffmpeg
+
+    # Each frame as a PPM or PGM file, which says its size. passthrough: each once, also where their times are uneven.
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-i", f"file:{video.absolute()}", "-an"]
+    command += ["-fps_mode", "passthrough", "-f", "image2pipe", "-vcodec", "ppm" if color else "pgm"]
+    command += [] if side is None else ["-vf", f"scale={side}:{side}:force_original_aspect_ratio=decrease"]
+    command += ["-"]
+    child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    assert child.stdout is not None
+    try:
+        while (head := child.stdout.readline()) in (b"P5\n", b"P6\n"):
+            width, height = map(int, child.stdout.readline().split())
+            child.stdout.readline()  # the largest value: 255
+            channels = 3 if head == b"P6\n" else 1
+            data = child.stdout.read(width * height * channels)
+            if len(data) < width * height * channels:
+                return  # the video breaks off here
+            yield np.frombuffer(data, np.uint8).reshape((height, width, 3) if channels == 3 else (height, width))
     finally:
-        reader.close()
-
-
-@contextmanager
-def _named(video: Path) -> Iterator[None]:
-    try:
-        yield
-    except (OSError, RuntimeError, KeyError, ValueError, StopIteration, subprocess.SubprocessError) as error:
-        text = str(error).strip().splitlines()
-        raise UserError(
-            f"{video} cannot be read as a video ({shorten(text[-1] if text else 'no frame', 200)}): convert it to MP4"
-        ) from error
+        child.kill()
+        child.wait()
+        child.stdout.close()

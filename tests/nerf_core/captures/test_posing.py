@@ -1,0 +1,273 @@
+"""Structure from motion on small rendered photos, and everything that can go wrong with it."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import imageio.v2 as imageio
+import numpy as np
+import poses
+import pytest
+import textured_photos
+from PIL import Image
+
+from nerf_core.captures import posing, video_frames
+from nerf_core.captures.opening import open_capture
+from nerf_core.captures.posing import Posed, find_poses
+from nerf_core.captures.raw_photos import RawPhotos, raw_photos
+from nerf_core.captures.records import PoseOptions, PoseProgress
+from nerf_core.common.errors import UserError
+from nerf_core.datasets import LoadOptions, load_scene
+from nerf_core.datasets.capture import DATASETS
+from nerf_core.geometry.camera import Camera
+
+FAST = PoseOptions("fast")
+
+
+@pytest.fixture(autouse=True)
+def own_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[RawPhotos, Posed, list[PoseProgress]]:
+    """Eight photos on an arc, with their poses, and all that was told meanwhile."""
+    folder, told = tmp_path_factory.mktemp("arc"), list[PoseProgress]()
+    raw = of(textured_photos.write(folder / "photos", textured_photos.arc()))
+    return raw, find_poses(raw, folder / "out", FAST, told.append), told
+
+
+def of(path: Path) -> RawPhotos:
+    raw = raw_photos(path)
+    assert raw is not None
+    return raw
+
+
+def cameras_of(posed: Posed) -> list[Camera]:
+    return [photo.camera for photo in DATASETS.get("colmap").read(posed.folder, LoadOptions()).photos]
+
+
+def quiet(_: PoseProgress) -> None:
+    pass
+
+
+def files(folder: Path) -> list[str]:
+    return sorted(str(f.relative_to(folder)) for f in folder.rglob("*"))
+
+
+def test_all_photos_get_their_true_poses(found: tuple[RawPhotos, Posed, list[PoseProgress]]) -> None:
+    raw, posed, _ = found
+    assert posed.unplaced == ()
+    assert posed.advice == ""
+    cameras = cameras_of(posed)
+    truth = np.stack([camera.c2w for camera in textured_photos.arc()])
+    turned, moved = poses.errors(np.stack([camera.c2w for camera in cameras]), truth)
+    assert turned.max() < 0.5  # degrees
+    assert moved.max() < 1.0  # percent of the cameras' spread
+    assert cameras[0].fx == pytest.approx(330, rel=0.02)
+    assert files(raw.root) == [f"photo {k}.png" for k in range(8)]  # nothing is written beside the photos
+    assert files(posed.folder)[0] == "images"
+    assert not [name for name in files(posed.folder) if posing.WORK in name]
+
+
+def test_what_is_done_is_told_while_it_is_done(found: tuple[RawPhotos, Posed, list[PoseProgress]]) -> None:
+    _, _, told = found
+    stages = list(dict.fromkeys(state.stage for state in told if state.stage))
+    assert stages == [posing.COPYING, *posing.STAGES.values()]
+    assert all(0 <= state.done <= state.total for state in told)
+    growing = [state.growing for state in told if state.growing is not None]
+    assert growing
+    assert len(growing[-1].poses) >= 2
+    assert len(growing[-1].points) == len(growing[-1].colors) > 50
+
+
+def test_poses_are_found_again_while_the_photos_stay(
+    found: tuple[RawPhotos, Posed, list[PoseProgress]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    raw, posed, _ = found
+    monkeypatch.setattr(posing, "PROGRAM", Path("there is no program"))
+    again = find_poses(raw, posed.folder, FAST, quiet)
+    assert again.again
+    assert (again.names, again.unplaced, again.points) == (posed.names, posed.unplaced, posed.points)
+    before = raw.key()
+    os.utime(raw.photos[0], (1, 1))
+    assert raw.key() != before
+
+
+def test_the_scene_is_like_one_with_poses(found: tuple[RawPhotos, Posed, list[PoseProgress]]) -> None:
+    _, posed, _ = found
+    scene = load_scene(posed.folder, LoadOptions())
+    assert (len(scene.views), scene.format) == (8, "colmap")
+    assert scene.views[0].camera.width == 320
+
+
+def test_large_photos_get_cameras_of_their_own_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are looked at as smaller copies. One photo is stored on its side, as phones do."""
+    monkeypatch.setitem(posing.QUALITIES, "fast", (320, 2048, 0))
+    folder = textured_photos.write(tmp_path / "large", textured_photos.arc())
+    for photo in folder.iterdir():
+        with Image.open(photo) as image:
+            large = image.resize((640, 480), Image.Resampling.LANCZOS)
+        photo.unlink()
+        exif = Image.Exif()
+        if photo.stem == "photo 3":
+            large, exif[0x0112] = large.transpose(Image.Transpose.ROTATE_90), 6
+        large.save(photo.with_suffix(".jpg"), quality=95, exif=exif)
+    posed = find_poses(of(folder), tmp_path / "out", FAST, quiet)
+    assert posed.unplaced == ()
+    assert {(camera.width, camera.height) for camera in cameras_of(posed)} == {(640, 480)}
+    assert cameras_of(posed)[0].fx == pytest.approx(2 * 330, rel=0.02)
+    scene = load_scene(posed.folder, LoadOptions(downscale=2))
+    shown = scene.photos.images[3] / 257 - textured_photos.picture(textured_photos.arc()[3])
+    assert np.abs(shown).mean() < 10  # on its side it would be some 60
+
+
+def test_many_photos_are_matched_with_those_that_resemble_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(posing, "ALL_PAIRS", 4)
+    monkeypatch.setattr(posing, "NEAR", 3)
+    folder, pairs = textured_photos.write(tmp_path / "many", textured_photos.arc()), set[int]()
+    posed = find_poses(of(folder), tmp_path / "out", FAST, lambda s: pairs.add(s.total) if "match" in s.stage else None)
+    assert posed.unplaced == ()
+    assert max(pairs) < 8 * 7 / 2
+
+
+def test_a_video_is_read_where_the_camera_moved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(video_frames, "FEWEST", 10)
+    monkeypatch.setattr(video_frames, "MOST", 12)
+    video = tmp_path / "film.mp4"
+    moving = [textured_photos.picture(camera) for camera in textured_photos.arc(30)]
+    pictures = [*moving[:15], *[moving[15]] * 40, *moving[15:]]  # it stands still for a while
+    imageio.mimwrite(video, pictures, fps=15, quality=9, macro_block_size=1)  # pyright: ignore[reportCallIssue, reportArgumentType]: the stubs lack the options of ffmpeg
+    posed = find_poses(of(video), None, FAST, quiet)
+    assert 8 <= len(posed.names) <= 12
+    assert not posed.unplaced
+    assert sum(15 <= int(name[6:12]) < 55 for name in posed.names) <= 2
+    assert files(tmp_path / "cache")
+    monkeypatch.setattr(posing, "PROGRAM", Path("there is no program"))
+    scene = open_capture(video, LoadOptions(poses="fast"))  # found again
+    assert (scene.name, scene.format) == ("film", "colmap")
+
+
+@pytest.mark.parametrize(
+    ("cameras", "seeds", "words"),
+    [
+        (textured_photos.arc(around=False, degrees=60), None, "turned on the spot"),
+        (textured_photos.arc(), list(range(8)), "do not show enough of the same"),
+        (textured_photos.arc(2), None, "2 photos: at least 3"),
+    ],
+)
+def test_bad_captures_are_told_what_to_photograph(
+    tmp_path: Path, cameras: list[Camera], seeds: list[int] | None, words: str
+) -> None:
+    folder = textured_photos.write(tmp_path / "bad", cameras, seeds)
+    with pytest.raises(UserError, match=words):
+        find_poses(of(folder), tmp_path / "out", FAST, quiet)
+    assert not (tmp_path / "out").exists()
+
+
+def test_lost_and_damaged_photos_are_told_with_the_reason(tmp_path: Path) -> None:
+    folder = textured_photos.write(tmp_path / "some", textured_photos.arc())
+    Image.fromarray(textured_photos.picture(textured_photos.arc()[0], seed=9)).save(folder / "stranger.png")
+    Image.new("RGB", textured_photos.SIZE, (90, 90, 90)).save(folder / "wall.png")
+    (folder / "broken.jpg").write_bytes(b"no photo")
+    posed = find_poses(of(folder), tmp_path / "out", FAST, quiet)
+    reasons = dict(posed.unplaced)
+    assert "too little of what the others show" in reasons["stranger.png"]
+    assert "without texture" in reasons["wall.png"]
+    assert reasons["broken.jpg"] == "it cannot be read"
+    (first, *_) = posed.notes
+    assert first.startswith("8 of 11 photos have a pose")
+
+
+PROGRAMS = {
+    "hangs": ("import time; time.sleep(60)", FAST, "nothing happened"),
+    "takes all memory": (
+        "import time; a = bytearray(400_000_000); time.sleep(60)", PoseOptions("fast", memory_gb=0.2), "memory"
+    ),
+    "takes too long": ("import time; time.sleep(60)", PoseOptions("fast", minutes=0.005), "--minutes 0.005"),
+    "is killed": ("import os; os.kill(os.getpid(), 9)", FAST, "crash -9"),
+    "fails": ("raise SystemExit('no luck')", FAST, "no luck"),
+    "says nothing": ("", FAST, "crash 0"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_a_program_that_goes_wrong_harms_nothing(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source, options, words = PROGRAMS[name]
+    program = tmp_path / "program.py"
+    program.write_text(source)
+    monkeypatch.setattr(posing, "PROGRAM", program)
+    monkeypatch.setattr(posing, "STALLED", 1.0)
+    folder = textured_photos.write(tmp_path / "photos", textured_photos.arc(3))
+    begun = time.monotonic()
+    with pytest.raises(UserError, match=words):
+        find_poses(of(folder), tmp_path / "out", options, quiet)
+    assert time.monotonic() - begun < 20
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("stage", [posing.COPYING, posing.STAGES["features"]])
+def test_cancelling_leaves_nothing(stage: str, tmp_path: Path) -> None:
+    class Enough(BaseException):
+        pass
+
+    def cancel(state: PoseProgress) -> None:
+        if state.stage == stage:
+            raise Enough
+
+    folder = textured_photos.write(tmp_path / "photos", textured_photos.arc(3))
+    with pytest.raises(Enough):
+        find_poses(of(folder), tmp_path / "out", FAST, cancel)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (PoseOptions("best"), "--quality"),  # pyright: ignore[reportArgumentType]
+        (PoseOptions(frames=2), "--frames"),
+        (PoseOptions(minutes=0.0), "--minutes"),
+        (PoseOptions(memory_gb=-1.0), "--memory-gb"),
+    ],
+)
+def test_wrong_options_are_named(options: PoseOptions, words: str, tmp_path: Path) -> None:
+    folder = textured_photos.write(tmp_path / "photos", textured_photos.arc(3))
+    with pytest.raises(UserError, match=words):
+        find_poses(of(folder), tmp_path / "out", options, quiet)
+
+
+def test_a_folder_with_something_in_it_is_left_alone(tmp_path: Path) -> None:
+    folder = textured_photos.write(tmp_path / "photos", textured_photos.arc(3))
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "mine.txt").write_text("mine")
+    with pytest.raises(UserError, match="is not empty"):
+        find_poses(of(folder), tmp_path / "out", FAST, quiet)
+    assert files(tmp_path / "out") == ["mine.txt"]
+
+
+class TestRawPhotos:
+    def test_a_capture_with_poses_is_none(self, found: tuple[RawPhotos, Posed, list[PoseProgress]]) -> None:
+        assert raw_photos(found[1].folder) is None
+        assert raw_photos(None) is None
+
+    def test_photos_may_lie_in_a_folder_below(self, tmp_path: Path) -> None:
+        for folder in ("images", "images_4", "other"):
+            textured_photos.write(tmp_path / folder, textured_photos.arc(3))
+        assert of(tmp_path).root == tmp_path / "images"
+        assert len(of(tmp_path).photos) == 3
+
+    def test_one_video_is_taken_and_two_are_asked_about(self, tmp_path: Path) -> None:
+        (tmp_path / "a.mp4").write_bytes(b"")
+        assert of(tmp_path).video == tmp_path / "a.mp4"
+        (tmp_path / "b.MOV").write_bytes(b"")
+        with pytest.raises(UserError, match="2 videos"):
+            raw_photos(tmp_path)
+
+    @pytest.mark.parametrize("write", [lambda f: f.write_bytes(b"no video"), lambda f: f.write_bytes(b"")])
+    def test_a_broken_video_is_named(self, write: Callable[[Path], None], tmp_path: Path) -> None:
+        write(tmp_path / "a.mp4")
+        with pytest.raises(UserError, match="cannot be read as a video"):
+            find_poses(of(tmp_path), None, FAST, quiet)
