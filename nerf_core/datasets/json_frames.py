@@ -16,6 +16,7 @@ from nerf_core.common.language import phrases
 from nerf_core.datasets.capture import Photo
 from nerf_core.datasets.images import UnreadableError, damage_notes, measure
 from nerf_core.datasets.photo_paths import find_photos, photo_name
+from nerf_core.datasets.posed_files import NARROWEST
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.lens import EQUIRECTANGULAR, FISHEYE, PERSPECTIVE, Lens
 
@@ -31,7 +32,6 @@ LENSES = {  # {camera_model: the coefficients that it may have}
 COEFFICIENTS = ("k1", "k2", "k3", "p1", "p2", "k4")
 FIELDS = {"OPENCV_FISHEYE": FISHEYE, "EQUIRECTANGULAR": EQUIRECTANGULAR}
 TURN_TOLERANCE = 0.02  # of a panorama's size: programs that shrink photos round each side to whole pixels
-NARROWEST = 1e-4  # smallest focal length in image widths: with less the field of view is practically 180°
 
 
 @dataclass(frozen=True)
