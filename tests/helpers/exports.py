@@ -92,9 +92,8 @@ def reality_text(**changes: object) -> str:
         r = pose[:, :3]
         heading, pitch = np.degrees(np.arctan2(r[0, 1], r[1, 1])), np.degrees(np.arcsin(r[2, 1]))
         roll = np.degrees(np.arctan2(-r[2, 0], r[2, 2]))
-        row: dict[str, object] = {"#name": f"a_{k}.png"} | dict(
-            zip(("x", "y", "alt"), pose[:, 3].tolist(), strict=True)
-        )
+        x, y, alt = pose[:, 3].tolist()
+        row: dict[str, object] = {"#name": f"a_{k}.png", "x": x, "y": y, "alt": alt}
         row |= {"heading": float(heading), "pitch": float(pitch), "roll": float(roll), "f": 30.0 * 36 / 24}
         row |= {"px": 0.5 / 24, "py": -0.5 / 24, "k1": -0.02, "k2": 0.01, "k3": -0.003, "k4": 0, "t1": 0, "t2": 0}
         lines.append(",".join(str(value) for value in (row | changes).values()))
