@@ -36,13 +36,13 @@ def rays(
         n = index[r]
         x0, y0 = (pixels[r, 0] - principal[n, 0]) / focal[n, 0], (pixels[r, 1] - principal[n, 1]) / focal[n, 1]
         if lens[n, 8] != 0:
-            lx, ly, lz = _wide_direction(x0, y0, lens[n])
+            lx, ly, lz = _wide_direction(x0, y0, lens, n)
             nears[r], fars[r] = near, far
         else:
             x, y = x0, y0
             k1, k2, k3, p1, p2 = lens[n, 0], lens[n, 1], lens[n, 2], lens[n, 3], lens[n, 4]
             if lens[n, 5] != 0 or lens[n, 6] != 0 or lens[n, 7] != 0:
-                x, y = _rational(x0, y0, lens[n])
+                x, y = _rational(x0, y0, lens, n)
             elif k1 != 0 or k2 != 0 or k3 != 0 or p1 != 0 or p2 != 0:
                 for _ in range(NEWTON_STEPS):
                     mx, my, det = _newton_step(x, y, x0, y0, k1, k2, k3, p1, p2)
@@ -65,12 +65,12 @@ def rays(
 
 
 @jit
-def _rational(x0: Any, y0: Any, lens: Any) -> Any:
+def _rational(x0: Any, y0: Any, lens: Any, n: Any) -> Any:
     """Undo a perspective lens with k4, k5 or k6, as `Lens.undistort` does."""
     x, y = x0, y0
     for _ in range(NEWTON_STEPS):
         mx, my, det = _rational_step(
-            x, y, x0, y0, lens[0], lens[1], lens[2], lens[3], lens[4], lens[5], lens[6], lens[7]
+            x, y, x0, y0, lens[n, 0], lens[n, 1], lens[n, 2], lens[n, 3], lens[n, 4], lens[n, 5], lens[n, 6], lens[n, 7]
         )
         if abs(det) <= SINGULAR:
             break
@@ -85,15 +85,15 @@ def _rational(x0: Any, y0: Any, lens: Any) -> Any:
 
 
 @jit
-def _wide_direction(x: Any, y: Any, lens: Any) -> Any:
+def _wide_direction(x: Any, y: Any, lens: Any, n: Any) -> Any:
     """Return the unit direction that a wide lens shows at a point of the sensor, as `Lens.directions` does."""
-    if lens[8] == EQUIRECTANGULAR:
+    if lens[n, 8] == EQUIRECTANGULAR:
         return math.sin(x) * math.cos(y), -math.sin(y), -math.cos(x) * math.cos(y)
     radius = math.sqrt(x * x + y * y)
     low, high = 0.0, math.pi
     t = min(radius, math.pi)
     for _ in range(ANGLE_STEPS):
-        value, slope = _fisheye_radius(t, lens[0], lens[1], lens[2], lens[5])
+        value, slope = _fisheye_radius(t, lens[n, 0], lens[n, 1], lens[n, 2], lens[n, 5])
         if value < radius and slope > 0:
             low = t
         else:
