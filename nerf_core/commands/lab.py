@@ -22,7 +22,7 @@ from nerf_core.lab.study import STUDIES, Subject, takes_photo
 from nerf_core.lab.workers import rows_on
 from nerf_core.training.options import LoadingOptions, run_name
 
-SCENE_HELP = "Folder of the capture (or its .json file); none: the demo scene."
+SCENE_HELP = "Folder of the capture (or its .json, .xml or .csv file); none: the demo scene."
 PHOTO_HELP = "A photo; none: a picture that the program draws."
 
 

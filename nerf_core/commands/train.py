@@ -30,7 +30,7 @@ from nerf_core.training.run_folder import RunFolder, must_agree
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer, choose_method, must_be_distributed
 
-DATA_HELP = "Folder of the capture (or its .json file); none: the demo scene."
+DATA_HELP = "Folder of the capture (or its .json, .xml or .csv file); none: the demo scene."
 
 
 @COMMANDS.register("train")

@@ -11,6 +11,7 @@ from nerf_core.common.language import marked, phrase, phrases
 from nerf_core.datasets.capture import Photo
 from nerf_core.datasets.images import Header
 from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.lens import EQUIRECTANGULAR, FAR_OFF, FISHEYE
 
 ASPECT_TOLERANCE = 0.02  # programs that shrink photos round each side to whole pixels
 FOCAL_RANGE = (0.05, 100.0)  # in image sizes: fields of view between 169° and half a degree
@@ -35,7 +36,7 @@ def fitted(photo: Photo, header: Header) -> bool:
 
 def oddities(cameras: Sequence[Camera]) -> list[str]:
     """Return one warning for each kind of unusual calibration, with the number of photos that have it."""
-    found: dict[str, list[float]] = {"focal": [], "principal": [], "fold": []}
+    found: dict[str, list[float]] = {"focal": [], "principal": [], "fold": [], "blind": []}
     seen: dict[tuple[float, ...], list[tuple[str, float]]] = {}
     for camera in cameras:
         key = camera.intrinsics()
@@ -51,6 +52,10 @@ def oddities(cameras: Sequence[Camera]) -> list[str]:
         "fold": marked(
             "{photos} with lens coefficients that fold the image (a pixel is off by {value:.3g}): check k1, k2, k3, "
             "p1, p2"
+        ),
+        "blind": marked(
+            "{photos} with corners beyond {value:.3g}° from the axis, where the fisheye lens shows nothing: they are "
+            "not trained on; if they do show something, check k1 to k4"
         ),
     }
     return [
@@ -74,9 +79,14 @@ def _odd(camera: Camera) -> list[tuple[str, float]]:
     if camera.lens.bends:
         border = _border(camera)
         with np.errstate(all="ignore"):  # absurd coefficients overflow, and the result shows it
-            back = camera.lens.distort(camera.lens.undistort(border))
+            if camera.lens.wide:
+                back = camera.lens.see(camera.lens.directions(border)).bent
+            else:
+                back = camera.lens.distort(camera.lens.undistort(border))
             error = np.abs((back - border) * (camera.fx, camera.fy)).max()
-        if not error <= FOLD_PIXELS:
+        if camera.lens.kind == FISHEYE and not error <= FOLD_PIXELS:
+            odd.append(("blind", float(np.degrees(camera.lens.angle(np.array([FAR_OFF]))[0]))))
+        elif camera.lens.kind != EQUIRECTANGULAR and not error <= FOLD_PIXELS:
             odd.append(("fold", float(error)))
     return odd
 

@@ -108,7 +108,7 @@ class Capture:
 
 
 class Dataset(Protocol):
-    """A dataset format. A path is a folder, or a .json file inside one.
+    """A dataset format. A path is a folder, or a .json, .xml or .csv file inside one.
 
     rank: of all formats that match, `auto` takes the lowest.
     files: the files of this format, for messages ("poses_bounds.npy with images").

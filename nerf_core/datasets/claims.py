@@ -13,6 +13,7 @@ HUFFMAN_PIXELS = 512  # the most pixels per byte of a JPEG: one bit for a block 
 HEAVY_BYTES = 400_000_000  # photos that take more while they are read are read one at a time
 PILLOW_BYTES = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2, "I;16L": 2, "LA": 4}  # all other modes take 4
 BUFFER_BYTES = 5_000_000  # of the file, of codes, of rows in work, whatever the photo's size
+HEIF_BYTES = 6  # a pixel: the decoder's planes, their conversion to RGB, and the bytes that it hands to Pillow
 WEBP_BYTES = 12  # a pixel: the decoder's canvases, and the bytes that it hands to Pillow
 PACKED_BITS = {"I;16": 16, "LA": 16, "RGB": 24, "RGBA": 32}  # grey and palettes may take one bit a pixel
 
@@ -77,7 +78,9 @@ def decoding_memory(image: ImageFile.ImageFile, stored: int, pictures: int) -> M
     """
     pixels = image.width * image.height
     held, decoder = PILLOW_BYTES.get(image.mode, 4) * pictures * pixels, 0
-    if image.format == "WEBP":
+    if image.format == "HEIF":
+        held += HEIF_BYTES * pixels + stored
+    elif image.format == "WEBP":
         held += WEBP_BYTES * pixels + stored
     elif isinstance(image, JpegImagePlugin.JpegImageFile) and "progressive" in image.info:
         areas = [across * down for _, across, down, _ in image.layer]  # chroma has fewer pixels

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import stat
 import struct
 import threading
@@ -25,7 +26,8 @@ from nerf_core.datasets.resample import composite
 MAX_PIXELS = 200_000_000  # no camera has more: a file that claims more is a decompression bomb
 EXR_BYTES = 60  # a pixel: ffmpeg's picture, and the planes in float
 MAX_EXR_PIXELS = 50_000_000
-SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".exr")
+HEIC = (".heic", ".heif")
+SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".exr", *HEIC)
 EIGHT_BITS = ("1", "L", "P", "RGB", "CMYK", "YCbCr")  # Pillow's names of opaque pixel types
 DEEP_GREY = ("I;16", "I;16B", "I;16L")
 DEEP_COLOR = ("RGB;16B", "RGBA;16B")
@@ -230,7 +232,7 @@ def _damage_named(path: Path) -> Iterator[None]:
     try:
         yield
     except BROKEN as error:
-        raise UnreadableError(f"{path}: {error}") from error
+        raise UnreadableError(f"{path}: {' '.join(str(error).split())}") from error
 
 
 def _refuse_special(path: Path) -> None:
@@ -250,7 +252,19 @@ def _refuse_bomb(path: Path, pixels: int, most: int = MAX_PIXELS) -> None:
         )
 
 
+def _learn_heic(path: Path) -> None:
+    """Let Pillow read HEIC. Raises UserError if the package for that is not installed."""
+    try:
+        importlib.import_module("pillow_heif").register_heif_opener()
+    except ImportError as error:
+        raise UserError(
+            f"{path} is an HEIC photo: to read it, run `pip install 'nerf-viewer[heic]'`, or save the photos as JPEG"
+        ) from error
+
+
 def _opened(path: Path) -> ImageFile.ImageFile:
+    if path.suffix.lower() in HEIC:
+        _learn_heic(path)
     try:
         return Image.open(path)
     except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:

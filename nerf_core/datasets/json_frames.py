@@ -16,11 +16,22 @@ from nerf_core.common.language import phrases
 from nerf_core.datasets.capture import Photo
 from nerf_core.datasets.images import UnreadableError, damage_notes, measure
 from nerf_core.datasets.photo_paths import find_photos, photo_name
+from nerf_core.datasets.posed_files import NARROWEST
 from nerf_core.geometry.camera import Camera
-from nerf_core.geometry.lens import Lens
+from nerf_core.geometry.lens import EQUIRECTANGULAR, FISHEYE, PERSPECTIVE, Lens
 
-LENSES = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")  # all are special cases of k1, k2, p1, p2
-NARROWEST = 1e-4  # smallest focal length in image widths: with less the field of view is practically 180°
+LENSES = {  # {camera_model: the coefficients that it may have}
+    "PINHOLE": ("k1", "k2", "k3", "p1", "p2"),
+    "SIMPLE_PINHOLE": ("k1", "k2", "k3", "p1", "p2"),
+    "SIMPLE_RADIAL": ("k1", "k2", "k3", "p1", "p2"),
+    "RADIAL": ("k1", "k2", "k3", "p1", "p2"),
+    "OPENCV": ("k1", "k2", "k3", "p1", "p2"),
+    "OPENCV_FISHEYE": ("k1", "k2", "k3", "k4"),
+    "EQUIRECTANGULAR": (),
+}
+COEFFICIENTS = ("k1", "k2", "k3", "p1", "p2", "k4")
+FIELDS = {"OPENCV_FISHEYE": FISHEYE, "EQUIRECTANGULAR": EQUIRECTANGULAR}
+TURN_TOLERANCE = 0.02  # of a panorama's size: programs that shrink photos round each side to whole pixels
 
 
 @dataclass(frozen=True)
@@ -115,7 +126,7 @@ def bounds(document: Fields) -> tuple[float, float] | None:
 
 def _camera(frame: Frame, path: Path, c2w: np.ndarray) -> Camera:
     """The camera of one frame. If the file states no size, the photo's own counts."""
-    _refuse_other_lenses(frame)
+    lens = _lens(frame)
     wide, high = frame.holder("w"), frame.holder("h")
     if wide and high:
         width, height = wide[0].count("w"), high[0].count("h")
@@ -123,7 +134,9 @@ def _camera(frame: Frame, path: Path, c2w: np.ndarray) -> Camera:
         header = measure(path)
         width = wide[0].count("w") if wide else header.width
         height = high[0].count("h") if high else max(1, round(header.height * width / header.width))
-    fx, fy = _focal(frame, "x", width), _focal(frame, "y", height)
+    if lens.kind == EQUIRECTANGULAR:
+        return _panorama(frame, width, height, c2w, lens)
+    fx, fy = _focal(frame, "x", width, lens), _focal(frame, "y", height, lens)
     if fx is None and fy is None:
         raise UserError(f"{frame.fields.file}: fl_x and camera_angle_x are missing: add one of them")
     return Camera(
@@ -134,17 +147,38 @@ def _camera(frame: Frame, path: Path, c2w: np.ndarray) -> Camera:
         cx=_optional(frame, "cx", width / 2),
         cy=_optional(frame, "cy", height / 2),
         c2w=c2w,
-        lens=Lens(*(_optional(frame, key, 0.0) for key in ("k1", "k2", "k3", "p1", "p2"))),
+        lens=lens,
     )
 
 
-def _focal(frame: Frame, axis: str, size: int) -> float | None:
+def _panorama(frame: Frame, width: int, height: int, c2w: np.ndarray, lens: Lens) -> Camera:
+    """The camera of an equirectangular picture, whose focal length is in pixels a radian.
+
+    nerfstudio counts in pixels a half turn: fl_x = fl_y = h = w / 2 for a picture of everything around.
+    """
+    turn = {axis: frame.holder(f"fl_{axis}") for axis in "xy"}
+    fx, fy = (
+        holder[0].positive(holder[1]) if (holder := turn[axis]) else size
+        for axis, size in (("x", width / 2), ("y", float(height)))
+    )
+    for axis, focal, least in (("x", fx, width / 2), ("y", fy, float(height))):
+        if focal < least * (1 - TURN_TOLERANCE) and (holder := turn[axis]):
+            raise holder[0].error(
+                holder[1], f"at least {least:g} is needed, the pixels of a half turn, or no {holder[1]}"
+            )
+    cx, cy = _optional(frame, "cx", width / 2), _optional(frame, "cy", height / 2)
+    return Camera(width, height, fx / math.pi, fy / math.pi, cx, cy, c2w, lens)
+
+
+def _focal(frame: Frame, axis: str, size: int, lens: Lens) -> float | None:
     """The focal length in pixels: fl, else (size / 2) / tan(angle / 2), else None. Raises UserError."""
     holder = frame.holder(f"fl_{axis}", f"camera_angle_{axis}")
     if holder is None:
         return None
     fields, key = holder
     value = fields.positive(key)
+    if key.startswith("camera_angle") and lens.kind == FISHEYE:
+        raise fields.error(key, "the focal length of a fisheye lens does not follow from it; fl_x is needed")
     if key.startswith("camera_angle"):
         if value >= math.pi:
             raise fields.error(key, "an angle below π (180°) in radians is needed")
@@ -159,12 +193,23 @@ def _optional(frame: Frame, key: str, default: float) -> float:
     return holder[0].number(key) if holder else default
 
 
-def _refuse_other_lenses(frame: Frame) -> None:
-    if holder := frame.holder("camera_model"):
-        model = holder[0].text("camera_model")
-        if model.upper() not in LENSES:
+def _lens(frame: Frame) -> Lens:
+    """The lens of one frame. Raises UserError for a model that is not known, or a coefficient that it does not have."""
+    model, holder = "OPENCV", frame.holder("camera_model")
+    if holder:
+        model = holder[0].text("camera_model").upper()
+        if model not in LENSES:
             raise holder[0].error("camera_model", f"known are {', '.join(LENSES)}; undistort the photos first")
-    for key in ("is_fisheye", "k4"):
-        holder = frame.holder(key)
-        if holder and holder[0].values[key]:
-            raise holder[0].error(key, "fisheye lenses are not known; undistort the photos first")
+    fisheye = frame.holder("is_fisheye")
+    if fisheye and fisheye[0].values["is_fisheye"] and model != "OPENCV_FISHEYE":
+        if holder:
+            raise fisheye[0].error("is_fisheye", f"but camera_model is {model}; remove one of them")
+        model = "OPENCV_FISHEYE"  # instant-ngp's word for OpenCV's fisheye lens
+    values = {}
+    for key in COEFFICIENTS:
+        values[key] = _optional(frame, key, 0.0)
+        if values[key] and key not in LENSES[model]:
+            owner = frame.holder(key)
+            assert owner is not None
+            raise owner[0].error(key, f"the lens {model} has no such coefficient; remove it or correct camera_model")
+    return Lens(**values, kind=FIELDS.get(model, PERSPECTIVE))

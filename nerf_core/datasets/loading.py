@@ -34,7 +34,7 @@ def load_scene(path: Path | None, options: LoadOptions, progress: Progress | Non
     """Load a capture: photos at the wanted size, poses in the trainer's frame.
 
     Args:
-        path: a folder or a .json file; None opens the demo scene.
+        path: a folder or a .json, .xml or .csv file; None opens the demo scene.
         options: the user's choices.
         progress: called as (what is done, photos done, photos in all) from this thread, first "checking photos", then
             "loading photos"; it may raise to cancel.

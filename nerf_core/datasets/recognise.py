@@ -12,6 +12,7 @@ from nerf_core.datasets.capture import DATASETS
 from nerf_core.datasets.images import SUFFIXES
 
 DEMO = "demo"
+CALIBRATIONS = (".json", ".xml", ".csv")
 
 
 def recognise(path: Path | None, wanted: str) -> tuple[Path, str, tuple[str, ...]]:
@@ -26,8 +27,8 @@ def recognise(path: Path | None, wanted: str) -> tuple[Path, str, tuple[str, ...
         raise UserError(f"--format {DEMO} opens the scene that is installed: leave out {path}")
     if not path.exists():
         raise UserError(f"{path} does not exist: name the folder of a dataset")
-    if not path.is_dir() and path.suffix.lower() != ".json":
-        raise UserError(f"{path} is not a folder: name the folder of a dataset, or its .json file")
+    if not path.is_dir() and path.suffix.lower() not in CALIBRATIONS:
+        raise UserError(f"{path} is not a folder: name the folder of a dataset, or its .json, .xml or .csv file")
     if wanted != "auto":
         return path, wanted, ()
     fitting = _fitting(path)

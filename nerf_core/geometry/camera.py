@@ -13,7 +13,7 @@ import numpy as np
 
 from nerf_core.geometry.lens import PINHOLE, Lens
 
-BESIDE = 1e6  # on the image plane: points farther out count as beside the camera (a lens raises them to the 7th power)
+INTRINSICS = 15  # numbers in `Camera.intrinsics`
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Camera:
     lens: Lens = PINHOLE
 
     def intrinsics(self) -> tuple[float, ...]:
-        """Everything but the pose: width, height, fx, fy, cx, cy, then the lens coefficients."""
+        """Everything but the pose: width, height, fx, fy, cx, cy, then `Lens.coefficients`."""
         return self.width, self.height, self.fx, self.fy, self.cx, self.cy, *self.lens.coefficients
 
     def resized(self, width: int, height: int) -> Camera:
@@ -56,6 +56,10 @@ class Camera:
         width, height = self.width // factor, self.height // factor
         return replace(self, width=width * factor, height=height * factor).resized(width, height)
 
+    def directions(self, pixels: np.ndarray) -> np.ndarray:
+        """Return the directions (P, 3), in the camera's axes, through pixel coordinates (P, 2): `Lens.directions`."""
+        return self.lens.directions((np.asarray(pixels) - (self.cx, self.cy)) / (self.fx, self.fy))
+
     def moved(self, c2w: np.ndarray) -> Camera:
         """Return the camera with another pose: the first 3 rows of `c2w`, (3, 4) or (4, 4)."""
         return replace(self, c2w=np.asarray(c2w, dtype=np.float64)[:3, :4])
@@ -67,8 +71,8 @@ class Camera:
             points: (P, 3) in world units.
 
         Returns:
-            Pixel coordinates (P, 2) and z-depths (P,). A point with depth ≤ 0 lies behind the camera. The coordinates
-            are NaN where the lens shows something else at that pixel; see `Lens.shows`.
+            Pixel coordinates (P, 2) and z-depths (P,); for a wide lens, distances. A point with depth ≤ 0 lies behind
+            the camera. The coordinates are NaN where the lens shows something else at that pixel; see `Lens.see`.
         """
         local = (points - self.c2w[:, 3]) @ self.c2w[:, :3]
         done = project(local, np.array(self.intrinsics(), np.float64))
@@ -80,9 +84,9 @@ class Projected(NamedTuple):
     """P points projected into pictures.
 
     pixels: (P, 2) column and row.
-    depth: (P,) z-depth; a point with depth ≤ 0 lies behind the camera.
+    depth: (P,) z-depth, or distance for a wide lens; a point with depth ≤ 0 lies behind the camera.
     framed: (P,) whether the pixel lies in the picture and the point in front of the camera.
-    shown: (P,) whether the lens shows the point at that pixel, and not something else; see `Lens.shows`.
+    shown: (P,) whether the lens shows the point at that pixel, and not something else; see `Lens.see`.
     """
 
     pixels: np.ndarray
@@ -96,18 +100,11 @@ def project(local: np.ndarray, intrinsics: np.ndarray) -> Projected:
 
     Args:
         local: (P, 3) in world units.
-        intrinsics: those of one camera, (11,), or of a camera for each point, (P, 11); see `Camera.intrinsics`.
+        intrinsics: those of one camera, (INTRINSICS,), or of a camera for each point, (P, INTRINSICS); see
+            `Camera.intrinsics`.
     """
     width, height, fx, fy, cx, cy, *coefficients = intrinsics.T
-    depth = -local[:, 2]
-    # a point in the camera's plane has no pixel; its depth says so
-    safe = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
-    plane = np.stack([local[:, 0], -local[:, 1]], -1) / safe[:, None]
-    bent, lens = plane, Lens(*coefficients)
-    if lens.bends:
-        plane = np.clip(plane, -BESIDE, BESIDE)
-        bent = lens.distort(plane)
+    bent, depth, shown = Lens(*coefficients).see(local)
     pixels = bent * np.stack([fx, fy], -1) + np.stack([cx, cy], -1)
     framed = (depth > 0) & (pixels >= 0).all(-1) & (pixels < np.stack([width, height], -1)).all(-1)
-    shown = lens.shows(plane, bent) if lens.bends else np.ones(len(plane), bool)
     return Projected(pixels, depth, framed, shown)

@@ -13,7 +13,7 @@ from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.json_files import read_json
 from nerf_core.common.names import printable
 from nerf_core.geometry.camera import Camera
-from nerf_core.geometry.lens import Lens
+from nerf_core.geometry.lens import KINDS, Lens
 from nerf_core.geometry.scene import Scene
 
 MOST_PIXELS = 1 << 16  # on one side of a picture
@@ -21,6 +21,7 @@ MOST_PIXELS = 1 << 16  # on one side of a picture
 FARTHEST = 1e9  # from the origin, in units of the world; principal points, in pixels
 FOCAL = 1e-3, 1e9  # pixels
 LENS = 1e6  # its coefficients
+LATER = "k4", "k5", "k6"  # written only where they are not 0, so that the files of other lenses stay as they were
 NEEDED = "width", "height", "fx", "fy", "cx", "cy", "c2w"
 CAMERA_FILE = f'an object as an opened ray\'s file has under "camera" ({", ".join(NEEDED)}: 3 × 4)'
 
@@ -29,7 +30,11 @@ def camera_values(camera: Camera) -> dict[str, Any]:
     """Return every field of a camera under its name, c2w as nested lists."""
     values = asdict(camera)
     lens = values.pop("lens")
-    return {**values, "c2w": camera.c2w.tolist(), **lens}
+    kind = KINDS[int(lens.pop("kind"))]
+    later = {name: value for name in LATER if (value := lens.pop(name))}
+    if kind != KINDS[0]:
+        later["lens"] = kind
+    return {**values, "c2w": camera.c2w.tolist(), **lens, **later}
 
 
 def camera_of(values: Mapping[str, Any]) -> Camera:
@@ -41,7 +46,10 @@ def camera_of(values: Mapping[str, Any]) -> Camera:
             raise ValueError(f"field {name} is missing")
     width, height = _number(values, "width"), _number(values, "height")
     fx, fy, cx, cy = (_number(values, name) for name in ("fx", "fy", "cx", "cy"))
-    lens = {f.name: _number(values, f.name) for f in fields(Lens)}
+    lens = {f.name: _number(values, f.name) for f in fields(Lens) if f.name != "kind"}
+    kind = values.get("lens", KINDS[0])
+    if kind not in KINDS:
+        raise ValueError(f"lens is {shorten(kind)}: {', '.join(KINDS)} are known")
     if not all(0 < side <= MOST_PIXELS and side.is_integer() for side in (width, height)):
         raise ValueError(f"a picture of {width:g} × {height:g} pixels")
     if not (FOCAL[0] <= fx <= FOCAL[1] and FOCAL[0] <= fy <= FOCAL[1]):
@@ -57,7 +65,7 @@ def camera_of(values: Mapping[str, Any]) -> Camera:
         raise ValueError(f"c2w must be 3 × 4 numbers between ±{FARTHEST:g}")
     if not (np.allclose(c2w[:, :3] @ c2w[:, :3].T, np.eye(3), atol=1e-4) and np.linalg.det(c2w[:, :3]) > 0):
         raise ValueError("the first three columns of c2w must be a rotation")
-    return Camera(int(width), int(height), fx, fy, cx, cy, c2w, Lens(**lens))
+    return Camera(int(width), int(height), fx, fy, cx, cy, c2w, Lens(**lens, kind=KINDS.index(kind)))
 
 
 def _number(values: Mapping[str, Any], name: str) -> float:

@@ -22,7 +22,7 @@ class Cameras:
 
         Args:
             cameras: N cameras, at least one.
-            near, far: z-depths that enclose the content, in world units.
+            near, far: z-depths that enclose the content, in world units; for a wide lens, distances.
         """
         table = np.array([c.intrinsics() for c in cameras], dtype=np.float64)
         self.size = torch.from_numpy(table[:, :2]).long()
@@ -31,13 +31,14 @@ class Cameras:
         self.lens = torch.from_numpy(table[:, 6:])
         self.c2w = torch.from_numpy(np.stack([np.asarray(c.c2w, dtype=np.float64) for c in cameras]))
         self.near, self.far = near, far
-        self._distorted = bool((self.lens != 0).any())
 
     def rays(self, index: Tensor, pixels: Tensor) -> Rays:
         """Return the rays through pixels.
 
         A pixel (i, j) looks along ((i − cx)/fx, −(j − cy)/fy, −1) once the lens is undone. The vector is rotated by
-        c2w and normalised. near and far are z-depths; along the ray they are longer by the length of that vector.
+        c2w and normalised. near and far are z-depths; along the ray they are longer by the length of that vector. The
+        rays of a wide lens (`Lens.directions`) may run beside the image plane or away from it, where a z-depth means
+        nothing. Their near and far are distances along the ray.
 
         Args:
             index: (R,) the camera of each ray.
@@ -53,19 +54,18 @@ class Cameras:
 
     def plain_rays(self, index: Tensor, pixels: Tensor) -> Rays:
         """The same as `rays`, without numba."""
-        plane = (pixels.double() - self.principal[index]) / self.focal[index]
-        if self._distorted:
-            lens = Lens(*self.lens[index].numpy().T)
-            plane = torch.from_numpy(lens.undistort(plane.numpy()))
-        local = torch.stack([plane[:, 0], -plane[:, 1], -torch.ones_like(plane[:, 0])], -1)
+        bent = (pixels.double() - self.principal[index]) / self.focal[index]
+        lens = Lens(*self.lens[index].numpy().T)
+        local = torch.from_numpy(lens.directions(bent.numpy()))
         length = local.norm(dim=-1)
+        stretch = torch.where(self.lens[index, -1] != 0, 1.0, length)
         c2w = self.c2w[index]
         directions = torch.einsum("rij,rj->ri", c2w[:, :, :3], local / length[:, None])
         return Rays(
             origins=c2w[:, :, 3].float(),
             directions=directions.float(),
-            near=(self.near * length).float(),
-            far=(self.far * length).float(),
+            near=(self.near * stretch).float(),
+            far=(self.far * stretch).float(),
         )
 
 
@@ -74,7 +74,7 @@ def camera_rays(camera: Camera, near: float, far: float, pixels: np.ndarray | No
 
     Args:
         camera: the camera.
-        near, far: z-depths in world units.
+        near, far: z-depths in world units; for a wide lens, distances.
         pixels: (R, 2) integer column and row; None takes all pixels row by row.
     """
     if pixels is None:

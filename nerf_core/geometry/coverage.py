@@ -38,7 +38,7 @@ class Coverage:
 
         Args:
             cameras: the cameras of the training views. At most MOST_VIEWS of them are used.
-            near, far: z-depths that enclose the content, in world units.
+            near, far: z-depths that enclose the content, in world units; for a wide lens, distances.
             center, radius: the centre (3,) and radius of the content. The cube also encloses all the cameras.
         """
         index = np.unique(np.linspace(0, len(cameras) - 1, min(len(cameras), MOST_VIEWS)).round().astype(int))
@@ -49,6 +49,9 @@ class Coverage:
         centres = (low + (np.indices((CELLS,) * 3).reshape(3, -1).T + 0.5) * side).astype(np.float32)
         covered = np.zeros(len(centres), bool)
         for i in index:
+            if cameras[i].lens.wide:
+                covered |= _seen(cameras[i], centres, near, far)
+                continue
             left, right, bottom, top = _window(cameras[i])
             c2w = poses[i].astype(np.float32)
             x, y, z = ((centres - c2w[:, 3]) @ c2w[:, :3]).T
@@ -84,6 +87,13 @@ class Coverage:
             np.where(some, t[rows, first], np.nan), np.where(some, t[rows, last], np.nan),
             np.where(beside, np.nan, leave),
         )  # fmt: skip
+
+
+def _seen(camera: Camera, centres: np.ndarray, near: float, far: float) -> np.ndarray:
+    """Return which points (P, 3) a camera with a wide lens shows between two distances, as bool (P,)."""
+    pixels, distance = camera.project(centres.astype(np.float64))
+    framed = ((pixels >= 0) & (pixels < (camera.width, camera.height))).all(-1)  # false for NaN, which is not shown
+    return framed & (distance >= near) & (distance <= far)
 
 
 def _window(camera: Camera) -> tuple[float, float, float, float]:

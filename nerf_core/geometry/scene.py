@@ -43,7 +43,8 @@ class Scene:
     photos: one per view, sRGB-encoded, 65535 = 1, composited over `background`. 16 bits hold 8-bit and 16-bit photos
         exactly, and averaged ones without visible error; photos that are all of 8 bits are kept in 8.
     splits: indices into `views` for each name of SPLITS that the capture has.
-    near, far: the z-depths (along the optical axis, not the ray) that enclose the content, in scene units.
+    near, far: the z-depths (along the optical axis, not the ray) that enclose the content, in scene units. For cameras
+        with a wide lens they are distances.
     background: the colour behind the content, in [0, 1], sRGB-encoded.
     center, radius, up: the centre (3,), radius and axis (3,) of an orbit, in scene units.
     to_input: (4, 4) similarity from scene points to the frame of the input files.
@@ -169,7 +170,7 @@ class Scene:
         digest.update(repr(sorted((k, tuple(v)) for k, v in self.splits.items())).encode())
         for k, (view, (width, height)) in enumerate(zip(self.views, self.photos.sizes.tolist(), strict=True)):
             digest.update(view.name.encode())
-            digest.update(repr(tuple(number(v) for v in view.camera.intrinsics())).encode())
+            digest.update(repr(tuple(number(v) for v in _described(view.camera))).encode())
             c2w = [[number(v) for v in row] for row in view.camera.c2w.tolist()]
             digest.update(np.array(c2w, dtype="<f8").tobytes())
             sparse = self.photos.part(
@@ -177,3 +178,9 @@ class Scene:
             )
             digest.update(np.ascontiguousarray(sparse).tobytes())
         return digest.hexdigest()
+
+
+def _described(camera: Camera) -> tuple[float, ...]:
+    """The camera's intrinsics as a hash has them: only the first 11 where the others are 0, as in earlier versions."""
+    numbers = camera.intrinsics()
+    return numbers if any(numbers[11:]) else numbers[:11]

@@ -221,7 +221,7 @@ def _compile() -> None:
     spare = torch.zeros_like(grid.rows), torch.zeros_like(grid.rows)
     kernels.update(grid, *spare, Adam(0.1, 0.1, 0.1, 0.9, 0.9, 1.0, 1.0, 1e-4, 1.0))
     index, pair = torch.zeros(1, dtype=torch.long), torch.ones(1, 2, dtype=torch.float64)
-    lens, c2w = torch.zeros(1, 5, dtype=torch.float64), torch.eye(4, dtype=torch.float64)[None, :3]
+    lens, c2w = torch.zeros(1, 9, dtype=torch.float64), torch.eye(4, dtype=torch.float64)[None, :3]
     fast_rays(index, pair, pair, pair, lens, c2w, 1.0, 2.0)
     for pixels in (np.zeros((1, 3), np.uint8), np.zeros((1, 3), np.uint16)):
         photo_colors(index, torch.zeros(1, 2, dtype=torch.long), index + 1, index, pixels)

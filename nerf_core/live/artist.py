@@ -118,8 +118,9 @@ class Artist:
         else:
             trace = traced(model, rays)
             drawn, color = trace.rendering, shaded(model, rays, trace, picture.mode)
-        # distance along the ray → depth along the optical axis, −z of the camera
-        z = drawn.depth.cpu() * (rays.directions @ -torch.from_numpy(picture.camera.c2w[:, 2]).float())
+        z = drawn.depth.cpu()
+        if not picture.camera.lens.wide:  # distance along the ray → depth along the optical axis, −z of the camera
+            z = z * (rays.directions @ -torch.from_numpy(picture.camera.c2w[:, 2]).float())
         picture.write(cells, color, z.numpy(), self._model_step)
         if picture.level_done and picture.coherent():  # the next piece may be of the next level, with other weights
             self._ready = picture.image()

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nerf_core.geometry.camera import project
+from nerf_core.geometry.camera import INTRINSICS, project
 from nerf_core.geometry.cameras import Cameras
 from nerf_core.geometry.rays import Rays, Trace
 from nerf_core.geometry.scene import Scene
@@ -57,7 +57,7 @@ class TrainingViews:
         cameras = [scene.views[i].camera for i in self.views]
         self._cameras = Cameras(cameras, scene.near, scene.far) if cameras else None
         self._c2w = np.array([c.c2w for c in cameras], np.float64).reshape(-1, 3, 4)
-        self._intrinsics = np.array([c.intrinsics() for c in cameras], np.float64).reshape(-1, 11)
+        self._intrinsics = np.array([c.intrinsics() for c in cameras], np.float64).reshape(-1, INTRINSICS)
 
     def project(self, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Project a world point into all C training photos.

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import torch
 
 from nerf_core.common.language import digits, figure, marked, phrase
 from nerf_core.common.text import number, triple
 from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.lens import EQUIRECTANGULAR, FISHEYE
 from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import METHODS, Explainable, Method, lacking
@@ -73,29 +76,48 @@ def _method_stages(method: Method, rays: Rays) -> tuple[Stage, ...]:
 
 
 def _camera_stage(camera: Camera, ray: RayProbe) -> Stage:
-    column, row = ray.pixel
-    x, y = (column + 0.5 - camera.cx) / camera.fx, (row + 0.5 - camera.cy) / camera.fy
-    straight = ray.direction @ camera.c2w[:, :3]
-    undone = ((marked("with the lens undone"), triple(straight / -straight[2])),) if camera.lens.bends else ()
+    text, direction = _looks(camera, ray)
     return Stage(
         marked("Camera and pixel"),
-        marked(
-            "The pixel's centre (i + ½, j + ½), less the principal point and over the focal length, is a direction "
-            "before the camera, once it is undone how the lens bends."
-        )
-        if undone
-        else marked(
-            "The pixel's centre (i + ½, j + ½), less the principal point and over the focal length, is a direction "
-            "before the camera."
-        ),
+        text,
         rows=(
             (marked("picture"), f"{figure(camera.width, ',')} × {figure(camera.height, ',')}"),
             (marked("pixel"), _place(ray.pixel)),
             ("fx, fy", phrase("{x}, {y} px", x=number(camera.fx), y=number(camera.fy))),
-            (marked("before the camera"), triple(np.array([x, -y, -1.0]))),
-            *undone,
+            *direction,
         ),
     )
+
+
+def _looks(camera: Camera, ray: RayProbe) -> tuple[str, tuple[tuple[str, str], ...]]:
+    """Say how the camera's lens makes a direction of the ray's pixel, and the numbers on the way."""
+    column, row = ray.pixel
+    x, y = (column + 0.5 - camera.cx) / camera.fx, (row + 0.5 - camera.cy) / camera.fy
+    straight = ray.direction @ camera.c2w[:, :3]
+    lens, before = camera.lens, marked("before the camera")
+    on_sensor = (marked("on the sensor"), f"{number(x)}, {number(y)}")
+    if lens.kind == EQUIRECTANGULAR:
+        return marked(
+            "The pixel's centre (i + ½, j + ½), less the principal point and over the focal length, is longitude and "
+            "latitude (downwards) in a picture of everything around."
+        ), (on_sensor, (before, triple(straight)))
+    if lens.kind == FISHEYE:
+        angle = math.degrees(math.acos(min(1.0, max(-1.0, float(-straight[2])))))
+        aside = (marked("angle to the optical axis"), f"{figure(angle, '.1f')}°")
+        return marked(
+            "The pixel's centre (i + ½, j + ½), less the principal point and over the focal length, is a place on the "
+            "sensor of a fisheye lens. Its distance from the middle tells the angle to the optical axis."
+        ), (on_sensor, aside, (before, triple(straight)))
+    plane = (before, triple(np.array([x, -y, -1.0])))
+    if lens.bends:
+        return marked(
+            "The pixel's centre (i + ½, j + ½), less the principal point and over the focal length, is a direction "
+            "before the camera, once it is undone how the lens bends."
+        ), (plane, (marked("with the lens undone"), triple(straight / -straight[2])))
+    return marked(
+        "The pixel's centre (i + ½, j + ½), less the principal point and over the focal length, is a direction "
+        "before the camera."
+    ), (plane,)
 
 
 def _ray_stage(ray: RayProbe) -> Stage:

@@ -23,6 +23,8 @@ class _Level:
 
     cameras: N cameras.
     sizes: (N, 2) int64, width and height.
+    reach: (N,) how far from the principal point a fisheye lens shows something, in units of the focal
+        length; infinite for other lenses. None: all pixels show something.
     offsets: (N + 1,) int64; photo i has the pixels offsets[i] … offsets[i + 1] − 1, counted over all photos.
     pixels, starts: see `Photos.flat` and `Photos.starts`.
     """
@@ -30,9 +32,24 @@ class _Level:
     def __init__(self, photos: Photos, cameras: list[Camera], scene: Scene) -> None:
         self.cameras = Cameras(cameras, scene.near, scene.far)
         self.sizes = torch.from_numpy(photos.sizes)
+        reach = torch.tensor([camera.lens.reach() for camera in cameras], dtype=torch.float64)
+        self.reach = reach if reach.isfinite().any() else None
         counts = self.sizes.prod(-1)
         self.offsets = torch.cat([torch.zeros(1, dtype=torch.long), counts.cumsum(0)])
         self.pixels, self.starts = photos.flat, torch.from_numpy(photos.starts)
+
+    def shown(self, index: Tensor, pixel: Tensor) -> Tensor:
+        """Return integer pixels (R, 2) of the photos `index` (R,) without those where a fisheye lens shows nothing.
+
+        A corner outside the lens's circle is replaced by its inverse in that circle, so that no random number is drawn.
+        """
+        if self.reach is None:
+            return pixel
+        offset = (pixel + 0.5 - self.cameras.principal[index]) / self.cameras.focal[index]
+        share = self.reach[index] / offset.norm(dim=-1)
+        moved = self.cameras.principal[index] + (share.square()[:, None] * offset) * self.cameras.focal[index]
+        inside = moved.nan_to_num(0.0).clamp(min=0).long()
+        return torch.where(share[:, None] < 1, torch.minimum(inside, self.sizes[index] - 1), pixel)
 
 
 class PixelSampler:
@@ -85,6 +102,7 @@ class PixelSampler:
             window = (size * wanted.crop).long().clamp(min=1)
         # the minimum, because a product of a float below 1 and an integer can round up to the integer
         pixel = (size - window) // 2 + torch.minimum((where * window).long(), window - 1)
+        pixel = photos.shown(index, pixel)
         colors = photo_colors(index, pixel, photos.sizes[:, 0], photos.starts, photos.pixels)
         return photos.cameras.rays(index, pixel + 0.5).to(self.device), colors.to(self.device)
 

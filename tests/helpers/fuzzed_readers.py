@@ -14,6 +14,7 @@ import imageio_ffmpeg
 import numpy as np
 import torch
 from captures import orbit_pose
+from exports import WRITERS
 from fuzzing import Reader, mutated
 from PIL import Image
 from safetensors.torch import save
@@ -71,6 +72,11 @@ def readers(base: Path) -> dict[str, Reader]:  # noqa: PLR0915  a list of reader
             (folder / name).write_text(json.dumps(document))
         data_set = DATASETS.get(kind)
         found[f"{kind} JSON"] = Reader(folder / files[0], lambda d=data_set, f=folder: d.read(f, LoadOptions()))
+
+    for kind, write in WRITERS.items():
+        (base / kind).mkdir()
+        data_set = DATASETS.get(kind)
+        found[f"{kind} file"] = Reader(write(base / kind), lambda d=data_set, f=base / kind: d.read(f, LoadOptions()))
 
     table = base / "poses_bounds.npy"
     np.save(table, np.random.default_rng(0).random((4, 17)))

@@ -8,7 +8,8 @@ from fuzzing import MEGABYTES, SECONDS, run
 
 NAMES = [
     "PNG", "palette PNG", "16-bit PNG", "JPEG", "TIFF", "deflated TIFF", "WebP", "BMP", "EXR",
-    "transforms JSON", "blender JSON", "LLFF table", "COLMAP cameras.txt", "COLMAP images.txt", "COLMAP points3D.txt",
+    "transforms JSON", "blender JSON", "polycam file", "record3d file", "metashape file", "realitycapture file",
+    "LLFF table", "COLMAP cameras.txt", "COLMAP images.txt", "COLMAP points3D.txt",
     "COLMAP cameras.bin", "COLMAP images.bin", "COLMAP points3D.bin", "checkpoint", "model", "camera file", "log.jsonl",
     "config.json",
 ]  # fmt: skip

@@ -151,7 +151,10 @@ def epipolar(camera: Camera, ray: RayProbe) -> np.ndarray:
     """Return the pixels (P, 2) of a ray in a camera's picture; NaN where the picture does not show it."""
     t = np.geomspace(max(ray.near, 1e-3 * ray.far), max(ray.far, 1e-6), 96)
     pixels, depth = camera.project(ray.origin.astype(np.float64) + t[:, None] * ray.direction.astype(np.float64))
-    return np.where(depth[:, None] > 0, pixels, np.nan)
+    pixels = np.where(depth[:, None] > 0, pixels, np.nan)
+    if camera.lens.wide:  # the line leaves a picture of everything around at one edge and comes back at the other
+        pixels[1:][np.abs(np.diff(pixels[:, 0])) > camera.width / 2] = np.nan
+    return pixels
 
 
 def _sheet(scene: Scene, evidence: Sightings) -> np.ndarray:

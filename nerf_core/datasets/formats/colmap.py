@@ -1,4 +1,4 @@
-"""COLMAP's sparse models: several cameras, portrait and landscape photos, lenses with k1, k2, p1, p2, sparse points."""
+"""COLMAP's sparse models: several cameras, portrait and landscape photos, perspective and fisheye lenses, points."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from nerf_core.datasets.colmap_files import AGAIN, check_model, find_models, ima
 from nerf_core.datasets.photo_folders import PhotoFolder, choose_folder, photo_folders, photos_below
 from nerf_core.datasets.photo_paths import find_photos, photo_name
 from nerf_core.geometry.camera import Camera
-from nerf_core.geometry.lens import Lens
+from nerf_core.geometry.lens import FISHEYE, PERSPECTIVE, Lens
 
 READ_SECONDS = 60.0  # a model of ten thousand photos takes about twenty
 LENSES = {  # {camera model: its parameters in COLMAP's order}; f stands for both focal lengths
@@ -29,6 +29,10 @@ LENSES = {  # {camera model: its parameters in COLMAP's order}; f stands for bot
     "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
     "RADIAL": ("f", "cx", "cy", "k1", "k2"),
     "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
+    "FULL_OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    "OPENCV_FISHEYE": ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"),
+    "SIMPLE_RADIAL_FISHEYE": ("f", "cx", "cy", "k1"),
+    "RADIAL_FISHEYE": ("f", "cx", "cy", "k1", "k2"),
 }
 LIMIT = 1e12  # beyond any unit of length
 GOOD_TRACK = 3  # photos that see a point: if only two do, its depth is often wrong
@@ -151,7 +155,8 @@ def _camera(model: Model, index: int, folder: Path) -> Camera:
         raise UserError(f"{folder}: the pose of photo {photo} is not a rotation: {AGAIN}")
     c2w = np.column_stack([rotation.T * (1, -1, -1), -rotation.T @ pose[:, 3]])
     cx, cy = values.pop("cx"), values.pop("cy")
-    return Camera(int(width), int(height), fx, fy, cx, cy, c2w, Lens(**values))
+    lens = Lens(**values, kind=FISHEYE if kind.endswith("FISHEYE") else PERSPECTIVE)
+    return Camera(int(width), int(height), fx, fy, cx, cy, c2w, lens)
 
 
 def _photo_folder(root: Path, model: Path, names: Sequence[str], downscale: int) -> tuple[PhotoFolder, tuple[str, ...]]:

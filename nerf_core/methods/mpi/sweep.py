@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.camera import Camera, project
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods.mpi.optimizer import OPAQUE, clear_border
 from nerf_core.methods.mpi.planes import Stack, sharing
@@ -54,12 +54,24 @@ class Photo:
             The photo's colours (3, H + 2, W + 2), and which texels it shows, (H + 2, W + 2) as 0 or 1.
         """
         local = self.turned + self.moved / depth
+        if self.camera.lens.wide:
+            return self._around(local)
         ahead = local[..., 2] < -1e-6  # the texel lies in front of the camera, and the division is safe
         plane = local[..., :2] / torch.where(ahead, -local[..., 2], 1.0)[..., None]
         place = _in_photo(plane, self.camera)
         shown = ahead & (place.abs() <= 1).all(-1)
         found = functional.grid_sample(self.pixels, place[None], padding_mode="border", align_corners=False)[0]
         return found, shown.float()
+
+    def _around(self, local: Tensor) -> tuple[Tensor, Tensor]:
+        """What `onto` returns, for texels (H + 2, W + 2, 3) in the axes of a camera with a wide lens."""
+        camera, points = self.camera, local.reshape(-1, 3).double().cpu().numpy()
+        done = project(points, np.array(camera.intrinsics(), np.float64))
+        place = torch.from_numpy(2 * done.pixels / (camera.width, camera.height) - 1).to(local)
+        found = functional.grid_sample(
+            self.pixels, place.reshape(1, *local.shape[:2], 2), padding_mode="border", align_corners=False
+        )[0]
+        return found, torch.from_numpy(done.framed & done.shown).to(local).reshape(local.shape[:2])
 
 
 def _in_photo(plane: Tensor, camera: Camera) -> Tensor:

@@ -113,7 +113,8 @@ def pinhole(camera: Camera, image: np.ndarray, downscale: int) -> tuple[Camera, 
 def seen_at(camera: Camera, small: Camera, pixels: np.ndarray) -> np.ndarray:
     """Return where `camera` sees what the pinhole `small` sees at `pixels` (…, 2), in pixels."""
     plane = (pixels - [small.cx, small.cy]) / [small.fx, small.fy]
-    return camera.lens.distort(plane) * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+    local = np.stack([plane[..., 0], -plane[..., 1], -np.ones_like(plane[..., 0])], -1).reshape(-1, 3)
+    return camera.lens.see(local).bent.reshape(plane.shape) * [camera.fx, camera.fy] + [camera.cx, camera.cy]
 
 
 def lens(camera: Camera) -> dict[str, float]:

@@ -16,6 +16,7 @@ from nerf_core.datasets.colmap_files import check_model
 from nerf_core.datasets.formats import colmap
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.cameras import camera_rays
+from nerf_core.geometry.lens import FISHEYE, Lens
 from nerf_core.geometry.scene import Scene
 
 COUNT = 6
@@ -107,9 +108,25 @@ def assert_whole(capture: Capture) -> None:
         np.testing.assert_allclose(photo.camera.c2w, POSES[i], atol=1e-9)
         opencv = (24, 16, 30, 31, 12.5, 7.5, 0.02, -0.01, 0, 0.001, 0.002)
         radial = (16, 24, 33, 33, 8, 12, 0.05, 0, 0, 0, 0)
-        assert photo.camera.intrinsics() == (radial if i % 2 else opencv)
+        assert photo.camera.intrinsics()[:11] == (radial if i % 2 else opencv)
+        assert not any(photo.camera.intrinsics()[11:])
     assert capture.points is not None
     np.testing.assert_allclose(sorted(capture.points.tolist()), sorted(POINTS.tolist()), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("camera", "lens"),
+    [
+        ("FULL_OPENCV 24 16 30 31 12 8 .1 .2 .3 .4 .5 .6 .7 .8", Lens(0.1, 0.2, 0.5, 0.3, 0.4, 0.6, 0.7, 0.8)),
+        ("OPENCV_FISHEYE 24 16 30 31 12 8 .1 .2 .3 .4", Lens(0.1, 0.2, 0.3, k4=0.4, kind=FISHEYE)),
+        ("RADIAL_FISHEYE 24 16 30 12 8 .1 .2", Lens(0.1, 0.2, kind=FISHEYE)),
+        ("SIMPLE_RADIAL_FISHEYE 24 16 30 12 8 .1", Lens(0.1, kind=FISHEYE)),
+    ],
+)
+def test_rational_and_fisheye_lenses(folder: Path, camera: str, lens: Lens) -> None:
+    write_text(folder / "sparse/0", NAMES, {1: camera})
+    found = read(folder).photos[0].camera
+    assert (found.fx, found.cx, found.cy, found.lens) == (30, 12, 8, lens)
 
 
 def test_text_models_of_several_lenses_and_orientations(folder: Path) -> None:
@@ -196,7 +213,7 @@ def test_reduced_folders_serve_downscale(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("camera", "text"),
     [
-        ("OPENCV_FISHEYE 24 16 30 30 12 8 0 0 0 0", "has the camera model OPENCV_FISHEYE; .*image_undistorter"),
+        ("FOV 24 16 30 30 12 8 0.1", "has the camera model FOV; .*image_undistorter"),
         ("PINHOLE 24 16 0 30 12 8", "'cam 0/0000.png' of 24×16 pixels has the focal lengths 0, 30"),
         ("PINHOLE 24 16 30 30 nan 8", "pycolmap cannot read|values that are not numbers"),
         ("MYSTERY 24 16 30 30 12 8", "pycolmap cannot read the model"),

@@ -2,6 +2,7 @@ import io
 import os
 import struct
 import subprocess
+import sys
 import zlib
 from pathlib import Path
 
@@ -199,3 +200,27 @@ def test_damage_notes() -> None:
     assert damage_notes([]) == ()
     assert damage_notes(["x: cut"]) == ("1 damaged photo is skipped, first x: cut",)
     assert damage_notes(["x: cut", "y"]) == ("2 damaged photos are skipped, first x: cut",)
+
+
+def test_heic_is_read_where_its_package_is_installed(tmp_path: Path) -> None:
+    heif = pytest.importorskip("pillow_heif")
+    heif.register_heif_opener()
+    pixels = np.tile(np.linspace(20, 230, 64).astype(np.uint8)[:, None, None], (1, 48, 3))
+    Image.fromarray(pixels).save(tmp_path / "a.heic", quality=95)
+    assert (measure(tmp_path / "a.heic").width, measure(tmp_path / "a.heic").height) == (48, 64)
+    np.testing.assert_allclose(read(tmp_path / "a.heic") / 257, pixels, atol=4)
+    data = (tmp_path / "a.heic").read_bytes()
+    for cut in (0, 20, len(data) // 2, len(data) - 8):
+        (tmp_path / "a.heic").write_bytes(data[:cut])
+        with pytest.raises(UnreadableError) as caught:
+            read(tmp_path / "a.heic")
+        assert "\n" not in str(caught.value)
+
+
+def test_heic_without_its_package_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pillow_heif", None)
+    (tmp_path / "a.HEIC").write_bytes(b"....ftypheic")
+    with pytest.raises(
+        UserError, match=r"a\.HEIC is an HEIC photo: to read it, run `pip install 'nerf-viewer\[heic\]'`"
+    ):
+        measure(tmp_path / "a.HEIC")

@@ -50,7 +50,7 @@ def test_axes_and_intrinsics_are_turned_to_ours(folder: Path) -> None:
     assert [photo.name for photo in capture.photos] == [f"images/image{i:03}.png" for i in range(COUNT)]
     for photo, pose in zip(capture.photos, POSES, strict=True):
         np.testing.assert_allclose(photo.camera.c2w, pose, atol=1e-12)
-    assert capture.photos[0].camera.intrinsics() == (48, 32, 60, 60, 24, 16, 0, 0, 0, 0, 0)
+    assert capture.photos[0].camera.intrinsics() == (48, 32, 60, 60, 24, 16, 0, 0, 0, 0, 0, 0, 0, 0, 0)
     assert capture.bounds_per_photo is not None
     assert capture.bounds_per_photo.tolist() == [[2, 8]] * COUNT
     assert (capture.ndc_capable, capture.notes) == (True, ())

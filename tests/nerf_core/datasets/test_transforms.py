@@ -9,6 +9,7 @@ import pytest
 
 from nerf_core.common.errors import UserError
 from nerf_core.datasets import DATASETS, Capture, LoadOptions
+from nerf_core.geometry.lens import EQUIRECTANGULAR, FISHEYE, Lens
 
 Document = dict[str, Any]
 Folder = tuple[Path, Document]
@@ -22,9 +23,25 @@ def test_global_intrinsics_and_sorted_photos(transforms_folder: Folder, read_tra
     capture = read_transforms(document)
     assert [p.name for p in capture.photos] == [f"images/{i:04}.png" for i in range(10)]
     camera = capture.photos[2].camera
-    assert camera.intrinsics() == (24, 16, 30.0, 31.0, 12.5, 7.5, 0.1, -0.02, 0.003, 0.004, -0.005)
+    assert camera.intrinsics() == (24, 16, 30.0, 31.0, 12.5, 7.5, 0.1, -0.02, 0.003, 0.004, -0.005, 0, 0, 0, 0)
     np.testing.assert_allclose(camera.c2w, np.array(document["frames"][7]["transform_matrix"])[:3], atol=1e-12)
     assert (capture.splits, capture.near, capture.synthetic, capture.notes) == (None, None, False, ())
+
+
+def test_fisheye_and_equirectangular_pictures(transforms_folder: Folder, read_transforms: Read) -> None:
+    document = transforms_folder[1] | {"camera_model": "OPENCV_FISHEYE", "k1": 0.1, "k2": -0.02, "k3": 0.003, "k4": 0.4}
+    fisheye = read_transforms(document).photos[0].camera
+    assert fisheye.lens == Lens(k1=0.1, k2=-0.02, k3=0.003, k4=0.4, kind=FISHEYE)
+    del document["camera_model"]
+    assert read_transforms(document | {"is_fisheye": True}).photos[0].camera.lens == fisheye.lens
+    for key in ("k1", "k2", "k3", "k4", "cx", "cy"):
+        document.pop(key)
+    document |= {"camera_model": "EQUIRECTANGULAR", "h": 12, "fl_x": 12, "fl_y": 12}
+    around = read_transforms(document).photos[0].camera
+    assert around.intrinsics() == pytest.approx((24, 12, 12 / math.pi, 12 / math.pi, 12, 6, *[0] * 8, EQUIRECTANGULAR))
+    for key in ("fl_x", "fl_y"):
+        document.pop(key)
+    assert read_transforms(document).photos[0].camera.intrinsics() == around.intrinsics()
 
 
 def test_frames_may_have_their_own_lens_and_angles(transforms_folder: Folder, read_transforms: Read) -> None:
@@ -96,9 +113,14 @@ def test_scaled_poses_bounds_and_one_frame(transforms_folder: Folder, read_trans
         ({"w": 0}, "w is 0: a number above 0"),
         ({"w": 24.5}, "w is 24.5: a whole number"),
         ({"k1": "0"}, "k1 is '0': a number is needed"),
-        ({"camera_model": "OPENCV_FISHEYE"}, "camera_model is 'OPENCV_FISHEYE': known are PINHOLE"),
+        ({"camera_model": "FISHEYE624"}, "camera_model is 'FISHEYE624': known are PINHOLE"),
         ({"camera_model": 3}, "camera_model is 3: a text"),
-        ({"is_fisheye": True}, "is_fisheye is True: fisheye"),
+        ({"is_fisheye": True, "camera_model": "OPENCV"}, "is_fisheye is True: but camera_model is OPENCV"),
+        ({"k4": 0.1}, "k4 is 0.1: the lens OPENCV has no such coefficient"),
+        ({"camera_model": "OPENCV_FISHEYE", "p1": 0.1}, "p1 is 0.1: the lens OPENCV_FISHEYE has no such"),
+        ({"camera_model": "EQUIRECTANGULAR", "k1": 0.1}, "k1 is 0.1: the lens EQUIRECTANGULAR has no such"),
+        ({"camera_model": "EQUIRECTANGULAR", "fl_x": 3}, "fl_x is 3: at least 12 is needed"),
+        ({"camera_model": "OPENCV_FISHEYE", "fl_x": None, "camera_angle_x": 1}, "camera_angle_x is 1: the focal"),
         ({"near": 3, "far": 2}, "far is 2: a number above near"),
         ({"near": 3}, "far is missing"),
         ({"train_filenames": "a"}, "train_filenames is 'a': a list of texts"),

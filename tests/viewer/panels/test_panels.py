@@ -31,7 +31,7 @@ from nerf_core.common.configs import constants
 from nerf_core.common.text import triple, vector
 from nerf_core.datasets import LoadOptions
 from nerf_core.geometry.camera import Camera
-from nerf_core.geometry.lens import Lens
+from nerf_core.geometry.lens import EQUIRECTANGULAR, Lens
 from nerf_core.geometry.paths import PATHS, Option
 from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene
@@ -875,6 +875,20 @@ def test_the_line_of_a_ray_in_a_photo_passes_through_its_points() -> None:
     depth = inside.project(ray.origin + t[:, None] * ray.direction)[1]
     assert 0 < (depth > 0).sum() < 96
     np.testing.assert_array_equal(np.isfinite(epipolar(inside, ray)).all(-1), depth > 0)
+
+
+def test_a_ray_s_line_in_a_panorama_breaks_where_it_leaves_the_picture() -> None:
+    from viewer.panels.evidence import epipolar
+
+    ray = make_ray()
+    back = np.cross(ray.direction, [0.0, 0.0, 1.0])
+    back /= np.linalg.norm(back)  # the ray passes 0.3 behind the camera, from its left to its right
+    place = ray.origin + 3.0 * ray.direction - 0.3 * back
+    c2w = np.column_stack([ray.direction, np.cross(back, ray.direction), back, place])
+    around = Camera(200, 100, 100 / np.pi, 100 / np.pi, 100, 50, c2w, Lens(kind=EQUIRECTANGULAR))
+    line = epipolar(around, ray)
+    assert np.nanmax(np.abs(np.diff(line[:, 0]))) <= around.width / 2
+    assert np.isfinite(line).all(-1).sum() == 95  # of 96
 
 
 def test_the_photos_angles_are_relative_to_the_current_camera() -> None:
