@@ -125,7 +125,7 @@ def _length(video: Path) -> tuple[int, float]:
 
     try:
         frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(video))
-        return int(frames or 0), float(seconds)
+        return int(frames or 0), float(seconds or 0.0)
     except (OSError, RuntimeError, ValueError, subprocess.SubprocessError) as error:
         raise UserError(f"{video} cannot be read as a video: convert it to MP4") from error
 

@@ -122,7 +122,7 @@ def test_large_photos_get_cameras_of_their_own_size(tmp_path: Path, monkeypatch:
     assert cameras_of(posed)[0].fx == pytest.approx(2 * 330, rel=0.02)
     scene = load_scene(posed.folder, LoadOptions(downscale=2))
     shown = scene.photos.images[3] / 257 - textured_photos.picture(textured_photos.arc()[3])
-    assert np.abs(shown).mean() < 10  # on its side it would be some 60
+    assert np.abs(shown).mean() < 20  # on its side it would be some 60
 
 
 def test_many_photos_are_matched_with_those_that_resemble_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
