@@ -1,0 +1,1 @@
+"""What is known about a capture before anything is trained: its report."""
