@@ -34,8 +34,8 @@ def _map(report: CaptureReport, across: tuple[int, int], title: str, ends: tuple
     content = content[:: max(1, -(-len(content) // MOST_POINTS))]
     low, high = np.minimum(places.min(0), 0), np.maximum(places.max(0), 0)
     if len(content):  # outliers of a sparse model must not shrink the cameras
-        low = np.minimum(low, np.percentile(content, 5, axis=0))
-        high = np.maximum(high, np.percentile(content, 95, axis=0))
+        low = np.minimum(low, np.percentile(content, 15, axis=0))
+        high = np.maximum(high, np.percentile(content, 85, axis=0))
     middle, side = (low + high) / 2, 1.12 * max(float((high - low).max()), 1e-9)
     scale = (SIZE - 2 * MARGIN) / side
 
@@ -82,7 +82,9 @@ def _scale_bar(report: CaptureReport, scale: float) -> str:
     power = 10.0 ** math.floor(math.log10(wanted))
     length = max(n * power for n in (1, 2, 5) if n * power <= wanted)
     input_units = length * report.units_to_input
-    text = f"{length:g} units" + (f" = {input_units:.3g} of the files" if abs(input_units / length - 1) > 1e-6 else "")
+    text = f"{length:g} units" + (
+        f" = {input_units:.3g} in the files' units" if abs(input_units / length - 1) > 1e-6 else ""
+    )
     left, bottom = 8, SIZE - 20
     return (
         f'<path class="ax" d="M{left} {bottom}h{length * scale:.1f}"/><text x="{left}" y="{bottom - 4}">{text}</text>'

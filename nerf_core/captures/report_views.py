@@ -249,7 +249,7 @@ def _gaps(azimuths: np.ndarray, heights: np.ndarray, uncovered: np.ndarray, clos
         for first, last in _runs(azimuths, uncovered[:, rows].mean(1) >= 0.5, closed):
             sides = _side(first + 22.5), _side(last - 22.5)
             if last - first < 67.5:
-                sides = (_side((first + last) / 2),) * 2
+                sides = _side((first + last) / 2), _side((first + last) / 2)
             found.setdefault(sides, []).append((first, last, low, high, height))
     gaps = []
     for (one, other), parts in found.items():

@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from nerf_core.captures.report_records import ReportState
 from nerf_core.common.names import printable
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
@@ -294,6 +295,26 @@ class TurnKnob(OfRun):
 
 
 @dataclass(frozen=True)
+class StartReport(OfRun):
+    """Check the photos of the open scene while everything else goes on, in place of a check that runs."""
+
+    quick: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class CancelReport(OfRun):
+    quick: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class WriteReport(OfRun):
+    """Write the newest capture report as an HTML page, and its numbers beside it."""
+
+    quick: ClassVar[bool] = True
+    file: Path
+
+
+@dataclass(frozen=True)
 class Quit:
     quick: ClassVar[bool] = False
 
@@ -301,7 +322,7 @@ class Quit:
 Command = (
     OpenScene | CancelLoading | OpenRun | CloseRun | Train | Pause | Reset | UseMethod | SetShare | SaveCheckpoint
     | SaveUnsaved | InOrder | LoadCheckpoint | Inspect | StopInspecting | PinRay | EditPin | UnpinRay | ExportRays
-    | StartExport | CancelExport | StartStudy | CancelStudy | TurnKnob | Quit
+    | StartExport | CancelExport | StartStudy | CancelStudy | TurnKnob | StartReport | CancelReport | WriteReport | Quit
 )  # fmt: skip
 
 # ---- from the worker -----------------------------------------------------------------------------------------
@@ -415,6 +436,7 @@ class Snapshot:
     loading: what is being loaded, with a count, while `status` is "loading".
     preview_rays_per_second: at full quality, while drawing; 0: not measured yet.
     study: the newest study of the worker, whatever run it is about; None: there was none.
+    report: the newest check of a capture's photos, likewise.
     """
 
     run: int = FIRST_RUN
@@ -449,6 +471,7 @@ class Snapshot:
     loading: str = ""
     preview_rays_per_second: float = 0.0
     study: StudyState | None = None
+    report: ReportState | None = None
 
     @property
     def ray(self) -> RayProbe | None:

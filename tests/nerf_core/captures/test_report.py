@@ -41,7 +41,7 @@ def blurred(image: np.ndarray, times: int = 3) -> np.ndarray:
     return found.astype(np.uint16)
 
 
-def looking(eye: Sequence[float], at: Sequence[float] = (0, 0, 0)) -> Camera:
+def looking(eye: Sequence[float] | np.ndarray, at: Sequence[float] | np.ndarray = (0, 0, 0)) -> Camera:
     back = np.subtract(eye, at) / np.linalg.norm(np.subtract(eye, at))
     right = np.cross([0, 0, 1], back)
     right = right / np.linalg.norm(right)
