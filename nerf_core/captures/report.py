@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from nerf_core.captures.report_findings import Facts, advise, calibration, limits, odd_ones, summary
+from nerf_core.captures.report_advice import advise, calibration, summary
+from nerf_core.captures.report_limits import limits
+from nerf_core.captures.report_odd import Facts, odd_ones
 from nerf_core.captures.report_records import CaptureReport, PhotoFacts
 from nerf_core.captures.report_views import Layout, Near, coverage, layout, neighbours
 from nerf_core.captures.sharpness import Measure, measure_photo, thumbnail

@@ -222,4 +222,4 @@ def _photo(report: CaptureReport, p: PhotoFacts) -> str:
 
 
 def _number(value: float, spec: str) -> str:
-    return format(value, spec).replace("-", "−") if math.isfinite(value) else NOTHING
+    return format(float(format(value, spec)) or 0.0, spec).replace("-", "−") if math.isfinite(value) else NOTHING

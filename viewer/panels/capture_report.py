@@ -21,8 +21,7 @@ from ..ui.widgets import button, field_beside, hint, mono, same_line_if_fits
 
 CHECK, AGAIN, CANCEL = marked("Check the photos"), marked("Check again"), marked("Cancel")
 WRITE = marked("Write the page")
-BESIDE_EM, WORDS_EM = 46.0, 24.0  # width of the panel from which the table is beside the sentences, and theirs then
-TABLE_EM = 12.0  # height of the table under the sentences
+BESIDE_EM, WORDS_EM = 42.0, 21.0  # width of the panel from which the table is beside the sentences, and theirs then
 NAME_EM = 9.0  # width of names
 SHOWN = marked("Click a photo to look through it.")
 
@@ -203,7 +202,9 @@ def _row(ui: Ui, state: AppState, report: CaptureReport, k: int) -> Iterator[Act
     imgui.table_next_row()
     imgui.table_next_column()
     pressed, _ = imgui.selectable(
-        f"{p.name}##{k}", state.current_view == p.view, imgui.SelectableFlags_.span_all_columns
+        f"{f'{icons.ICON_FA_TRIANGLE_EXCLAMATION} ' if p.odd else ''}{p.name}##{k}",
+        state.current_view == p.view,
+        imgui.SelectableFlags_.span_all_columns,
     )
     ui.mark(f"report.photo.{k}")
     if imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip):
@@ -228,4 +229,5 @@ def _row(ui: Ui, state: AppState, report: CaptureReport, k: int) -> Iterator[Act
 
 
 def _number(value: float, spec: str) -> str:
-    return figure(value, spec).replace("-", "−") if math.isfinite(value) else NOTHING
+    """Return a number with a real minus sign. A zero has no minus."""
+    return figure(float(format(value, spec)) or 0.0, spec).replace("-", "−") if math.isfinite(value) else NOTHING

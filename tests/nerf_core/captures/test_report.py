@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from nerf_core.captures.report import ReportCancelled, capture_report
-from nerf_core.captures.report_findings import robust_z
 from nerf_core.captures.report_html import to_html, to_json, write_report
+from nerf_core.captures.report_odd import robust_z
 from nerf_core.captures.sharpness import measure_photo, thumbnail
 from nerf_core.common.errors import UserError
 from nerf_core.geometry.camera import Camera
