@@ -269,13 +269,16 @@ def make_study(state: Literal["running", "done", "cancelled", "failed"], name: s
 def make_report() -> CaptureReport:
     """A report of the made-up scene, whose photos show nothing, with two photos that stand out."""
     report = capture_report(make_scene())
-    odd = {3: ("12% as sharp as similar views: motion, or out of focus",), 5: ("1.2 stops darker than similar views",)}
+    soft = phrase("{share:.0%} as sharp as similar views: motion, or out of focus", share=0.12)
+    odd = {3: (soft,), 5: (phrase("{stops:.1f} stops darker than similar views", stops=1.2),)}
     photos = [
         replace(p, odd=odd.get(k, ()), relative_sharpness=1 + k / 100, relative_exposure=(-1) ** k * k / 50)
         for k, p in enumerate(report.photos)
     ]
-    limits = (Finding("gap", 1.0, "no photo from behind, above (80° wide)", "add some", ()), *report.limits)
-    return replace(report, photos=tuple(photos), limits=limits, next=("Add 4 to 6 photos from behind, above.",))
+    where = phrase("{where}, {height}", where=phrase("behind"), height=phrase("above"))
+    text = "no photo from {where} ({width:.0f}° wide): what shows only from there is guessed"
+    gap = Finding("gap", 1.0, phrase(text, where=where, width=80.0), phrase("add photos beside"))
+    return replace(report, photos=tuple(photos), limits=(gap, *report.limits))
 
 
 def make_report_state(state: Literal["running", "done", "cancelled", "failed"]) -> ReportState:

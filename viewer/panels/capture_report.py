@@ -11,7 +11,7 @@ from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from nerf_core.captures.report_records import CaptureReport, PhotoFacts, ReportState
-from nerf_core.common.language import figure, marked, said, tr
+from nerf_core.common.language import figure, marked, tr
 from nerf_core.common.text import NOTHING
 from nerf_core.live.messages import CancelReport, StartReport, WriteReport
 
@@ -175,7 +175,7 @@ def _words(ui: Ui, report: CaptureReport) -> None:
         imgui.text_unformatted(_sentence(limit.text))
         imgui.pop_text_wrap_pos()
         if limit.advice:
-            hint(ui, f"→ {said(limit.advice)}")
+            hint(ui, f"→ {tr(limit.advice)}")
     _title(ui, tr("What to photograph next"))
     for text in report.next or (marked("Nothing is missing."),):
         imgui.bullet()
