@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from nerf_core.captures.report_odd import OFF_STOPS, SOFT
 from nerf_core.captures.report_records import CaptureReport, PhotoFacts
 from nerf_core.captures.report_svg import disc, elevation, plan, row
 from nerf_core.common.errors import UserError
@@ -190,9 +191,9 @@ def _disc(report: CaptureReport) -> str:
 
 def _rows(report: CaptureReport) -> str:
     sharp, light = [p.relative_sharpness for p in report.photos], [p.relative_exposure for p in report.photos]
-    marks = ((1.0, "1"), (0.7, "0.7"))
-    first = row(report, sharp, "Sharpness, over that of similar views: below 0.7 a photo is soft", marks)
-    marks = ((0.0, "0"), (0.5, "+0.5"), (-0.5, "−0.5"))
+    marks: tuple[tuple[float, str], ...] = ((1.0, "1"), (SOFT, f"{SOFT}"))
+    first = row(report, sharp, f"Sharpness, over that of similar views: below {SOFT} a photo is soft", marks)
+    marks = ((0.0, "0"), (OFF_STOPS, f"+{OFF_STOPS}"), (-OFF_STOPS, f"−{OFF_STOPS}"))
     return first + row(report, light, "Exposure in stops, less that of similar views", marks)
 
 

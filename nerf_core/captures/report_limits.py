@@ -12,8 +12,8 @@ from nerf_core.common.language import phrase, phrases
 from nerf_core.datasets.calibration import oddities
 
 DRIFT = 0.3  # stops: the usual step of exposure between neighbours, in a capture with a fixed one under 0.1
-# sharpness of the usual photo. Photos of fox and can have 0.26 and 0.28: halved and enlarged again, they keep 44 dB, and
-# so nearly all that is in them. Those of lego have 0.45 and 34 dB, those of fern 0.78 and 26 dB.
+# sharpness of the usual photo. Photos of fox and can have 0.26 and 0.28: halved and enlarged again, they keep 44 dB,
+# and so nearly all that is in them. Those of lego have 0.45 and 34 dB, those of fern 0.78 and 26 dB.
 SOFT_ALL = 0.3
 SMALL = 400  # pixels of the longer side: half of the 800 of NeRF's synthetic scenes
 # What one affected photo, or one missed direction, weighs. A wrong pose or lens contradicts all other photos; where no

@@ -16,10 +16,10 @@ from nerf_core.geometry.scene import Scene
 # The robust z-score 0.6745 (x − median) / MAD, and its limit, are those of Iglewicz & Hoaglin, How to detect and handle
 # outliers, 1993. The floors below keep a set that is very even, a rendered one say, from having outliers of nothing.
 Z_FACTOR, Z_LIMIT = 0.6745, 3.5
-# of the sharpness of similar views: a blur with a deviation of 0.5 pixels gives it in a sharp photo (of fern), of 1 pixel
-# in one that is soft already (of fox); neighbours differ by 0.75 to 1.25 without any fault
+# of the sharpness of similar views: a blur with a deviation of 0.5 pixels gives it in a sharp photo (of fern), of 1
+# pixel in one that is soft already (of fox); neighbours differ by 0.75 to 1.25 without any fault
 SOFT = 0.7
-OFF_STOPS = 0.5  # more than the steps of a camera's exposure, 1/3, and seen at once
+OFF_STOPS = 0.67  # two steps of a camera's exposure; similar views differ by up to 0.5 because of what they show
 OFF_RENDERED = 1.0  # rendered photos have one exposure; what differs is what they show
 OFF_DISTANCE = 2.0  # times the usual distance: half or double the detail
 OFF_CENTRE = 60.0  # degrees: outside of the picture of any lens but a fisheye

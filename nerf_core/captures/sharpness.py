@@ -28,7 +28,7 @@ LONGEST = 2048  # pixels of the longer side that are looked at; phones' finest p
 STRIP = 1 << 17  # pixels of one piece of work: about 5 ms, so that a window that waits is served
 COARSE = 4  # two octaves: blur of a few pixels leaves this scale alone
 BLANK = 1e-8  # variance of the coarse Laplacian; noise of half of an 8-bit level has more
-EVERY = 4  # exposure is read from every 4th pixel of every 4th row: a mean of 100,000 pixels needs no more
+EXPOSED = 400  # rows and columns, at most, from which exposure is read: a mean of 100,000 pixels needs no more
 WHITE, BLACK = 254, 1  # of 255: from here on, a channel has lost its detail
 LEAST_LUMINANCE = 1 / 4096  # of white: below this, 12 stops, a photo holds noise
 THUMBNAIL, QUALITY = 176, 70  # of a thumbnail: its longer side, and WebP's quality: about 5 kB
@@ -61,7 +61,7 @@ def measure_photo(photos: Photos, k: int, ground: tuple[float, float, float] | N
         fine.add(_laplacian(np.concatenate([before, luma])))
         before = luma[-2:]
         yield
-    every = slice(None, None, EVERY if min(width, height) > 16 * EVERY else 1)
+    every = slice(None, None, -(-max(width, height) // EXPOSED))
     exposure = _exposure(photos.part(k, every, every), ground)
     yield
     rough = _Variance()
