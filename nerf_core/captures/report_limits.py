@@ -147,7 +147,7 @@ def _limits_of_pixels(facts: Facts) -> list[Finding]:
     longest = float(np.median([max(p.size) for p in photos]))
     if np.isfinite(sharp).any() and np.nanmedian(sharp) < SOFT_ALL and longest >= 2 * SMALL:
         text = phrase(
-            "photos are soft at {pixels:.0f} pixels (sharpness {sharpness:.2f}): half as many show nearly the same",
+            "photos are soft at {pixels:,.0f} pixels (sharpness {sharpness:.2f}): half that size shows nearly the same",
             pixels=longest,
             sharpness=float(np.nanmedian(sharp)),
         )

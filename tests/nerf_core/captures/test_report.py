@@ -318,3 +318,11 @@ def test_the_command(
     assert main(["report", str(capture)]) == 2
     assert "--out" in capsys.readouterr().err
     assert sorted(capture.rglob("*")) == before
+
+
+def test_photos_that_hold_less_than_their_size_are_said() -> None:
+    large = [np.kron(textured(k), np.ones((9, 9, 1), np.uint16)) for k in range(3)]
+    cameras = [c.resized(9 * SIZE, 9 * SIZE) for c in around(RING[:3])]
+    found = {limit.kind for limit in capture_report(scene_of(cameras, [blurred(one, 12) for one in large])).limits}
+    assert "soft all" in found
+    assert "soft all" not in {limit.kind for limit in capture_report(scene_of(cameras, large)).limits}
