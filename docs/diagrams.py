@@ -28,6 +28,7 @@ CORE = (
     ("rendering", "pictures, videos, render modes, exports"),
     ("methods", "one folder a method"),
     ("kernels", "the hot loops: torch, numba, Triton"),
+    ("captures", "the check of a capture before training"),
     ("datasets", "captures on disk to Scene; one file a format"),
     ("volume", "sampling, compositing, encodings, grids"),
     ("geometry", "cameras, rays, space, camera paths"),

@@ -9,6 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
+
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.language import phrase, phrases
 from nerf_core.common.names import printable
@@ -24,6 +26,7 @@ from nerf_core.geometry.scene import Scene, View
 Progress = Callable[[str, int, int], None]
 T = TypeVar("T")
 WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
+MOST_POINTS = 20_000  # of a sparse model that a scene keeps, to show: more are a cloud just the same
 LARGEST_SIDE = 1_000_000  # in pixels: no photo has more
 THREADS = min(
     4, os.cpu_count() or 1
@@ -81,7 +84,17 @@ def load_scene(path: Path | None, options: LoadOptions, progress: Progress | Non
         ndc=normalised.ndc,
         notes=tuple(map(printable, notes)),
         landmarks=capture.landmarks,
+        points=_some_points(capture.points, normalised.to_input),
     )
+
+
+def _some_points(points: np.ndarray | None, to_input: np.ndarray) -> np.ndarray | None:
+    """At most MOST_POINTS sparse points, evenly chosen, in scene units."""
+    if points is None or not len(points):
+        return None
+    chosen = points[:: -(-len(points) // MOST_POINTS)]
+    inverse = np.linalg.inv(to_input)
+    return (chosen @ inverse[:3, :3].T + inverse[:3, 3]).astype(np.float32)
 
 
 def check_options(options: LoadOptions) -> None:

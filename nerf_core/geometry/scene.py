@@ -54,6 +54,7 @@ class Scene:
     notes: the reader's warnings, one line each.
     landmarks: rays worth watching from the first step: a name, and a position (x, y) in the first training photo, as
         shares of its width and height.
+    points: (P, 3) float32 some of the capture's sparse points in scene units; None: it has none.
     """
 
     name: str
@@ -73,6 +74,7 @@ class Scene:
     ndc: Ndc | None = None
     notes: tuple[str, ...] = ()
     landmarks: tuple[tuple[str, float, float], ...] = ()
+    points: np.ndarray | None = None
 
     def __repr__(self) -> str:
         return f"Scene({self.name!r}, {self.format}: {self.summary()})"

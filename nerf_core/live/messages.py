@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from nerf_core.captures.records import PoseProgress
+from nerf_core.captures.report_records import ReportState
 from nerf_core.common.names import printable
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
@@ -295,6 +296,26 @@ class TurnKnob(OfRun):
 
 
 @dataclass(frozen=True)
+class StartReport(OfRun):
+    """Check the photos of the open scene while everything else goes on, in place of a check that runs."""
+
+    quick: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class CancelReport(OfRun):
+    quick: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class WriteReport(OfRun):
+    """Write the newest capture report as an HTML page, and its numbers beside it."""
+
+    quick: ClassVar[bool] = True
+    file: Path
+
+
+@dataclass(frozen=True)
 class Quit:
     quick: ClassVar[bool] = False
 
@@ -302,7 +323,7 @@ class Quit:
 Command = (
     OpenScene | CancelLoading | OpenRun | CloseRun | Train | Pause | Reset | UseMethod | SetShare | SaveCheckpoint
     | SaveUnsaved | InOrder | LoadCheckpoint | Inspect | StopInspecting | PinRay | EditPin | UnpinRay | ExportRays
-    | StartExport | CancelExport | StartStudy | CancelStudy | TurnKnob | Quit
+    | StartExport | CancelExport | StartStudy | CancelStudy | TurnKnob | StartReport | CancelReport | WriteReport | Quit
 )  # fmt: skip
 
 # ---- from the worker -----------------------------------------------------------------------------------------
@@ -417,6 +438,7 @@ class Snapshot:
     posing: how far poses are found, while they are; None: they are not.
     preview_rays_per_second: at full quality, while drawing; 0: not measured yet.
     study: the newest study of the worker, whatever run it is about; None: there was none.
+    report: the newest check of a capture's photos, likewise.
     """
 
     run: int = FIRST_RUN
@@ -452,6 +474,7 @@ class Snapshot:
     loading: str = ""
     preview_rays_per_second: float = 0.0
     study: StudyState | None = None
+    report: ReportState | None = None
 
     @property
     def ray(self) -> RayProbe | None:

@@ -20,6 +20,7 @@ from nerf_core.live import messages
 from nerf_core.live.drawing import Drawing
 from nerf_core.live.mailbox import Mailbox
 from nerf_core.live.messages import FIRST_RUN, Command, Notice, Snapshot, ViewRequest
+from nerf_core.live.reports import Reports
 from nerf_core.live.scheduler import Scheduler
 from nerf_core.live.shares import Situation
 from nerf_core.methods import METHODS
@@ -63,6 +64,7 @@ class Worker:
         self._command = 0  # the number of the command that is being obeyed
         self._drawing = Drawing(self._runs, self._mailbox, self._scheduler.budget)
         self._studies: Studies | None = None  # from when torch is loaded
+        self._report = Reports(self._tell)
         self._trained: Run | None = None  # the run whose step is under way
         self._accounted = 0.0  # up to when the step under way is in the budget
 
@@ -177,9 +179,11 @@ class Worker:
             return
         for run in self._runs.values():
             run.pause_if_done()
-        number = self._scheduler.next_run([*self._runs.values(), self._study])
+        number = self._scheduler.next_run([*self._runs.values(), self._study, self._report])
         if number == self._study.number:
             self._study_piece()
+        elif number == self._report.number:
+            self._report_piece()
         elif number is not None:
             self._train_step(self._runs[number])
         else:
@@ -223,6 +227,8 @@ class Worker:
                 self._close_run(self._run(command.run))
             case messages.StartStudy() | messages.CancelStudy() | messages.TurnKnob():
                 self._study.obey(command, self._run(command.run), self._command)
+            case messages.StartReport() | messages.CancelReport() | messages.WriteReport():
+                self._report.obey(command, self._run(command.run), self._command)
             case _:
                 run = self._run(command.run)
                 before = run.trainer
@@ -294,6 +300,13 @@ class Worker:
         between = partial(self._between_chunks, self._study.number, may_abandon=False)
         self._study.advance(between)
         between()
+
+    def _report_piece(self) -> None:
+        """Do a piece of the check of photos, like one of a study."""
+        self._accounted = time.perf_counter()
+        self._mailbox.paint_seconds()
+        self._report.advance()
+        self._between_chunks(self._report.number, may_abandon=False)
 
     def _account_for_training(self, number: int, rays: int) -> None:
         """Count the time since `_accounted` as training of a run, less the window's frames.
@@ -393,7 +406,9 @@ class Worker:
         from nerf_core.live.snapshot import snapshot_of, status_of
 
         try:
-            return replace(snapshot_of(run, before, self._scheduler), study=self._study.newest)
+            return replace(
+                snapshot_of(run, before, self._scheduler), study=self._study.newest, report=self._report.newest
+            )
         except Exception as error:
             if not run.failed:  # told once, not at every snapshot
                 run.fail(self._mailbox.view(run.number))

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
 
+from nerf_core.captures.report import capture_report
+from nerf_core.captures.report_records import CaptureReport, Finding, ReportState
 from nerf_core.common.language import digits, phrase
 from nerf_core.datasets import LoadOptions
 from nerf_core.geometry.camera import Camera
@@ -262,6 +265,27 @@ def make_study(state: Literal["running", "done", "cancelled", "failed"], name: s
     )  # fmt: skip
 
 
+@cache
+def make_report() -> CaptureReport:
+    """A report of the made-up scene, whose photos show nothing, with two photos that stand out."""
+    report = capture_report(make_scene())
+    soft = phrase("{share:.0%} as sharp as similar views: motion, or out of focus", share=0.12)
+    odd = {3: (soft,), 5: (phrase("{stops:.1f} stops darker than similar views", stops=1.2),)}
+    photos = [
+        replace(p, odd=odd.get(k, ()), relative_sharpness=1 + k / 100, relative_exposure=(-1) ** k * k / 50)
+        for k, p in enumerate(report.photos)
+    ]
+    where = phrase("{where}, {height}", where=phrase("behind"), height=phrase("above"))
+    text = "no photo from {where} ({width:.0f}° wide): what shows only from there is guessed"
+    gap = Finding("gap", 1.0, phrase(text, where=where, width=80.0), phrase("add photos beside"))
+    return replace(report, photos=tuple(photos), limits=(gap, *report.limits))
+
+
+def make_report_state(state: Literal["running", "done", "cancelled", "failed"]) -> ReportState:
+    report, text = make_report() if state == "done" else None, phrase("photo {done:,} of {total:,}", done=9, total=24)
+    return ReportState(state, 0.4, text, make_snapshot().loaded, report)
+
+
 def states() -> dict[str, AppState]:
     """The states in which every panel must draw, by name."""
     full, alone = make_snapshot(), Snapshot()
@@ -294,6 +318,8 @@ def states() -> dict[str, AppState]:
         found[f"export {kind}"] = make_state(replace(full, export=export))
     for kind in ("running", "done", "cancelled", "failed"):
         found[f"study {kind}"] = make_state(replace(full, study=make_study(kind)))
+    for kind in ("running", "done", "cancelled", "failed"):
+        found[f"report {kind}"] = make_state(replace(full, report=make_report_state(kind)))
     failed = found["failed"]
     failed.notices += [
         ShownNotice(Notice("info", "saved step 12,400 to run/last.safetensors", Path("run/last.safetensors")), 99),

@@ -45,7 +45,7 @@ NO_ITEM = {
 FORMAT = re.compile(r"%[-+ #0]*\d*(?:\.\d+)?[dfgeus%]")
 # What is not translated: files, symbols, keys, options with their values, and names of made-up data.
 DATA = re.compile(
-    r"Traceback[\s\S]*|\S*/\S*|\w+_\w+|\d+steps|\S+\.(?:png|npy|mp4|json|csv|npz|safetensors|md|ply|\w*lab)\b|\b(?:Ctrl|Shift|Space|Tab|Esc|Enter)\b"
+    r"Traceback[\s\S]*|\S*/\S*|\w+_\w+|\d+steps|\S+\.(?:png|npy|mp4|json|html|csv|npz|safetensors|md|ply|\w*lab)\b|\b(?:Ctrl|Shift|Space|Tab|Esc|Enter)\b"
     r"|\b(?:auto|all|complete|None|English|Русский|spheres|blender|ball|scripted|chair|photos \\xff|the wall)\b"
     r"|\b(?:PSNR|SSIM|NDC|sin|cos|exp|rgb|RGB|nan|bg|near|far|GPU|CPU|CUDA)\b"
 )

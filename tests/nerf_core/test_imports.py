@@ -23,9 +23,8 @@ CORE, VIEWER = Path(nerf_core.__file__).parent, Path(viewer.__file__).parent
 # Bottom to top. A package imports only from itself and from packages before it.
 ORDER = (
     "nerf_core.common", "nerf_core.geometry", "nerf_core.volume", "nerf_core.datasets", "nerf_core.captures",
-    "nerf_core.kernels",
-    "nerf_core.methods", "nerf_core.rendering", "nerf_core.training", "nerf_core.probe", "nerf_core.lab",
-    "nerf_core.live", "nerf_core.commands", "nerf_core.cli",
+    "nerf_core.kernels", "nerf_core.methods", "nerf_core.rendering", "nerf_core.training", "nerf_core.probe",
+    "nerf_core.lab", "nerf_core.live", "nerf_core.commands", "nerf_core.cli",
     "viewer.window", "viewer.model", "viewer.ui", "viewer.draw", "viewer.commands", "viewer.panels", "viewer.tour",
     "viewer.app", "viewer.session", "viewer.cli",
 )  # fmt: skip

@@ -25,6 +25,7 @@ from nerf_core.live.messages import (
     StartExport,
     StopInspecting,
     UseMethod,
+    WriteReport,
 )
 from nerf_core.rendering.export.requests import ExportModel, ExportPath
 
@@ -126,7 +127,7 @@ class Actions:
                 command = command if path is None else replace(command, path=own_path(path))
             case SaveCheckpoint(path) | LoadCheckpoint(path):
                 command = replace(command, path=own_path(path))
-            case ExportRays(file):
+            case ExportRays(file) | WriteReport(file):
                 command = replace(command, file=own_path(file))
             case StartExport(ExportModel(file)):
                 command = replace(command, request=ExportModel(own_path(file)))
