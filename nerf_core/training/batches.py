@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -16,6 +17,19 @@ from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Draw
+
+
+class Batch(NamedTuple):
+    """The pixels of a training step.
+
+    rays: R rays.
+    colors: (R, 3) float32 in [0, 1], the photos' colours, sRGB-encoded.
+    photo: (R,) int64 on the CPU, which photos: positions in `PixelSampler.views`.
+    """
+
+    rays: Rays
+    colors: Tensor
+    photo: Tensor
 
 
 class _Level:
@@ -62,14 +76,15 @@ class PixelSampler:
         self._photos: dict[int, _Level] = {}
 
     def draw(self, wanted: Draw, part: range | None = None) -> tuple[Rays, Tensor]:
+        """Return the rays and colours of `batch`."""
+        return self.batch(wanted, part)[:2]
+
+    def batch(self, wanted: Draw, part: range | None = None) -> Batch:
         """Draw the pixels of one training step.
 
         Args:
             wanted: how many, and from which part of the photos.
             part: return only these of them; the generator moves on as for all. None: all.
-
-        Returns:
-            R rays, and the photos' colours (R, 3) float32 in [0, 1], sRGB-encoded.
         """
         count, photos = wanted.rays, self._at(wanted.shrink)
         if wanted.one_image:
@@ -86,7 +101,7 @@ class PixelSampler:
         # the minimum, because a product of a float below 1 and an integer can round up to the integer
         pixel = (size - window) // 2 + torch.minimum((where * window).long(), window - 1)
         colors = photo_colors(index, pixel, photos.sizes[:, 0], photos.starts, photos.pixels)
-        return photos.cameras.rays(index, pixel + 0.5).to(self.device), colors.to(self.device)
+        return Batch(photos.cameras.rays(index, pixel + 0.5).to(self.device), colors.to(self.device), index)
 
     def _at(self, shrink: int) -> _Level:
         """Return the photos at 1/shrink of their size. Only the last size is kept: schedules do not go back to one."""

@@ -80,6 +80,27 @@ def ssim(image: np.ndarray, truth: np.ndarray) -> float:
     return float((numerator / denominator).mean())
 
 
+def psnr_matched(image: np.ndarray, truth: np.ndarray) -> float:
+    """Return the PSNR of the right half in dB, after a gain and an offset per channel were fitted to the left half.
+
+    A photo's own exposure is not known to a model that was not trained on it. Half of the photo tells it, and the other
+    half is measured (as in NeRF in the Wild, arXiv:2008.02268).
+
+    Args:
+        image, truth: (H, W, 3), of at least two columns.
+
+    Raises:
+        ValueError: the shapes differ, or are not (H, W, 3).
+    """
+    _check(image, truth)
+    middle = image.shape[1] // 2
+    x, y = (v[:, :middle].reshape(-1, 3).astype(np.float64) for v in (image, truth))
+    spread = x.var(0)
+    gain = np.where(spread > 1e-9, ((x - x.mean(0)) * (y - y.mean(0))).mean(0) / np.maximum(spread, 1e-9), 1.0)
+    offset = y.mean(0) - gain * x.mean(0)
+    return psnr(np.clip(gain * image[:, middle:] + offset, 0, 1), truth[:, middle:])
+
+
 class Lpips:
     """Learned perceptual image patch similarity, version 0.1 with VGG16 (Zhang et al. 2018, Eq. 1, arXiv:1801.03924).
 
