@@ -1,9 +1,9 @@
 """Learn the exposure and white balance of each training photo: a gain and an offset for each channel.
 
-A photo shows t = a p + b, where p is the model's colour. Training compares the model with (t − b) / a, so that no method
-needs to know about it. Every few steps the model draws some of the batch's pixels, and a and b follow in closed form
-from the sums of p, t, p², p t and t² over the last batches (ridge regression). The model and the exposures are thus
-learnt in turns.
+A photo shows t = a p + b, where p is the model's colour. Training compares the model with (t − b) / a, so that no
+method needs to know about it. Every few steps the model draws some of the batch's pixels, and a and b follow in closed
+form from the sums of p, t, p², p t and t² over the last batches (ridge regression). The model and the exposures are
+thus learnt in turns.
 
 A brighter model with smaller gains would match the photos as well. So the gains of a channel have the mean 1 over the
 photos, and the offsets have the mean 0.

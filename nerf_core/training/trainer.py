@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -23,7 +24,6 @@ from nerf_core.training.batches import Batch, PixelSampler
 from nerf_core.training.exposure import SHARE, Exposure
 from nerf_core.training.loss_history import HistoryLog
 from nerf_core.training.settings import RunSettings
-
 
 EXPOSURES = "auto", "on", "off"
 
@@ -175,6 +175,14 @@ class Trainer:
     def config(self) -> Config:
         """The method's configuration as it is now: the chunk size may have been halved."""
         return self.method.config
+
+    @property
+    def exposures(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+        """Gains and offsets (3,) of the training photos by view; empty if they are not learnt."""
+        if self.exposure is None:
+            return {}
+        rows = zip(self.exposure.gains.numpy(), self.exposure.offsets.numpy(), strict=True)
+        return dict(zip(self.exposure.views, rows, strict=True))
 
     @property
     def advice(self) -> str:

@@ -36,7 +36,8 @@ def measured(trainer: Trainer, scene: Scene) -> tuple[float, float]:
     for view in scene.held_out()[1]:
         color = render_camera(trainer.method, scene.views[view].camera, scene)[0]
         truth = scene.images[view].astype(np.float32) / 65535
-        found.append((psnr_matched(color, truth), psnr(color, truth)))
+        mask = scene.photos.mask(view)
+        found.append((psnr_matched(color, truth, mask), psnr(color, truth, mask)))
     right, whole = np.mean(found, 0)
     return float(right), float(whole)
 
