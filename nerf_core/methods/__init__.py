@@ -113,15 +113,6 @@ class Radiant(Protocol):
 
 
 @runtime_checkable
-class Matt(Protocol):
-    """A model that can draw pixels without what changes with the view: exposures of photos are learnt from them."""
-
-    def matt(self, rays: Rays) -> Tensor:
-        """Return the colours (R, 3) of R rays that all points would show if they were matt."""
-        ...
-
-
-@runtime_checkable
 class Dense(Protocol):
     """A model that has a density at a point: normals come from its gradient."""
 

@@ -6,13 +6,16 @@ form from the sums of p, t, p², p t and t² over the last batches (ridge regres
 thus learnt in turns.
 
 A brighter model with smaller gains would match the photos as well. So the gains of a channel have the mean 1 over the
-photos, and the offsets have the mean 0.
+photos, and the offsets have the mean 0. Nor can photos tell a gain that grows in one direction of view from a model
+whose colours do. So no part of gains and offsets is linear in the direction in which a photo looks: that is left to the
+model. Without this rule, gains took up the bright side of a scene, which photos see from one side.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -26,6 +29,7 @@ PIXELS = 200.0  # so many pixels of a photo count as independent at most, becaus
 GAIN_SPREAD, OFFSET_SPREAD = 0.3, 0.05  # standard deviations of the prior, around 1 and 0
 NOISE = 1e-4  # least variance of a pixel: less than the square of 1/100
 LEAST, MOST = 0.1, 10.0  # limits of a gain
+MANY = 12  # with fewer photos, a direction explains too much of what is random
 WHITE = 0.99  # a photo's value from here on may be clipped, and then says nothing about its gain
 
 
@@ -36,9 +40,17 @@ class Exposure:
     gains, offsets: (N, 3) float32.
     """
 
-    def __init__(self, views: list[int]) -> None:
+    def __init__(self, views: Sequence[int], looks: np.ndarray) -> None:
+        """Begin with the identity.
+
+        Args:
+            views: the photos as indices into `Scene.views`.
+            looks: (N, 3) unit directions in which they look.
+        """
         count = len(views)
         self.views = tuple(views)
+        known = np.column_stack([np.ones(count), looks]) if count >= MANY else np.ones((count, 1))
+        self._left = torch.from_numpy(np.eye(count) - known @ np.linalg.pinv(known, rcond=1e-3))
         self.gains, self.offsets = torch.ones(count, 3), torch.zeros(count, 3)
         self._sums = torch.zeros(count, 3, 6, dtype=torch.float64)  # of 1, p, t, p², p t, t²
 
@@ -90,8 +102,8 @@ class Exposure:
         ra, rb = trust * pt + GAIN_SPREAD**-2, trust * t
         det = aa * bb - ab * ab  # positive, because the prior is
         gains, offsets = ((bb * ra - ab * rb) / det).clamp(LEAST, MOST), (aa * rb - ab * ra) / det
-        self.gains = (gains / gains.mean(0)).float()
-        self.offsets = (offsets - offsets.mean(0)).float()
+        self.gains = (1 + self._left @ (gains / gains.mean(0))).clamp(LEAST, MOST).float()
+        self.offsets = (self._left @ offsets).float()
 
     def state(self) -> dict[str, Tensor]:
         """Return gains, offsets and sums by name, for a checkpoint."""

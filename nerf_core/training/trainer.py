@@ -18,7 +18,7 @@ from nerf_core.common.device import pick_device, usable_cores
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.language import marked, phrase
 from nerf_core.geometry.scene import IDENTITY, Scene
-from nerf_core.methods import METHODS, Config, Distributed, Matt, Method, Posed
+from nerf_core.methods import METHODS, Config, Distributed, Method, Posed
 from nerf_core.methods.group import ALONE, Group
 from nerf_core.training.batches import Batch, PixelSampler
 from nerf_core.training.exposure import SHARE, Exposure
@@ -169,7 +169,8 @@ class Trainer:
         """Learn exposures from the first step on. Raises UserError if the method has no use for them."""
         if isinstance(self.method, Posed) or not self.total_steps:
             raise UserError(f"--exposure on: method {self.method_name} learns no colours: take --exposure off")
-        self.exposure = Exposure(self.batches.views)
+        views = self.batches.views
+        self.exposure = Exposure(views, np.array([-self.scene.views[i].camera.c2w[:, 2] for i in views]))
 
     @property
     def config(self) -> Config:
@@ -251,8 +252,7 @@ class Trainer:
         few, predicted = slice(-(-len(rays) // SHARE)), None
         if exposure.due(self.step_count):  # drawn before the step, which may be abandoned
             with torch.no_grad():
-                method = self.method
-                predicted = method.matt(rays[few]) if isinstance(method, Matt) else method.render(rays[few]).color
+                predicted = self.method.render(rays[few]).color
         target = exposure.corrected(photo, truth)
         loss = self.method.train(rays, target, self.step_count, steps, yield_callback)
         if predicted is not None:

@@ -220,12 +220,6 @@ class VoxelModel(Defaults):
         march = self._march(torch.full((len(rays),), 0.5))
         return self.space.rendering(rays, self.kernels.render(self.ema_grid, self.space.rays(rays), march))
 
-    def matt(self, rays: Rays) -> Tensor:
-        """Return the colours (R, 3) of rays without what changes with the view: Y₁ is 0 at the direction 0."""
-        boxed = self.space.rays(rays.to(self.device))
-        march = self._march(torch.full((len(rays),), 0.5))
-        return self.kernels.render(self.ema_grid, replace(boxed, views=torch.zeros_like(boxed.views)), march)[:, :3]
-
     def trace(self, rays: Rays) -> Trace:
         rays = rays.to(self.device)
         found = self.traced(rays, torch.full((len(rays),), 0.5))
