@@ -172,7 +172,7 @@ def _rows(scene: Scene) -> list[Row]:
 def _masks(scene: Scene) -> str:
     """How many photos have masked pixels."""
     masked, photos = len(scene.photos.masked_photos), len(scene.views)
-    return phrases("of {n:,} photo of {photos:,}", "of {n:,} photos of {photos:,}", masked, photos=photos)
+    return phrase("{n:,} of {photos:,} photos", n=masked, photos=photos)
 
 
 @cache

@@ -54,11 +54,8 @@ def test_a_listed_mask_is_taken_and_a_missing_one_noted(transforms_folder: Folde
 @pytest.mark.parametrize("mode", ["1", "RGB", "RGBA", "P", "I;16", "LA"])
 def test_masks_of_any_pixel_type(transforms_folder: Folder, mode: str) -> None:
     folder, _ = transforms_folder
-    image = Image.fromarray(HALF)
-    if mode == "I;16":
-        image = Image.fromarray(HALF.astype(np.uint16) * 256)
-    else:
-        image = image.convert(mode)
+    deep = Image.fromarray(HALF.astype(np.uint16) * 256)
+    image = deep if mode == "I;16" else Image.fromarray(HALF).convert(mode)
     (folder / "masks").mkdir()
     image.save(folder / "masks/0000.png")
     np.testing.assert_array_equal(load_scene(folder, LoadOptions()).photos.mask(0), HALF > 0)
