@@ -21,7 +21,7 @@ from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
 
 FEW = {"rays": "64", "first_rays": "64", "resolution": "24"}
-STEPS = 140
+STEPS = 150
 
 
 def trained(scene: Scene, exposure: str, steps: int, changes: dict[str, str]) -> Trainer:
@@ -37,7 +37,7 @@ def dimmed() -> tuple[Scene, np.ndarray]:
     What is linear in the direction of the cameras is taken out of the gains: colours that change with the view could
     explain it as well.
     """
-    scene = load_scene(None, LoadOptions(downscale=6, background="black"))
+    scene = load_scene(None, LoadOptions(downscale=10, background="black"))
     train = scene.split("train")
     looks = np.array([scene.views[i].camera.c2w[:, 2] for i in train])
     known = np.column_stack([np.ones(len(train)), looks])
@@ -51,7 +51,7 @@ def dimmed() -> tuple[Scene, np.ndarray]:
 def test_gains_of_dimmed_photos_come_back_and_new_views_are_better() -> None:
     scene, gains = dimmed()
     assert np.ptp(gains) > 0.7
-    changes = {"rays": "3072", "resolution": "48"}
+    changes = {"rays": "4096", "resolution": "32"}
     plain, exposed = (trained(scene, exposure, STEPS, changes) for exposure in ("off", "on"))
     assert exposed.exposure is not None
     found = exposed.exposure.gains.numpy()
