@@ -20,6 +20,8 @@ from nerf_core.training.evaluate import evaluate, select
 from nerf_core.training.metrics import Lpips
 from nerf_core.training.run_folder import RunFolder
 
+MOST_ROWS = 12  # of the table of exposures
+
 
 @COMMANDS.register("eval")
 @dataclass(frozen=True)
@@ -56,6 +58,7 @@ class Eval:
         file = run.path / "metrics.json"
         write_atomically(file, json.dumps(metrics, indent=2, allow_nan=False) + "\n")
         _print_metrics(metrics, count)
+        _print_exposures(metrics.get("exposure", []))
         tell([trainer.method.stage] if trainer.method.stage else [])
         say(f"wrote {file} and {run.path / 'eval'}")
         return 0
@@ -66,3 +69,21 @@ def _print_metrics(metrics: dict[str, Any], count: int) -> None:
     lpips = "not computed (needs --lpips-weights)" if mean["lpips"] is None else f"{mean['lpips']:.4f}"
     of = counted(count, f"{metrics['split']} image") + (f" ({metrics['subset']})" if "subset" in metrics else "")
     say(f"{of} at step {metrics['step']:,}: PSNR {mean['psnr']:.2f} dB, SSIM {mean['ssim']:.4f}, LPIPS {lpips}")
+    if mean.get("psnr_matched") is not None:
+        say(f"right halves, with the exposure of the left ones: PSNR {mean['psnr_matched']:.2f} dB")
+
+
+def _print_exposures(exposures: list[dict[str, Any]]) -> None:
+    """Print the gains and offsets of the training photos, of many only the darkest and the brightest."""
+    if not exposures:
+        return
+    rows = sorted(exposures, key=lambda row: sum(row["gain"]))
+    shown = rows if len(rows) <= MOST_ROWS else [*rows[: MOST_ROWS // 2], None, *rows[-MOST_ROWS // 2 :]]
+    say(f"exposure of {counted(len(rows), 'training photo')}, from dark to bright (metrics.json has all):")
+    say("      gain                     offset                  photo")
+    for row in shown:
+        if row is None:
+            say("         …")
+            continue
+        numbers = "  ".join(f"{v:7.3f}" for v in row["gain"]), "  ".join(f"{v:+7.3f}" for v in row["offset"])
+        say("  ".join([*numbers, row["name"]]))

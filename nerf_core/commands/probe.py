@@ -51,7 +51,10 @@ class Probe:
         trainer = restored(RunFolder(self.run_folder), self.data, self.device)
         camera = picked_camera(trainer.scene, self.camera)
         try:
-            opened = open_pixel(trainer.method, trainer.scene, camera, self.pixel, trainer.step_count, self.t)
+            opened = open_pixel(
+                trainer.method, trainer.scene, camera, self.pixel, trainer.step_count, self.t,
+                exposures=trainer.exposures,
+            )  # fmt: skip
         except UserError as error:  # it begins with the name of what is wrong: pixel, t
             raise UserError(f"--{error}") from None
         for line in _lines(opened):

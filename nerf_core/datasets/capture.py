@@ -52,11 +52,13 @@ class Photo:
     name: unique in the capture; the path relative to its folder with forward slashes, which may be unprintable.
     camera: calibration and pose in the input's world frame, with OpenGL camera axes. Its pixels are those of the size
         that the input states; where the input states none, of the size that `images.measure` finds in the file.
+    mask: the file that says which pixels count, 0 where they do not. None: one of the usual places is looked up.
     """
 
     name: str
     path: Path
     camera: Camera
+    mask: Path | None = None
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ EIGHT_BITS = ("1", "L", "P", "RGB", "CMYK", "YCbCr")  # Pillow's names of opaque
 DEEP_GREY = ("I;16", "I;16B", "I;16L")
 DEEP_COLOR = ("RGB;16B", "RGBA;16B")
 Convert = Callable[..., np.ndarray]
+OPAQUE = 1 - 1.5 / 255  # alpha from here on is that of an opaque pixel, rounded
 BROKEN = (
     OSError,
     SyntaxError,
@@ -151,6 +152,25 @@ def read_photo(
             return composite(pixels, size, background)
 
 
+def opaque_pixels(path: Path, upright: bool) -> np.ndarray:
+    """Return which pixels of a photo are opaque, (H, W) bool, turned as `read_photo` turns it.
+
+    Raises:
+        UnreadableError: for damaged files.
+    """
+    if path.suffix.lower() == ".exr":
+        with HEAVY, _damage_named(path):
+            linear = exr_pixels(path)
+        return linear[..., 3] >= OPAQUE if linear.shape[2] == 4 else np.ones(linear.shape[:2], bool)
+    with HEAVY, _opened(path) as image, _damage_named(path):
+        orientation = _orientation(image) if upright else 1
+        if not image.has_transparency_data:
+            shape = image.size if orientation >= 5 else image.size[::-1]
+            return np.ones(shape, bool)
+        alpha = np.asarray((image if "A" in image.getbands() else image.convert("RGBA")).getchannel("A"))
+    return oriented(alpha >= 255 * OPAQUE, orientation)
+
+
 class Strips:
     """A decoded photo, of which only the rows that are asked for are converted and turned upright.
 
@@ -176,7 +196,7 @@ class Strips:
             first, end = self.shape[0] - end, self.shape[0] - first
         width, height = self._images[0].size
         box = (first, 0, end, height) if self._orientation >= 5 else (0, first, width, end)
-        return _turned(self._part(box), self._orientation)
+        return oriented(self._part(box), self._orientation)
 
     def _part(self, box: tuple[int, int, int, int]) -> np.ndarray:
         return self._convert(*(image.crop(box) for image in self._images))
@@ -306,10 +326,10 @@ def _repacked(path: Path, packing: str) -> Image.Image:
         return image
 
 
-def _turned(pixels: np.ndarray, orientation: int) -> np.ndarray:
-    """Rotate or mirror stored pixels as EXIF orientation 2 … 8 asks."""
+def oriented(pixels: np.ndarray, orientation: int) -> np.ndarray:
+    """Rotate or mirror stored pixels (H, W, …) as EXIF orientation 2 … 8 asks."""
     if orientation >= 5:
-        pixels = pixels.transpose(1, 0, 2)
+        pixels = pixels.swapaxes(0, 1)
     if orientation in (3, 4, 7, 8):
         pixels = pixels[::-1]
     if orientation in (2, 3, 6, 7):

@@ -82,11 +82,17 @@ def gather(folder: Path, frames: Sequence[Frame], source: Path) -> Gathered:
     index: list[int | None] = []
     damaged: list[str] = []
     doubles: list[str] = []
+    lacking: list[str] = []
     for frame, (c2w, _), path in zip(frames, poses, found.paths, strict=True):
         key = os.path.abspath(path) if path else ""
         if path is not None and key not in photos:
             try:
-                photos[key] = (len(photos), Photo(photo_name(folder, path), path, _camera(frame, path, c2w)))
+                mask = _mask(frame, folder)
+                if mask is not None and not os.path.exists(mask):
+                    lacking.append(str(mask))
+                    mask = None
+                camera = _camera(frame, path, c2w)
+                photos[key] = (len(photos), Photo(photo_name(folder, path), path, camera, mask))
             except UnreadableError as error:
                 damaged.append(str(error))
         if path is None or key not in photos:
@@ -101,6 +107,16 @@ def gather(folder: Path, frames: Sequence[Frame], source: Path) -> Gathered:
     if not photos:
         raise UserError(f"{source}: no listed photo can be read ({damaged[0]}): save them as PNG or JPEG")
     notes = [*found.notes, *scaled_note(source, [length for _, length in poses]), *damage_notes(damaged)]
+    if lacking:
+        notes.append(
+            phrases(
+                "{file}: {n:,} listed mask is missing, {first}; its photo is used whole",
+                "{file}: {n:,} listed masks are missing, first {first}; their photos are used whole",
+                len(lacking),
+                file=source,
+                first=lacking[0],
+            )
+        )
     if doubles:
         notes.append(
             phrases(
@@ -122,6 +138,11 @@ def bounds(document: Fields) -> tuple[float, float] | None:
     if near >= far:
         raise document.error("far", f"a number above near, {near:g}, is needed")
     return near, far
+
+
+def _mask(frame: Frame, folder: Path) -> Path | None:
+    """The listed mask of a frame (nerfstudio's `mask_path`), which may not exist; None if the frame lists none."""
+    return folder / frame.fields.text("mask_path") if "mask_path" in frame.fields else None
 
 
 def _camera(frame: Frame, path: Path, c2w: np.ndarray) -> Camera:

@@ -19,6 +19,7 @@ from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions
 from nerf_core.datasets.claims import HEAVY_BYTES
 from nerf_core.datasets.geometry import normalise
 from nerf_core.datasets.images import Header, UnreadableError, damage_notes, measure, read_photo
+from nerf_core.datasets.masks import alpha_mask, masked_by_alpha, notes_on_masks, read_mask, with_masks
 from nerf_core.datasets.recognise import recognise
 from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene, View
@@ -52,19 +53,20 @@ def load_scene(path: Path | None, options: LoadOptions, progress: Progress | Non
     try:
         source, name, notes = recognise(path, options.format)
         capture = DATASETS.get(name).read(source, options)
-        capture, headers, damaged = _readable(capture, progress)
+        capture, headers, damaged = _readable(with_masks(capture), progress)
         capture, upright, eight_bits, size_notes = _sized(capture, headers, options)
         _refuse_heavy(capture, headers, upright, options)
         normalised = normalise(capture, options)
         background = _background(capture, headers, options)
         photos, kept, more_damaged = _photos(capture, upright, eight_bits, background, progress)
+        photos, kept, mask_notes = _masked(capture, headers, upright, photos, kept, masked_by_alpha(capture, options))
     except OSError as error:
         raise UserError(
             f"{error.filename or path}: {error.strerror or error}: check the path and its rights"
         ) from error
     cameras = [normalised.cameras[i] for i in kept]
     capture = _with_splits(capture.keeping(kept))
-    notes += (*capture.notes, *size_notes, *damage_notes(damaged + more_damaged), *normalised.notes)
+    notes += (*capture.notes, *size_notes, *mask_notes, *damage_notes(damaged + more_damaged), *normalised.notes)
     folder = source if source.is_dir() else source.parent
     return Scene(
         name="demo" if path is None else printable(folder.resolve().name),
@@ -145,10 +147,11 @@ def _sized(
     downscale = max(
         1.0, options.downscale / capture.reduced
     )  # the folder may hold smaller photos than the user asked for
+    masked = any(p.mask is not None for p in capture.photos)  # one more byte a pixel
     further, sizes = 1, [_target(shape, options, downscale) for shape in shapes]
     while True:
         eight_bits = sizes == shapes and all(h.eight_bits for h in headers)  # averaging makes more than 8
-        if (3 if eight_bits else 6) * sum(w * h for w, h in sizes) <= options.memory_gb * 1e9:
+        if ((3 if eight_bits else 6) + masked) * sum(w * h for w, h in sizes) <= options.memory_gb * 1e9:
             break
         further += 1
         sizes = [_target(shape, options, downscale, further) for shape in shapes]
@@ -218,6 +221,51 @@ def _photos(
     if len(damaged) == len(found):
         raise UserError(f"no photo can be read ({damaged[0]}): save them as PNG or JPEG")
     return photos, [i for i, v in enumerate(found) if v is None], damaged
+
+
+def _masked(
+    capture: Capture,
+    headers: Sequence[Header],
+    upright: Sequence[bool],
+    photos: Photos,
+    kept: Sequence[int],
+    by_alpha: bool,
+) -> tuple[Photos, list[int], list[str]]:
+    """Read the masks of photos.
+
+    Args:
+        capture, headers, upright, photos: N photos.
+        kept: the indices of those that could be read.
+        by_alpha: whether alpha is a mask.
+
+    Returns:
+        The photos with their masks, the indices of those that have a pixel that counts, and notes.
+    """
+    masks: dict[int, np.ndarray] = {}
+
+    def read(i: int) -> None:
+        photo, parts = capture.photos[i], []
+        if by_alpha and headers[i].alpha:
+            parts.append(alpha_mask(photo, upright[i]))
+        if photo.mask is not None:
+            parts.append(read_mask(photo, headers[i], upright[i]))
+        if parts and not (found := np.logical_and.reduce(parts)).all():
+            masks[i] = found
+
+    given = [i for i in kept if capture.photos[i].mask is not None or (by_alpha and headers[i].alpha)]
+    damaged = [str(v) for v in _map(lambda k: read(given[k]), range(len(given)), "", None) if v is not None]
+    if damaged:
+        raise UserError(f"{damaged[0]}: its alpha cannot be read: save it again as PNG")
+    if not masks:
+        return photos, list(kept), notes_on_masks([i in given for i in kept], [])
+    photos = photos.masked(masks)
+    left = [i for i in kept if i not in masks or masks[i].any()]
+    empty = [capture.photos[i].name for i in kept if i not in left]
+    if not left:
+        raise UserError(
+            f"every photo is masked as a whole, first {shorten(empty[0])}: masks are 0 where pixels are ignored"
+        )
+    return photos, left, notes_on_masks([i in given for i in left], empty)
 
 
 def _map(

@@ -13,6 +13,9 @@ from nerf_core.datasets.images import SUFFIXES
 FOLDER = re.compile(r"images(?:_([1-9][0-9]{0,3}))?")
 
 
+MASK_END = ".mask.png"  # of the mask that lies beside its photo
+
+
 @dataclass(frozen=True)
 class PhotoFolder:
     """A folder of photos.
@@ -33,8 +36,9 @@ def photo_folders(root: Path) -> tuple[PhotoFolder, ...]:
 
 
 def photos_below(folder: Path) -> tuple[Path, ...]:
-    """Return the image files below a folder, sorted by name, without hidden ones (macOS writes ._0001.jpg)."""
-    return tuple(sorted(f for f in folder.rglob("*") if f.suffix.lower() in SUFFIXES and not f.name.startswith(".")))
+    """Return the image files below a folder, sorted by name, without masks and hidden ones (macOS: ._0001.jpg)."""
+    files = sorted(f for f in folder.rglob("*") if f.suffix.lower() in SUFFIXES and not f.name.startswith("."))
+    return tuple(f for f in files if not f.name.lower().endswith(MASK_END))
 
 
 def choose_folder(

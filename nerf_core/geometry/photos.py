@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, overload
 
 import numpy as np
 
+DIMMED = 4  # how many times darker masked pixels are shown
 WIDEN = 257  # 255 · 257 = 65535: the 16-bit value of an 8-bit one
 
 
@@ -20,11 +21,13 @@ class Photos:
         one of an 8-bit photo: half the memory, the same colours.
     starts: (N,) int64, the row of `flat` at which each photo begins.
     sizes: (N, 2) int64, width and height.
+    kept: (P,) bool, False for pixels that are masked: they are neither trained on nor measured. None: all count.
     """
 
     flat: np.ndarray
     starts: np.ndarray
     sizes: np.ndarray
+    kept: np.ndarray | None = None
 
     @staticmethod
     def empty(sizes: Sequence[tuple[int, int]], eight_bits: bool = False) -> Photos:
@@ -56,16 +59,43 @@ class Photos:
         found = self._stored[k][rows, columns]
         return found if found.dtype == np.uint16 else found.astype(np.uint16) * np.uint16(WIDEN)
 
+    def masked(self, masks: Mapping[int, np.ndarray]) -> Photos:
+        """Return the photos with masks by photo, (H, W) bool; photos without one are used whole."""
+        kept = np.ones(len(self.flat), bool)
+        for k, mask in masks.items():
+            kept[self.starts[k] : self.starts[k] + mask.size] = mask.ravel()
+        return replace(self, kept=kept)
+
+    def mask(self, k: int) -> np.ndarray | None:
+        """Return which pixels of photo k count, (H, W) bool; None if all do."""
+        width, height = self.sizes[k].tolist()
+        found = None if self.kept is None else self.kept[self.starts[k] : self.starts[k] + width * height]
+        return None if found is None or found.all() else found.reshape(height, width)
+
+    def counts(self, k: int, x: int, y: int) -> bool:
+        """Return whether the pixel of column x and row y of photo k counts."""
+        return self.kept is None or bool(self.kept[self.starts[k] + y * self.sizes[k, 0] + x])
+
+    @cached_property
+    def masked_photos(self) -> tuple[int, ...]:
+        """The photos of which some pixels do not count."""
+        return tuple(k for k in range(len(self.sizes)) if self.mask(k) is not None)
+
     def small(self, k: int, most: int) -> np.ndarray:
-        """Return every n-th pixel of photo k as opaque uint8 RGBA, its sides about `most` long at most."""
+        """Return every n-th pixel of photo k as opaque uint8 RGBA, its sides about `most` long at most.
+
+        Masked pixels are dimmed.
+        """
         every = slice(None, None, max(1, -(-int(self.sizes[k].max()) // most)))
         rgb = (self.part(k, every, every) >> 8).astype(np.uint8)
+        if (mask := self.mask(k)) is not None:
+            rgb = np.where(mask[every, every, None], rgb, rgb // DIMMED)
         return np.dstack([rgb, np.full(rgb.shape[:2], 255, np.uint8)])
 
     def at(self, index: Sequence[int]) -> Photos:
         """Return the photos of these indices without a copy."""
         chosen = np.array(index, np.int64)
-        return Photos(self.flat, self.starts[chosen], self.sizes[chosen])
+        return Photos(self.flat, self.starts[chosen], self.sizes[chosen], self.kept)
 
     @cached_property
     def _stored(self) -> tuple[np.ndarray, ...]:

@@ -138,6 +138,7 @@ class Scene:
     def identity(self) -> str:
         """Return a hash of poses, intrinsics, bounds, names, splits and a few pixels of each photo, for checkpoints.
 
+        Masks are left out, so that runs of versions without masks can go on.
         Numbers are rounded to DECIMALS: processors differ in the last digits of a matrix product.
         """
         return self._hash(lambda number: round(float(number), DECIMALS) + 0.0)  # −0 becomes 0

@@ -77,6 +77,7 @@ class OpenedRay:
         step, self.opened_step = trainer.step_count, -1
         if self._training_views is None or self._training_views.scene is not trainer.scene:
             self._training_views = TrainingViews(trainer.scene)
+        self._training_views.exposures = trainer.exposures
         opened = None
         try:
             for opened in pieces(
@@ -109,8 +110,9 @@ class OpenedRay:
         if ray is self.asked and self.opened is not None and whole:
             return self.opened
         return open_pixel(
-            trainer.method, trainer.scene, ray.camera, ray.pixel, trainer.step_count, ray.point_t, ray.around
-        )
+            trainer.method, trainer.scene, ray.camera, ray.pixel, trainer.step_count, ray.point_t, ray.around,
+            trainer.exposures,
+        )  # fmt: skip
 
 
 def _with_older(new: Opened, old: Opened) -> Opened:

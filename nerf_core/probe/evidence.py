@@ -5,7 +5,7 @@ Which of them see it, what do they show there, and what would the model show in 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +20,7 @@ from nerf_core.methods import Method, Radiant, traced
 from nerf_core.probe.ray import MOST_RAYS, sample_ends
 from nerf_core.probe.sightings import Sightings
 
+Exposures = Mapping[int, tuple[np.ndarray, np.ndarray]]
 OPAQUE = 1 - 1e-12  # leaves a share of light that no picture shows
 MOST_VIEWS = 256  # photos asked about one point; half of them are those nearest in angle to the ray
 
@@ -44,14 +45,17 @@ class TrainingViews:
 
     scene: the scene.
     views: (C,) the training views as indices into `Scene.views`, ascending.
+    exposures: gains and offsets (3,) by view, of exposures that were learnt; other photos have 1 and 0.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, exposures: Exposures | None = None) -> None:
         """Stack the cameras of the training views into arrays.
 
         Args:
             scene: the scene; its split "train" names the photos.
+            exposures: those of `Trainer.exposures`; None: there are none.
         """
+        self.exposures: Exposures = exposures or {}
         self.scene = scene
         self.views = np.array(sorted(scene.split("train")), np.int64)
         cameras = [scene.views[i].camera for i in self.views]
@@ -99,7 +103,7 @@ class TrainingViews:
                 at its beginning, because the surface itself must not count as an obstacle.
 
         Returns:
-            The photos that have the point in their frame, at most MOST_VIEWS of them.
+            The photos that have the point in their frame and not masked, at most MOST_VIEWS of them.
 
         Raises:
             UserError: the method keeps no samples along a ray.
@@ -110,6 +114,9 @@ class TrainingViews:
         looks = offsets / np.maximum(distance, 1e-12)[:, None]  # a camera in the point itself has no direction
         angle = np.arccos(np.clip(looks @ towards, -1, 1))
         index = np.flatnonzero(framed)
+        shown = self.counting(index, pixels[index])
+        masked, index = int((~shown).sum()), index[shown]
+        found_in = len(index)
         index = index[np.argsort(angle[index], kind="stable")]
         index = index[_spread(looks[index], MOST_VIEWS // 2, MOST_VIEWS)]
         light, share, predicted = self._traced(method, index, pixels[index], distance[index], margin)
@@ -118,13 +125,14 @@ class TrainingViews:
         if isinstance(method, Radiant):
             emitted = method.radiance(torch.from_numpy(point)[None], looking)[0].cpu().numpy()
         found = Sightings(
-            point, margin, len(self.views), int(framed.sum()), self.views[index], pixels[index], distance[index],
-            angle[index], -looks[index], light, share, self.observed(index, pixels[index]), predicted, emitted, emitted,
+            point, margin, len(self.views), found_in, masked, self.views[index], pixels[index], distance[index],
+            angle[index], -looks[index], light, share, self.observed(index, pixels[index]), self.gains(index),
+            predicted, emitted, emitted,
         )  # fmt: skip
         return found.at(np.lexsort((found.angle, ~found.seen)))
 
     def observed(self, index: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-        """Return the photos' colours at given positions, (V, 3) float32 in [0, 1].
+        """Return the photos' colours at given positions, (V, 3) float32 in [0, 1], as of the mean exposure.
 
         Args:
             index: (V,) positions in `views`.
@@ -133,7 +141,25 @@ class TrainingViews:
         colors = np.zeros((len(index), 3), np.float32)
         for k, (view, (x, y)) in enumerate(zip(self.views[index], np.floor(pixels).astype(int), strict=True)):
             colors[k] = self.scene.photos.part(view, y, x) / np.float32(65535)
+            if (learnt := self.exposures.get(int(view))) is not None:
+                colors[k] = np.clip((colors[k] - learnt[1]) / learnt[0], 0, 1)
         return colors
+
+    def gains(self, index: np.ndarray) -> np.ndarray:
+        """Return the gains of photos, (V, 3) float32. index: (V,) positions in `views`."""
+        gains = np.ones((len(index), 3), np.float32)
+        for k, view in enumerate(self.views[index].tolist()):
+            if view in self.exposures:
+                gains[k] = self.exposures[view][0]
+        return gains
+
+    def counting(self, index: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+        """Return which positions are not masked, (V,) bool. Arguments are those of `observed`."""
+        photos = self.scene.photos
+        if photos.kept is None:
+            return np.ones(len(index), bool)
+        places = zip(self.views[index].tolist(), np.floor(pixels).astype(int).tolist(), strict=True)
+        return np.array([photos.counts(view, x, y) for view, (x, y) in places], bool)
 
     def _traced(
         self, method: Method, index: np.ndarray, pixels: np.ndarray, distance: np.ndarray, margin: float

@@ -13,7 +13,7 @@ from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import METHODS, Method, Radiant, aimed
 from nerf_core.probe.directions import Around
-from nerf_core.probe.evidence import TrainingViews
+from nerf_core.probe.evidence import Exposures, TrainingViews
 from nerf_core.probe.layers import grain_at, layers_of
 from nerf_core.probe.radiance import LayerRadiance, default_t, layer_at, open_radiance
 from nerf_core.probe.ray import FARTHEST, open_ray
@@ -31,6 +31,7 @@ def open_pixel(
     step: int,
     point_t: float | None = None,
     around: Around = "viewer",
+    exposures: Exposures | None = None,
 ) -> Opened:
     """Open a pixel completely. `open_ray`, `judge`, `open_radiance` and `walk` give the parts one by one.
 
@@ -45,6 +46,7 @@ def open_pixel(
             layer of the verdict's surface, in the middle of its weight, else the default of `open_radiance`.
         around: what the radiance's disc has at its centre: "viewer" for the direction to the camera, or "normal" for
             the density's normal.
+        exposures: those of `Trainer.exposures`; None: photos are taken as they are.
 
     Returns:
         The opened pixel. `name` and `history` stay empty, because only pins have them.
@@ -53,7 +55,7 @@ def open_pixel(
         UserError: the pixel lies outside the picture, or `point_t` is no distance on the ray.
     """
     opened = None
-    for opened in pieces(method, TrainingViews(scene), camera, pixel, step, point_t, around):  # noqa: B007  the last piece is complete
+    for opened in pieces(method, TrainingViews(scene, exposures), camera, pixel, step, point_t, around):  # noqa: B007  the last piece is complete
         pass
     assert opened is not None
     return opened

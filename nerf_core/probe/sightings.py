@@ -20,7 +20,8 @@ class Sightings:
     point: (3,) in world units.
     margin: half the length of the stretch that counts as the point, in world units.
     asked: the number of training photos.
-    framed: how many of them have the point in their frame. V of these are kept, at most MOST_VIEWS.
+    framed: how many of them have the point in their frame and not masked. V of these are kept, at most MOST_VIEWS.
+    masked: how many have the point in their frame in a masked pixel. They say nothing about it.
     views: (V,) indices into `Scene.views`.
     pixels: (V, 2) column and row of the point in the photo; a pixel's centre lies at +0.5.
     distance: (V,) from the camera to the point, in world units.
@@ -28,7 +29,8 @@ class Sightings:
     directions: (V, 3) unit, from the point to the camera.
     transmittance: (V,) the model's transmittance from the camera to `margin` in front of the point.
     share: (V,) weight of the stretch of ± `margin` around the point in the photo's pixel.
-    observed: (V, 3) the photo's colour in that pixel.
+    observed: (V, 3) the photo's colour in that pixel; with learnt exposures, as the mean exposure would show it.
+    gain: (V, 3) the gains of the photo's channels, of learnt exposures; else 1.
     predicted: (V, 3) the model's colour of that pixel.
     emitted: (V, 3) the colour that the point emits towards the camera; NaN if the method has no radiance at a point.
     layer_emitted: (V, 3) the same of the point's layer, if it has one; see `RadianceProbe.layer_rgb`.
@@ -38,6 +40,7 @@ class Sightings:
     margin: float
     asked: int
     framed: int
+    masked: int
     views: np.ndarray
     pixels: np.ndarray
     distance: np.ndarray
@@ -46,6 +49,7 @@ class Sightings:
     transmittance: np.ndarray
     share: np.ndarray
     observed: np.ndarray
+    gain: np.ndarray
     predicted: np.ndarray
     emitted: np.ndarray
     layer_emitted: np.ndarray
@@ -57,7 +61,7 @@ class Sightings:
 
     def at(self, index: np.ndarray) -> Sightings:
         """Return the photos that an index or mask over V chooses."""
-        rows = ("point", "margin", "asked", "framed")
+        rows = ("point", "margin", "asked", "framed", "masked")
         return replace(self, **{f.name: getattr(self, f.name)[index] for f in fields(self) if f.name not in rows})
 
 

@@ -29,7 +29,7 @@ def truth_of(scene: Scene, camera: Camera, ray: RayProbe) -> Truth | None:
         ray: an opened ray.
 
     Returns:
-        The first photo with this pose that has the ray in its frame; None if there is none.
+        The first photo with this pose that has the ray in its frame and not masked; None if there is none.
     """
     for k, view in enumerate(scene.views):
         if np.abs(view.camera.c2w - camera.c2w).max() > SAME_POSE * max(1.0, float(np.abs(camera.c2w).max())):
@@ -39,6 +39,8 @@ def truth_of(scene: Scene, camera: Camera, ray: RayProbe) -> Truth | None:
         width, height = view.camera.width, view.camera.height
         if z > 0 and 0 <= place[0] < width and 0 <= place[1] < height:  # false for NaN
             x, y = int(place[0]), int(place[1])
+            if not scene.photos.counts(k, x, y):
+                continue
             return Truth(k, (x, y), scene.photos.part(k, y, x) / np.float32(65535))
     return None
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -17,6 +19,21 @@ from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Draw
 
+TRIES = 16  # rounds of drawing pixels until enough of them are not masked
+
+
+class Batch(NamedTuple):
+    """The pixels of a training step.
+
+    rays: R rays.
+    colors: (R, 3) float32 in [0, 1], the photos' colours, sRGB-encoded.
+    photo: (R,) int64 on the CPU, which photos: positions in `PixelSampler.views`.
+    """
+
+    rays: Rays
+    colors: Tensor
+    photo: Tensor
+
 
 class _Level:
     """The training photos at one size.
@@ -26,7 +43,8 @@ class _Level:
     reach: (N,) how far from the principal point a fisheye lens shows something, in units of the focal
         length; infinite for other lenses. None: all pixels show something.
     offsets: (N + 1,) int64; photo i has the pixels offsets[i] … offsets[i + 1] − 1, counted over all photos.
-    pixels, starts: see `Photos.flat` and `Photos.starts`.
+    pixels, starts, kept: see `Photos`.
+    usable: (n,) int64, the photos with pixels that count; None: all.
     """
 
     def __init__(self, photos: Photos, cameras: list[Camera], scene: Scene) -> None:
@@ -37,6 +55,15 @@ class _Level:
         counts = self.sizes.prod(-1)
         self.offsets = torch.cat([torch.zeros(1, dtype=torch.long), counts.cumsum(0)])
         self.pixels, self.starts = photos.flat, torch.from_numpy(photos.starts)
+        self.kept = None if not photos.masked_photos else torch.from_numpy(photos.kept)
+        self.usable = None
+        if self.kept is not None:
+            masks = (photos.mask(k) for k in range(len(photos.sizes)))
+            usable = [k for k, mask in enumerate(masks) if mask is None or mask.any()]
+            if usable:
+                self.usable = torch.tensor(usable)
+            else:  # the pixels that count lie at the border, which shrinking cuts off
+                self.kept = None
 
     def shown(self, index: Tensor, pixel: Tensor) -> Tensor:
         """Return integer pixels (R, 2) of the photos `index` (R,) without those where a fisheye lens shows nothing.
@@ -79,32 +106,78 @@ class PixelSampler:
         self._photos: dict[int, _Level] = {}
 
     def draw(self, wanted: Draw, part: range | None = None) -> tuple[Rays, Tensor]:
+        """Return the rays and colours of `batch`."""
+        return self.batch(wanted, part)[:2]
+
+    def batch(self, wanted: Draw, part: range | None = None) -> Batch:
         """Draw the pixels of one training step.
 
         Args:
             wanted: how many, and from which part of the photos.
             part: return only these of them; the generator moves on as for all. None: all.
-
-        Returns:
-            R rays, and the photos' colours (R, 3) float32 in [0, 1], sRGB-encoded.
         """
-        count, photos = wanted.rays, self._at(wanted.shrink)
-        if wanted.one_image:
+        photos = self._at(wanted.shrink)
+        index, pixel = self._pixels(photos, wanted) if photos.kept is None else self._counting(photos, wanted)
+        if part is not None:
+            index, pixel = index[part.start : part.stop], pixel[part.start : part.stop]
+        colors = photo_colors(index, pixel, photos.sizes[:, 0], photos.starts, photos.pixels)
+        return Batch(photos.cameras.rays(index, pixel + 0.5).to(self.device), colors.to(self.device), index)
+
+    def _pixels(self, photos: _Level, wanted: Draw, photo: int = -1) -> tuple[Tensor, Tensor]:
+        """Draw pixels, whether they count or not: photos (R,), columns and rows (R, 2). photo: take all from it."""
+        count = wanted.rays
+        if photo >= 0:
+            index = torch.tensor([photo]).expand(count)
+        elif wanted.one_image:
             index = self._integers(len(photos.sizes), 1).expand(count)
         else:
             index = torch.searchsorted(photos.offsets, self._integers(int(photos.offsets[-1]), count), right=True) - 1
         where = torch.rand(count, 2, generator=self.generator, dtype=torch.float64)
-        if part is not None:
-            index, where = index[part.start : part.stop], where[part.start : part.stop]
         size = photos.sizes[index]
         window = size
         if wanted.crop < 1:
             window = (size * wanted.crop).long().clamp(min=1)
         # the minimum, because a product of a float below 1 and an integer can round up to the integer
         pixel = (size - window) // 2 + torch.minimum((where * window).long(), window - 1)
-        pixel = photos.shown(index, pixel)
-        colors = photo_colors(index, pixel, photos.sizes[:, 0], photos.starts, photos.pixels)
-        return photos.cameras.rays(index, pixel + 0.5).to(self.device), colors.to(self.device)
+        return index, photos.shown(index, pixel)
+
+    def _counting(self, photos: _Level, wanted: Draw) -> tuple[Tensor, Tensor]:
+        """Draw pixels that count, as `_pixels` does. Masked ones are drawn again, so that no list of pixels is kept.
+
+        The middle of the photos may be masked: after TRIES, pixels are taken from whole photos. If hardly a pixel
+        counts, those that were found are repeated.
+        """
+        assert photos.kept is not None
+        assert photos.usable is not None
+        photo = int(photos.usable[self._integers(len(photos.usable), 1)]) if wanted.one_image else -1
+        found: list[tuple[Tensor, Tensor]] = []
+        lacking, asked, tries = wanted.rays, 0, 0
+        while lacking and tries < 2 * TRIES:
+            tries += 1
+            share = (wanted.rays - lacking + 1) / (asked + 1)
+            rays = min(math.ceil(lacking / share), 4 * wanted.rays)
+            crop = 1.0 if tries > TRIES and not found else wanted.crop
+            index, pixel = self._pixels(photos, wanted._replace(rays=rays, crop=crop), photo)
+            at = photos.starts[index] + pixel[:, 1] * photos.sizes[index, 0] + pixel[:, 0]
+            good = photos.kept[at].nonzero()[:lacking, 0]
+            lacking, asked = lacking - len(good), asked + rays
+            if len(good):
+                found.append((index[good], pixel[good]))
+        if not found:
+            found.append(self._first(photos, max(photo, 0)))
+        index, pixel = (torch.cat(v) for v in zip(*found, strict=True))
+        again = torch.arange(wanted.rays) % len(index)
+        return index[again], pixel[again]
+
+    @staticmethod
+    def _first(photos: _Level, photo: int) -> tuple[Tensor, Tensor]:
+        """A pixel that counts, of a photo or else of the first that has one."""
+        assert photos.kept is not None
+        assert photos.usable is not None
+        k = photo if photo in photos.usable else int(photos.usable[0])
+        start, (width, height) = int(photos.starts[k]), photos.sizes[k].tolist()
+        at = int(photos.kept[start : start + width * height].nonzero()[0, 0])
+        return torch.tensor([k]), torch.tensor([[at % width, at // width]])
 
     def _at(self, shrink: int) -> _Level:
         """Return the photos at 1/shrink of their size. Only the last size is kept: schedules do not go back to one."""
@@ -138,10 +211,33 @@ def shrunk(photos: Photos, sizes: Sequence[tuple[int, int]], factor: int) -> Pho
         sizes: their new sizes (width, height), those of `Camera.shrunk`.
         factor: the side of a block, in pixels.
     """
-    small = Photos.empty(sizes)
+    small, masks = Photos.empty(sizes), {}
     for k, image in enumerate(photos.images):
         width, height = sizes[k]
         side = min(factor, *image.shape[:2])
         blocks = image[: height * side, : width * side].reshape(height, side, width, side, 3)
-        small.put(k, (blocks.mean((1, 3), dtype=np.float32) + np.float32(0.5)).astype(np.uint16))
-    return small
+        if (mask := photos.mask(k)) is None:
+            mean = blocks.mean((1, 3), dtype=np.float32)
+        else:
+            inside = mask[: height * side, : width * side].reshape(height, side, width, side, 1)
+            mean, masks[k] = _kept_mean(blocks, inside)
+        small.put(k, (mean + np.float32(0.5)).astype(np.uint16))
+    return small.masked(masks) if masks else small
+
+
+def _kept_mean(blocks: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Average the pixels of blocks that count.
+
+    A block counts if half of its pixels do. If no block of the photo does, every one with a pixel that counts does.
+
+    Args:
+        blocks: (h, side, w, side, 3).
+        inside: (h, side, w, side, 1) bool.
+
+    Returns:
+        The means (h, w, 3) float32, and which blocks count, (h, w).
+    """
+    number = inside.sum((1, 3), dtype=np.float32)
+    mean = (blocks * inside).sum((1, 3), dtype=np.float32) / np.maximum(number, 1)
+    half = number[..., 0] >= blocks.shape[1] ** 2 / 2
+    return mean, half if half.any() else number[..., 0] > 0

@@ -14,7 +14,7 @@ from nerf_core.common.pieces import finished, mapped
 from nerf_core.geometry.scene import SPLITS, Scene
 from nerf_core.rendering.images import rendering, to_bytes
 from nerf_core.rendering.video import write_png
-from nerf_core.training.metrics import Lpips, psnr, ssim
+from nerf_core.training.metrics import Lpips, psnr, psnr_matched, ssim
 from nerf_core.training.trainer import Trainer
 
 EVERY = 8  # a capture without held-out photos is measured on every 8th training photo
@@ -74,7 +74,8 @@ def evaluate(
 ) -> dict[str, Any]:
     """Render the selected views and compare them with their photos.
 
-    Metrics are computed from float colours in [0, 1] and averaged over the images.
+    Metrics are computed from float colours in [0, 1] and averaged over the images. Masked pixels are not counted: PSNR
+    leaves them out, SSIM every window that has one, and for LPIPS they are the photo's own.
 
     Args:
         trainer: the trained model with its scene.
@@ -86,7 +87,9 @@ def evaluate(
 
     Returns:
         What `nerf-core eval` writes to metrics.json, as finite JSON values: "mean" and "images" with psnr (dB), ssim
-        and lpips, and "split", "method", "step", "seconds" and "subset".
+        and lpips, and "split", "method", "step", "seconds" and "subset". An image
+        with a mask has its masked share, "masked". If exposures are learnt, "exposure" has those of the training
+        photos, and images have "psnr_matched"; see `psnr_matched`.
 
     Raises:
         UserError: the images are too small for a metric, or the folder cannot be written.
@@ -122,15 +125,22 @@ def evaluating(
         truth = trainer.scene.images[index].astype(np.float32) / 65535
         work, done = rendering(trainer.method, view.camera, trainer.scene), len(images)
         color, _ = yield from mapped(work, lambda share, done=done: (done, (done + share) / count))
-        images.append({
-            "name": view.name,
-            "psnr": min(psnr(color, truth), PERFECT_PSNR),
-            "ssim": ssim(color, truth),
-            "lpips": None if lpips is None else lpips(color, truth),
-        })  # fmt: skip
+        mask = trainer.scene.photos.mask(index)
+        shown = color if mask is None else np.where(mask[..., None], color, truth)
+        images.append(
+            {
+                "name": view.name,
+                "psnr": min(psnr(color, truth, mask), PERFECT_PSNR),
+                "ssim": ssim(color, truth, mask),
+                "lpips": None if lpips is None else lpips(shown, truth),
+            }
+            | ({} if mask is None else {"masked": float(1 - mask.mean())})
+            | _matched(trainer, color, truth, mask)
+        )
         keep(view.name, color, truth)
-    result = {
-        "mean": {name: _mean([image[name] for image in images]) for name in ("psnr", "ssim", "lpips")},
+    names = ("psnr", "ssim", "lpips", *(() if trainer.exposure is None else ("psnr_matched",)))
+    result: dict[str, Any] = {
+        "mean": {name: _mean([image[name] for image in images]) for name in names},
         "images": images,
         "split": selection.split,
         "method": trainer.method_name,
@@ -139,7 +149,26 @@ def evaluating(
     }
     if selection.subset is not None:
         result["subset"] = selection.subset
+    if trainer.exposure is not None:
+        result["exposure"] = exposures(trainer)
     return result
+
+
+def _matched(trainer: Trainer, color: np.ndarray, truth: np.ndarray, mask: np.ndarray | None) -> dict[str, Any]:
+    """The PSNR of the right half once the left one's exposure is matched, if training photos have exposures."""
+    if trainer.exposure is None:
+        return {}
+    found = psnr_matched(color, truth, mask)
+    return {"psnr_matched": None if found is None else min(found, PERFECT_PSNR)}
+
+
+def exposures(trainer: Trainer) -> list[dict[str, Any]]:
+    """Return name, gains and offsets (red, green, blue) of each training photo; empty if they are not learnt."""
+    learnt = trainer.exposure
+    if learnt is None:
+        return []
+    rows = zip(learnt.views, learnt.gains.tolist(), learnt.offsets.tolist(), strict=True)
+    return [{"name": trainer.scene.views[i].name, "gain": gain, "offset": offset} for i, gain, offset in rows]
 
 
 def picture_path(folder: Path, name: str) -> Path:

@@ -32,11 +32,12 @@ LPIPS_SCALE = (0.458, 0.448, 0.450)
 LPIPS_EPS = 1e-10  # the official code's; it keeps the division defined for a pixel whose features are all 0
 
 
-def psnr(image: np.ndarray, truth: np.ndarray) -> float:
+def psnr(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -> float:
     """Return the peak signal-to-noise ratio in dB: 20 log₁₀(MAX / √MSE) with MAX = 1.
 
     Args:
         image, truth: (H, W, 3). The squared error is averaged over pixels and channels.
+        mask: (H, W) bool, the pixels that count, at least one; None: all.
 
     Returns:
         The PSNR; math.inf for identical images.
@@ -45,11 +46,13 @@ def psnr(image: np.ndarray, truth: np.ndarray) -> float:
         ValueError: the shapes differ, or are not (H, W, 3).
     """
     _check(image, truth)
+    if mask is not None:
+        image, truth = image[mask], truth[mask]
     error = float(np.mean((image.astype(np.float64) - truth.astype(np.float64)) ** 2))
     return math.inf if error == 0 else -10 * math.log10(error)
 
 
-def ssim(image: np.ndarray, truth: np.ndarray) -> float:
+def ssim(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -> float | None:
     """Return the structural similarity (Wang et al. 2004, Eq. 13), in [−1, 1].
 
         (2 μx μy + C1)(2 σxy + C2) / ((μx² + μy² + C1)(σx² + σy² + C2))
@@ -59,6 +62,10 @@ def ssim(image: np.ndarray, truth: np.ndarray) -> float:
 
     Args:
         image, truth: (H, W, 3).
+        mask: (H, W) bool, the pixels that count; None: all. A window that has others does not count either.
+
+    Returns:
+        The similarity; None if no window counts.
 
     Raises:
         UserError: the images are smaller than the window.
@@ -77,7 +84,38 @@ def ssim(image: np.ndarray, truth: np.ndarray) -> float:
     mx, my, xx, yy, xy = flat.reshape(*maps.shape[:2], *flat.shape[2:])
     numerator = (2 * mx * my + SSIM_C1) * (2 * (xy - mx * my) + SSIM_C2)
     denominator = (mx * mx + my * my + SSIM_C1) * (xx - mx * mx + yy - my * my + SSIM_C2)
-    return float((numerator / denominator).mean())
+    if mask is None:
+        return float((numerator / denominator).mean())
+    whole = functional.max_pool2d(torch.from_numpy(~mask)[None, None].float(), SSIM_TAPS, 1)[0, 0] == 0
+    return float((numerator / denominator)[:, whole].mean()) if whole.any() else None
+
+
+def psnr_matched(image: np.ndarray, truth: np.ndarray, mask: np.ndarray | None = None) -> float | None:
+    """Return the PSNR of the right half in dB, after a gain and an offset per channel were fitted to the left half.
+
+    A photo's own exposure is not known to a model that was not trained on it. Half of the photo tells it, and the other
+    half is measured (as in NeRF in the Wild, arXiv:2008.02268).
+
+    Args:
+        image, truth: (H, W, 3).
+        mask: (H, W) bool, the pixels that count; None: all.
+
+    Returns:
+        The PSNR, math.inf for identical halves; None if no pixel of a half counts.
+
+    Raises:
+        ValueError: the shapes differ, or are not (H, W, 3).
+    """
+    _check(image, truth)
+    mask = np.ones(image.shape[:2], bool) if mask is None else mask
+    left, right = (mask & (half == (np.arange(mask.shape[1]) >= mask.shape[1] // 2)) for half in (False, True))
+    if not left.any() or not right.any():
+        return None
+    x, y = (v[left].astype(np.float64) for v in (image, truth))
+    spread = x.var(0)
+    gain = np.where(spread > 1e-9, ((x - x.mean(0)) * (y - y.mean(0))).mean(0) / np.maximum(spread, 1e-9), 1.0)
+    offset = y.mean(0) - gain * x.mean(0)
+    return psnr(np.clip(gain * image + offset, 0, 1), truth, right)
 
 
 class Lpips:

@@ -73,6 +73,8 @@ class TrainOptions(LoadingOptions):
     """auto, cpu, cuda or cuda:N."""
     threads: int = 0
     """Of a CPU, fixed for the whole run; 0: all usable cores."""
+    exposure: Literal["auto", "on", "off"] = "auto"
+    """Learn a gain and an offset per channel for each training photo; auto: off."""
 
     def settings(self) -> RunSettings:
         """Check the options and return the settings of the run. Raises UserError, which names the wrong option."""
@@ -97,6 +99,7 @@ class TrainOptions(LoadingOptions):
             seed=self.seed,
             device=self.device,
             threads=self.threads,
+            exposure=self.exposure,
         )
 
     def goal(self, total_steps: int) -> Goal:

@@ -9,6 +9,7 @@ from nerf_core.common.json_files import Fields
 from nerf_core.datasets import LoadOptions
 
 T = TypeVar("T")
+ADDED = {"exposure": "off"}  # fields that files of earlier versions lack, and what those versions did
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,8 @@ class RunSettings:
     device: "cpu", "cuda" or "cuda:N"; "auto" picks one.
     threads: torch's threads on a CPU; 0: the cores that this process may use. They stay the same for the whole run,
         because the rounding of sums depends on them.
+    exposure: "on", "off" or "auto": whether each training photo has an exposure of its own that is learnt; see
+        `nerf_core.training.exposure`.
     """
 
     load: LoadOptions = field(default_factory=LoadOptions)
@@ -34,6 +37,7 @@ class RunSettings:
     seed: int = 0
     device: str = "auto"
     threads: int = 0
+    exposure: str = "auto"
 
 
 def filled(kind: type[T], values: Fields) -> T:
@@ -41,19 +45,20 @@ def filled(kind: type[T], values: Fields) -> T:
 
     Args:
         kind: `RunSettings` or `LoadOptions`.
-        values: a value for every field, and nothing else.
+        values: a value for every field, and nothing else. A field of ADDED may be missing.
 
     Raises:
         UserError: a value has another type than its default, is missing, or has a name that is no field.
     """
     defaults = kind()
+    known = {f.name for f in fields(kind)}  # pyright: ignore[reportArgumentType]: T is one of two dataclasses
+    given = {name: value for name, value in ADDED.items() if name in known} | values.values
     for f in fields(kind):  # pyright: ignore[reportArgumentType]: T is one of two dataclasses
-        default, value = getattr(defaults, f.name), values.values.get(f.name)
+        default, value = getattr(defaults, f.name), given.get(f.name)
         if isinstance(default, float) and type(value) is int:
             continue
         if type(value) is not type(default):
             raise values.error(f.name, f"a {type(default).__name__} is needed: was this written by another version?")
-    known = {f.name for f in fields(kind)}  # pyright: ignore[reportArgumentType]
-    for name in sorted(set(values.values) - known):
+    for name in sorted(set(given) - known):
         raise values.error(name, "no such setting: was this written by another version?")
-    return kind(**values.values)
+    return kind(**given)

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -17,11 +18,14 @@ from nerf_core.common.device import pick_device, usable_cores
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.language import marked, phrase
 from nerf_core.geometry.scene import IDENTITY, Scene
-from nerf_core.methods import METHODS, Config, Distributed, Method
+from nerf_core.methods import METHODS, Config, Distributed, Method, Posed
 from nerf_core.methods.group import ALONE, Group
-from nerf_core.training.batches import PixelSampler
+from nerf_core.training.batches import Batch, PixelSampler
+from nerf_core.training.exposure import SHARE, Exposure
 from nerf_core.training.loss_history import HistoryLog
 from nerf_core.training.settings import RunSettings
+
+EXPOSURES = "auto", "on", "off"
 
 
 def nothing() -> None:
@@ -68,7 +72,8 @@ class Trainer:
     total_steps: the length of the schedule; 0: the method has nothing to train, whatever `steps` says.
     step_count: the number of steps done.
     seconds: seconds of training steps, without yield callbacks.
-    history: the loss so far.
+    history: the loss so far. With `exposure`, it is that of the photos as they would be with the mean exposure.
+    exposure: the exposures of the training photos; None: all photos are taken as they are.
     """
 
     def __init__(self, scene: Scene, settings: RunSettings, group: Group = ALONE) -> None:
@@ -88,6 +93,10 @@ class Trainer:
         name, self.reason = choose_method(settings.method, self.device)
         config = METHODS.get(name).configure(scene, settings.preset, settings.changes, self.device)
         self._build(scene, name, config, settings.steps, settings.seed, settings.threads or self._cores())
+        if settings.exposure not in EXPOSURES:
+            raise UserError(f"--exposure {shorten(settings.exposure)}: choose from {', '.join(EXPOSURES)}")
+        if settings.exposure == "on":
+            self._learn_exposure()
 
     @classmethod
     def resume(
@@ -113,6 +122,8 @@ class Trainer:
         # A larger machine's checkpoint may ask for more threads than there are cores; they would slow each other down.
         threads = min(description["threads"], trainer._cores())
         trainer._build(scene, description["method"], config, description["steps"], description["seed"], threads)
+        if description.get("exposure", False):  # checkpoints of earlier versions do not say
+            trainer._learn_exposure()
         try:
             trainer.go_to(description, state)
         except torch.OutOfMemoryError:  # a RuntimeError that says nothing about the checkpoint
@@ -129,6 +140,8 @@ class Trainer:
         trainer = Trainer.__new__(Trainer)
         trainer.device, trainer.reason, trainer.group = self.device, self.reason, self.group
         trainer._build(self.scene, self.method_name, self.config, self.steps, self.seed, self.threads)
+        if self.exposure is not None:
+            trainer._learn_exposure()
         return trainer
 
     def _cores(self) -> int:
@@ -148,13 +161,29 @@ class Trainer:
         self.device = self.method.device
         self.batches = PixelSampler(scene, config.train_images, self.device, seed)
         self.history = HistoryLog()
+        self.exposure: Exposure | None = None
         self.step_count = 0
         self.seconds = 0.0
+
+    def _learn_exposure(self) -> None:
+        """Learn exposures from the first step on. Raises UserError if the method has no use for them."""
+        if isinstance(self.method, Posed) or not self.total_steps:
+            raise UserError(f"--exposure on: method {self.method_name} learns no colours: take --exposure off")
+        views = self.batches.views
+        self.exposure = Exposure(views, np.array([-self.scene.views[i].camera.c2w[:, 2] for i in views]))
 
     @property
     def config(self) -> Config:
         """The method's configuration as it is now: the chunk size may have been halved."""
         return self.method.config
+
+    @property
+    def exposures(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+        """Gains and offsets (3,) of the training photos by view; empty if they are not learnt."""
+        if self.exposure is None:
+            return {}
+        rows = zip(self.exposure.gains.numpy(), self.exposure.offsets.numpy(), strict=True)
+        return dict(zip(self.exposure.views, rows, strict=True))
 
     @property
     def advice(self) -> str:
@@ -194,8 +223,7 @@ class Trainer:
             try:
                 with self.transaction():
                     wanted = self.method.draw(self.step_count)
-                    rays, truth = self.batches.draw(wanted, self.group.part(wanted.rays))
-                    loss = self.method.train(rays, truth, self.step_count, self.steps or None, timed_yield)
+                    loss = self._train(self.batches.batch(wanted, self.group.part(wanted.rays)), timed_yield)
                 break
             except torch.OutOfMemoryError:
                 # smaller chunks do not help the callback, and must be the same in all processes
@@ -214,6 +242,22 @@ class Trainer:
                 "out of device memory at step {step:,}: going on in chunks of half the size", step=self.step_count
             )
         return Report(self.step_count, loss, psnr_of(loss), wanted.rays, seconds, note)
+
+    def _train(self, batch: Batch, yield_callback: Callable[[], None]) -> float:
+        """Let the method learn from a batch, and learn the exposures. Returns the loss."""
+        rays, truth, photo = batch
+        exposure, steps = self.exposure, self.steps or None
+        if exposure is None:
+            return self.method.train(rays, truth, self.step_count, steps, yield_callback)
+        few, predicted = slice(-(-len(rays) // SHARE)), None
+        if exposure.due(self.step_count):  # drawn before the step, which may be abandoned
+            with torch.no_grad():
+                predicted = self.method.render(rays[few]).color
+        target = exposure.corrected(photo, truth)
+        loss = self.method.train(rays, target, self.step_count, steps, yield_callback)
+        if predicted is not None:
+            exposure.learn(photo[few], predicted, truth[few], self.group)
+        return loss
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
@@ -251,6 +295,7 @@ class Trainer:
             "seed": self.seed,
             "threads": self.threads,
             "processes": self.group.size,
+            "exposure": self.exposure is not None,
             "step": self.step_count,
             "seconds": self.seconds,
             "scene": self.scene.identity(),
@@ -263,6 +308,8 @@ class Trainer:
         """Return all tensors that a resumed run needs, by name: weights, optimiser, random state and loss history."""
         history = {name: torch.from_numpy(value) for name, value in self.history.state().items()}
         parts = {"method": self.method.state(), "batches": self.batches.state(), "history": history}
+        if self.exposure is not None:
+            parts["exposure"] = self.exposure.state()
         return {f"{part}.{key}": value for part, tensors in parts.items() for key, value in tensors.items()}
 
     def notes(self, description: Mapping[str, Any]) -> tuple[str, ...]:
@@ -301,11 +348,13 @@ class Trainer:
         """
         parts = {
             part: {key.removeprefix(part): v for key, v in state.items() if key.startswith(part)}
-            for part in ("method.", "batches.", "history.")
+            for part in ("method.", "batches.", "history.", "exposure.")
         }
         self.method.load_state(parts["method."])
         self.batches.load_state(parts["batches."])
         self.history.load_state({k: v.cpu().numpy() for k, v in parts["history."].items()}, description["step"])
+        if self.exposure is not None:
+            self.exposure.load_state(parts["exposure."])
         self.step_count, self.seconds = description["step"], description["seconds"]
 
 

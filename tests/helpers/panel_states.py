@@ -123,9 +123,9 @@ def make_evidence(scene: Scene, radiance: RadianceProbe) -> Sightings:
     rgb = np.linspace(0.2, 0.8, 3 * count).reshape(count, 3).astype(np.float32)
     hidden = np.arange(count) % 4 == 3
     return Sightings(
-        radiance.point, 0.04, len(scene.split("train")), count, views, np.tile([100.5, 75.5], (count, 1)), distance,
+        radiance.point, 0.04, len(scene.split("train")), count, 0, views, np.tile([100.5, 75.5], (count, 1)), distance,
         np.linspace(0, 1.5, count), directions / distance[:, None], np.where(hidden, 0.1, 0.95), np.full(count, 0.9),
-        rgb, rgb + 0.02, rgb - 0.02, rgb - 0.05,
+        rgb, np.ones_like(rgb), rgb + 0.02, rgb - 0.02, rgb - 0.05,
     )  # fmt: skip
 
 

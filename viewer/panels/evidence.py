@@ -26,6 +26,8 @@ COLUMNS = (
     marked("photo"), marked("angle"), marked("light"), marked("photo's"), marked("model's"), marked("off by"), "",
 )  # fmt: skip
 
+GAIN = marked("gain")
+
 
 @PANELS.register("evidence")
 class EvidencePanel:
@@ -51,14 +53,18 @@ class EvidencePanel:
         if not len(evidence.views):
             return
         flags = imgui.TableFlags_.scroll_y | imgui.TableFlags_.sizing_fixed_fit
-        if imgui.begin_table("evidence", len(COLUMNS), flags, imgui.get_content_region_avail()):
+        exposed = bool((evidence.gain != 1).any())  # exposures were learnt
+        columns = [tr(name) for name in COLUMNS]
+        if exposed:
+            columns.insert(-1, tr(GAIN))
+        if imgui.begin_table("evidence", len(columns), flags, imgui.get_content_region_avail()):
             imgui.table_setup_scroll_freeze(0, 1)
-            for name in COLUMNS:
-                imgui.table_setup_column(tr(name))
+            for name in columns:
+                imgui.table_setup_column(name)
             imgui.table_headers_row()
             angles = _angles(evidence, state.camera.c2w()[:, 3])
             for k in np.lexsort((angles, ~evidence.seen[:SHOWN])).tolist():
-                yield from self._row(ui, scene, evidence, k, float(angles[k]), ray)
+                yield from self._row(ui, scene, evidence, k, float(angles[k]), ray, exposed)
             imgui.end_table()
 
     def _photo(self, ui: Ui, scene: Scene, evidence: Sightings, k: int, ray: RayProbe) -> None:
@@ -89,7 +95,9 @@ class EvidencePanel:
         imgui.text_colored(ui.theme.muted, tr("the line is the ray; click to fly there"))
         imgui.end_tooltip()
 
-    def _row(self, ui: Ui, scene: Scene, evidence: Sightings, k: int, angle: float, ray: RayProbe) -> Iterator[Action]:
+    def _row(
+        self, ui: Ui, scene: Scene, evidence: Sightings, k: int, angle: float, ray: RayProbe, exposed: bool
+    ) -> Iterator[Action]:
         imgui.table_next_row()
         imgui.table_next_column()
         side, rows = 2.6 * ui.em, min(len(evidence.views), SHOWN)
@@ -116,9 +124,22 @@ class EvidencePanel:
                 partial(swatch, ui, rgb)()
             imgui.table_next_column()
             imgui.text_unformatted(figure(off, ".3f"))
+            if exposed:
+                imgui.table_next_column()
+                imgui.text_unformatted(figure(float(evidence.gain[k].mean()), ".2f"))
+                imgui.set_item_tooltip(_gains(evidence.gain[k]))
             imgui.table_next_column()
             if not evidence.seen[k]:
                 imgui.text_colored(ui.theme.muted, tr("hidden"))
+
+
+def _gains(gain: np.ndarray) -> str:
+    """A tooltip about the exposure of a photo with these gains (3,)."""
+    text = tr(
+        "exposure of the photo as learnt: red × {red}, green × {green}, blue × {blue}; its colour is shown without"
+    )
+    red, green, blue = (figure(float(v), ".3f") for v in gain)
+    return text.format(red=red, green=green, blue=blue)
 
 
 def _summary(evidence: Sightings) -> str:
@@ -132,8 +153,10 @@ def _summary(evidence: Sightings) -> str:
     parts.append(trn("from {n} it is hidden", "from {n} it is hidden", looked - seen))
     if framed > looked:
         parts.append(trn("{n} more have it in their frame", "{n} more have it in their frame", framed - looked))
-    if evidence.asked > framed:
-        outside = evidence.asked - framed
+    if evidence.masked:
+        parts.append(trn("{n} has it masked", "{n} have it masked", evidence.masked))
+    if evidence.asked > framed + evidence.masked:
+        outside = evidence.asked - framed - evidence.masked
         parts.append(trn("{n} have it outside their frame", "{n} have it outside their frame", outside))
     return "; ".join(parts) + "."
 

@@ -160,13 +160,21 @@ def _rows(scene: Scene) -> list[Row]:
             height=height,
         )
     bounds = phrase("{near} … {far} units", near=number(scene.near), far=number(scene.far))
+    masked = [(tr("masks"), _masks(scene))] if scene.photos.kept is not None else []
     return [
         (tr("name"), scene.name),
         (tr("format"), phrase("{format}, in NDC", format=scene.format) if scene.ndc is not None else scene.format),
         (tr("photos"), " · ".join(counts) or tr("none")),
         (tr("size"), size),
+        *masked,
         (tr("near … far"), bounds),
     ]
+
+
+def _masks(scene: Scene) -> str:
+    """How many photos have masked pixels."""
+    masked, photos = len(scene.photos.masked_photos), len(scene.views)
+    return phrase("{n:,} of {photos:,} photos", n=masked, photos=photos)
 
 
 @cache

@@ -177,17 +177,21 @@ class VoxelModel(Defaults):
         return Worth.of(self.grid, best, second if photos > 1 else best, self.config.beside, yield_callback)
 
     def _training_pixels(self) -> Iterator[Rays]:
-        """The rays of the training photos' pixels at this level, photo after photo.
+        """The rays of the training photos' pixels at this level that are not masked, photo after photo.
 
         One for each cell's width, and at most ENOUGH: what lies between them is mostly seen in other photos.
         """
         scale, _, shrink = self.schedule.levels[self.level]
-        cameras = [self.scene.views[i].camera.shrunk(shrink) for i in self.scene.trained(self.config.train_images)]
+        views = self.scene.trained(self.config.train_images)
+        cameras = [self.scene.views[i].camera.shrunk(shrink) for i in views]
         many = sum(camera.width * camera.height for camera in cameras) / ENOUGH
         apart = max(1, round(scale * self.config.pixels / shrink), math.ceil(math.sqrt(many)))
         for n, camera in enumerate(cameras):
             rows, columns = np.mgrid[n % apart : camera.height : apart, n // apart % apart : camera.width : apart]
             pixels = np.stack([columns.ravel(), rows.ravel()], -1)
+            if (mask := self.scene.photos.mask(views[n])) is not None:
+                middle = np.minimum(pixels * shrink + shrink // 2, [mask.shape[1] - 1, mask.shape[0] - 1])
+                pixels = pixels[mask[middle[:, 1], middle[:, 0]]]
             yield camera_rays(camera, self.scene.near, self.scene.far, pixels).to(self.device)
 
     def _drop_cells(self, yield_callback: Callable[[], None]) -> None:

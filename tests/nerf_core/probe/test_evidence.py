@@ -164,3 +164,29 @@ def test_no_training_photo_sees_a_point_behind_all_cameras(scene: Scene) -> None
     assert (without.shape, opaque.shape, bare.shape) == ((1, 0, 3), (0, 3), (0, 3))
     no_views = TrainingViews(replace(scene, splits={}))
     assert no_views.look(model_of(scene, BALL), SIDE, -SIDE / 0.7, 0.05).asked == 0
+
+
+def test_a_photo_that_has_the_point_masked_says_nothing(scene: Scene) -> None:
+    model, look = model_of(scene, BALL), -SIDE / 0.7
+    before = TrainingViews(scene).look(model, SIDE, look, 0.05)
+    view = int(before.views[0])
+    width, height = scene.photos.sizes[view]
+    mask = np.ones((height, width), bool)
+    x, y = np.floor(before.pixels[0]).astype(int)
+    mask[y, x] = False
+    found = TrainingViews(replace(scene, photos=scene.photos.masked({view: mask}))).look(model, SIDE, look, 0.05)
+    assert view not in found.views
+    assert (found.masked, found.framed, found.asked) == (1, before.framed - 1, before.asked)
+    assert before.masked == 0
+
+
+def test_photos_are_compared_as_of_the_mean_exposure(scene: Scene) -> None:
+    model, look = model_of(scene, BALL), -SIDE / 0.7
+    before = TrainingViews(scene).look(model, SIDE, look, 0.05)
+    view = int(before.views[0])
+    learnt = {view: (np.array([0.5, 1.0, 2.0], np.float32), np.array([0.1, 0.0, 0.0], np.float32))}
+    found = TrainingViews(scene, learnt).look(model, SIDE, look, 0.05)
+    expected = np.clip((before.observed[0] - [0.1, 0, 0]) / [0.5, 1, 2], 0, 1)
+    np.testing.assert_allclose(found.observed[0], expected, atol=1e-6)
+    np.testing.assert_array_equal(found.gain[0], [0.5, 1, 2])
+    np.testing.assert_array_equal(found.observed[1:], before.observed[1:])

@@ -88,3 +88,51 @@ def test_the_same_state_draws_the_same_rays(scene: Scene) -> None:
 def test_a_scene_without_training_photos_is_refused(scene: Scene) -> None:
     with pytest.raises(UserError, match="ball: no training photos: every photo is held out"):
         PixelSampler(replace(scene, splits={"test": (0, 1)}), 0, CPU, 0)
+
+
+def masked(scene: Scene, masks: dict[int, np.ndarray]) -> Scene:
+    return replace(scene, photos=scene.photos.masked(masks))
+
+
+@pytest.mark.parametrize("wanted", [Draw(3000), Draw(3000, True), Draw(3000, crop=0.5)])
+def test_masked_pixels_are_not_drawn(scene: Scene, wanted: Draw) -> None:
+    scene = coded(scene)
+    left, hardly = np.zeros((16, 16), bool), np.zeros((24, 10), bool)
+    left[:, :8], hardly[11, 4] = True, True
+    scene = masked(scene, {1: left, 2: hardly, 4: np.zeros((24, 10), bool)})
+    sampler, found = PixelSampler(scene, 0, CPU, 0), np.zeros((0, 3), int)
+    for _ in range(12):
+        truth = sampler.draw(wanted)[1]
+        assert len(truth) == 3000
+        found = np.concatenate([found, decoded(truth)])
+    assert set(found[:, 0]) == {0, 1, 2, 3}
+    assert (found[found[:, 0] == 1, 1] < 8).all()
+    assert np.unique(found[found[:, 0] == 2, 1:], axis=0).tolist() == [[4, 11]]
+    if wanted.crop == 1 and not wanted.one_image:
+        share = (found[:, 0] == 1).mean()
+        assert share == pytest.approx(128 / (128 + 1 + 240 + 256), abs=0.01)
+
+
+def test_a_crop_that_is_masked_falls_back_to_whole_photos(scene: Scene) -> None:
+    scene = coded(scene)
+    masks = {i: np.zeros((16, 16) if i % 2 else (24, 10), bool) for i in range(6)}
+    for mask in masks.values():
+        mask[0] = True
+    truth = PixelSampler(masked(scene, masks), 0, CPU, 0).draw(Draw(500, crop=0.5))[1]
+    assert set(decoded(truth)[:, 2]) == {0}
+
+
+def test_shrunken_photos_average_the_pixels_that_are_not_masked(scene: Scene) -> None:
+    scene = coded(scene)
+    mask = np.ones((16, 16), bool)
+    mask[:, 5:8] = False  # of the second block of four columns only the first counts, less than half
+    mask[:, 8] = False  # of the third all but the first
+    scene = masked(replace(scene, splits={"train": (1,)}), {1: mask})
+    truth = PixelSampler(scene, 0, CPU, 0).draw(Draw(400, shrink=4))[1].numpy() * 655.35
+    assert np.unique(truth[:, 1].round(2)).tolist() == pytest.approx([1.5, 10, 13.5], abs=0.01)
+
+
+def test_without_masks_the_same_pixels_are_drawn_as_with_masks_that_leave_all(scene: Scene) -> None:
+    plain, whole = coded(scene), masked(coded(scene), {0: np.ones((24, 10), bool)})
+    a, b = (PixelSampler(one, 0, CPU, 7).draw(Draw(50))[0] for one in (plain, whole))
+    assert torch.equal(a.directions, b.directions)

@@ -97,3 +97,16 @@ def test_cancelled_between_tiles(make_trainer: Make, tmp_path: Path) -> None:
 def test_pictures_keep_the_photos_names() -> None:
     names = {"test/r_0.png": "test/r_0.png", "a/b.jpg": "a/b.jpg.png", "a/b": "a/b.png"}
     assert {n: picture_path(Path("e"), n).relative_to("e").as_posix() for n in names} == names
+
+
+def test_masked_pixels_are_not_counted(make_trainer: Make) -> None:
+    trainer = make_trainer()
+    scene, mask = trainer.scene, np.ones((16, 16), bool)
+    mask[:, :4] = False
+    trainer.scene = replace(scene, photos=scene.photos.masked({5: mask}))
+    (image,) = evaluate(trainer, select(trainer.scene))["images"]
+    color, _ = render_camera(trainer.method, scene.views[5].camera, scene)
+    truth = scene.images[5].astype(np.float32) / 65535
+    assert image["psnr"] == psnr(color[:, 4:], truth[:, 4:]) != psnr(color, truth)
+    assert image["ssim"] == pytest.approx(ssim(color[:, 4:], truth[:, 4:]))
+    assert image["masked"] == 0.25

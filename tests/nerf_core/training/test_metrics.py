@@ -176,3 +176,14 @@ def test_files_that_are_not_the_weights(weights: dict[str, torch.Tensor], file: 
     save_file(missing | {"lin3.weight": torch.zeros(1, 64, 1, 1)}, tmp_path / "other.safetensors")
     with pytest.raises(UserError, match=r"lin3\.weight .* shape \(1, 64, 1, 1\), not \(1, 512, 1, 1\)"):
         Lpips(tmp_path / "other.safetensors")
+
+
+def test_masked_pixels_are_not_measured() -> None:
+    rng = np.random.default_rng(2)
+    truth = rng.uniform(size=(30, 40, 3)).astype(np.float32)
+    image, mask = truth + np.float32(0.01), np.ones((30, 40), bool)
+    mask[:, :10] = False
+    broken = np.where(mask[..., None], image, 0)
+    assert psnr(broken, truth, mask) == pytest.approx(40, abs=0.01)
+    assert ssim(broken, truth, mask) == pytest.approx(ssim(image[:, 10:], truth[:, 10:]), abs=1e-12)
+    assert ssim(broken, truth, mask & (np.arange(40) % 10 > 0)) is None

@@ -906,6 +906,28 @@ def test_the_photos_angles_are_relative_to_the_current_camera() -> None:
     cut = replace(evidence, asked=1000, framed=900)
     assert f"Of {len(evidence.views)} training photos that were asked" in _summary(cut)
     assert f"{900 - len(evidence.views)} more have it in their frame; 100 have it outside" in _summary(cut)
+    assert "have it in their frame; 2 have it masked; 98 have it outside" in _summary(replace(cut, masked=2))
+
+
+def test_gains_and_masks_are_told(screen: Screen, monkeypatch: pytest.MonkeyPatch) -> None:
+    from viewer.panels.scene import _rows
+
+    texts: list[str] = []
+    monkeypatch.setattr(imgui, "text_unformatted", texts.append)
+    snapshot = make_snapshot()
+    screen.frame(PANELS.get("evidence")(), make_state(snapshot))
+    assert "1.23" not in texts
+    evidence, scene, opened = snapshot.evidence, snapshot.scene, snapshot.opened
+    assert evidence is not None
+    assert scene is not None
+    assert opened is not None
+    dimmed = replace(evidence, gain=np.full_like(evidence.gain, 1.23))
+    screen.frame(PANELS.get("evidence")(), make_state(replace(snapshot, opened=replace(opened, evidence=dimmed))))
+    assert texts.count("1.23") == len(evidence.views)
+    width, height = scene.photos.sizes[1]
+    masked = replace(scene, photos=scene.photos.masked({1: np.zeros((height, width), bool)}))
+    assert ("masks", f"1 of {len(scene.views)} photos") in _rows(masked)
+    assert "masks" not in [row[0] for row in _rows(scene)]
 
 
 def test_the_radiance_is_of_the_layer_the_point_or_the_whole_ray(screen: Screen) -> None:
