@@ -9,8 +9,10 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from nerf_core.captures.records import COPYING, STAGES, Growing, PoseProgress
 from nerf_core.captures.report import capture_report
 from nerf_core.captures.report_records import CaptureReport, Finding, ReportState
+from nerf_core.captures.video_frames import LOOKING
 from nerf_core.common.language import digits, phrase
 from nerf_core.datasets import LoadOptions
 from nerf_core.geometry.camera import Camera
@@ -286,6 +288,15 @@ def make_report_state(state: Literal["running", "done", "cancelled", "failed"]) 
     return ReportState(state, 0.4, text, make_snapshot().loaded, report)
 
 
+def make_posing(stage: str) -> PoseProgress:
+    """How far poses are found, in a stage; in the last with a model of three cameras."""
+    poses = np.stack([make_camera(np.array([3.0, k, 1.0])).c2w for k in range(3)])
+    model = Growing(poses, np.zeros((4, 3), np.float32), np.full((4, 3), 200, np.uint8))
+    if stage != STAGES["poses"]:
+        return PoseProgress(stage, 400, 1225, 50, 0, 70.0)
+    return PoseProgress(stage, 3, 50, 50, 3, None, model)
+
+
 def states() -> dict[str, AppState]:
     """The states in which every panel must draw, by name."""
     full, alone = make_snapshot(), Snapshot()
@@ -300,6 +311,8 @@ def states() -> dict[str, AppState]:
         ),
         "asked": make_state(replace(full, opened=None)),
     }
+    for stage in (COPYING, LOOKING, *STAGES.values()):
+        found[f"posing {stage}"] = make_state(replace(alone, status="loading", posing=make_posing(stage)))
     found["visits"] = make_state(bare_snapshot(bare_ray()))
     found["many visits"] = make_state(bare_snapshot(bare_ray(300)))
     found["no visits"] = make_state(bare_snapshot(bare_ray(0, None)))

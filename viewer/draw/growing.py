@@ -64,7 +64,7 @@ def _camera(
     center: np.ndarray, radius: float, up: np.ndarray, behind: np.ndarray, time: float, size: tuple[int, int]
 ) -> Camera:
     ahead = behind - (behind @ up) * up
-    if np.linalg.norm(ahead) < 1e-3 * np.linalg.norm(behind):  # cameras straight above: any side is as good
+    if np.linalg.norm(ahead) <= 1e-3 * np.linalg.norm(behind):  # cameras straight above: any side is as good
         ahead = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
     ahead /= np.linalg.norm(ahead)
     azimuth = SWING * math.sin(2 * math.pi * time / SWING_SECONDS)

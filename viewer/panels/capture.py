@@ -19,10 +19,10 @@ from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import button, field_width, hint
 
-WORDS: dict[Quality, str] = {
-    "fast": marked("a third of the time; enough for most photos"),
-    "normal": marked("photos of up to 1,600 pixels, 4,096 features each"),
-    "high": marked("photos of up to 3,200 pixels, 8,192 features each: for little texture"),
+CARE: dict[Quality, tuple[str, str]] = {  # what it is called, and what it is for
+    "fast": (marked("fast"), marked("a third of the time; enough for most photos")),
+    "normal": (marked("usual"), marked("photos of up to 1,600 pixels, 4,096 features each")),
+    "high": (marked("thorough"), marked("photos of up to 3,200 pixels, 8,192 features each: for little texture")),
 }
 CANCEL = marked("Cancel")
 
@@ -84,14 +84,15 @@ def _idle(ui: Ui, state: AppState) -> None:
     )
     hint(ui, text)
     load = state.settings.load
-    field_width(ui, tr("care"))
-    if imgui.begin_combo(f"{tr('care')}###care", tr(load.poses)):
-        for name, words in WORDS.items():
-            chosen, _ = imgui.selectable(f"{tr(name)}##{name}", name == load.poses)
-            ui.mark(f"capture.care.{name}")
+    label, (chosen_name, meaning) = tr("care"), CARE[load.poses]
+    field_width(ui, label)
+    if imgui.begin_combo(f"{label}###care", tr(chosen_name)):
+        for quality, (name, words) in CARE.items():
+            chosen, _ = imgui.selectable(f"{tr(name)}##{quality}", quality == load.poses)
+            ui.mark(f"capture.care.{quality}")
             imgui.set_item_tooltip(tr(words))
             if chosen:
-                state.settings = replace(state.settings, load=replace(load, poses=name))
+                state.settings = replace(state.settings, load=replace(load, poses=quality))
         imgui.end_combo()
     ui.mark("capture.care")
-    hint(ui, tr(WORDS[load.poses]))
+    hint(ui, tr(meaning))

@@ -1,0 +1,54 @@
+"""`nerf-core pose`, and training on photos without poses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import textured_photos
+
+from nerf_core.cli import main
+
+
+@pytest.fixture(autouse=True)
+def own_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+def test_a_folder_of_photos_becomes_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    photos = str(textured_photos.write(tmp_path / "photos", textured_photos.arc()))
+    assert main(["pose", photos, "--quality", "fast"]) == 0
+    said = capsys.readouterr().out
+    assert "8 of 8 photos have a pose" in said
+    assert "found in" in said
+    run = str(tmp_path / "run")
+    train = ["train", photos, "--poses", "fast", "--downscale", "8", "--steps", "2", "--out", run, "--device", "cpu"]
+    assert main(train) == 0  # they are found again
+    assert main(["eval", run]) == 0
+    assert "finding features" not in capsys.readouterr().out
+    assert main(["pose", photos, "--quality", "fast"]) == 0
+    assert "found again" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["gone"], "does not exist"),
+        (["empty"], "holds no photos without poses"),
+        (["two"], "holds 2 photos: at least 3 are needed"),
+        (["two", "--minutes", "0"], "--minutes is 0.0"),
+    ],
+)
+def test_errors_are_one_line(
+    arguments: list[str],
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    textured_photos.write(tmp_path / "two", textured_photos.arc(2))
+    assert main(["pose", *arguments]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert words in line
