@@ -9,7 +9,10 @@ from nerf_core.common.json_files import Fields
 from nerf_core.datasets import LoadOptions
 
 T = TypeVar("T")
-ADDED = {"exposure": "off"}  # fields that files of earlier versions lack, and what those versions did
+ADDED = {
+    "exposure": "off",
+    "poses": "normal",
+}  # fields that files of earlier versions lack, and what those versions did
 
 
 @dataclass(frozen=True)

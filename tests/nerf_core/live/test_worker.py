@@ -268,12 +268,12 @@ def test_the_worker_calls_wake(tiny: RunSettings, capture: Path) -> None:
 def test_closing_while_a_scene_loads_is_no_failure(open_desk: OpenDesk, monkeypatch: pytest.MonkeyPatch) -> None:
     desk = open_desk(opened=False)
 
-    def slow(path: object, options: object, progress: Callable[[str, int, int], None]) -> None:
+    def slow(path: object, options: object, progress: Callable[[str, int, int], None], *_: object) -> None:
         for done in range(100_000):
             time.sleep(0.01)
             progress("loading photos", done, 100_000)
 
-    monkeypatch.setattr("nerf_core.live.run.load_scene", slow)
+    monkeypatch.setattr("nerf_core.live.run.open_capture", slow)
     desk.send(OpenScene(None, desk.settings))
     desk.until(lambda s: s.status == "loading")
     assert desk.worker.stop(PATIENCE)
@@ -286,13 +286,13 @@ def test_loading_can_be_cancelled_and_leaves_what_is_open(
     desk = open_desk()
     before = desk.trained(2)
 
-    def slow(path: object, options: object, progress: Callable[[str, int, int], None]) -> None:
+    def slow(path: object, options: object, progress: Callable[[str, int, int], None], *_: object) -> None:
         for done in range(100_000):
             time.sleep(0.01)
             progress("loading photos", done, 100_000)
 
     with monkeypatch.context() as patch:
-        patch.setattr("nerf_core.live.run.load_scene", slow)
+        patch.setattr("nerf_core.live.run.open_capture", slow)
         desk.send(OpenScene(None, desk.settings))
         desk.until(lambda s: s.loading.startswith("loading photos"))
         desk.send(CancelLoading())

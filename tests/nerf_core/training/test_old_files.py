@@ -26,7 +26,7 @@ def demo() -> Scene:
 
 @pytest.mark.parametrize("method", METHODS)
 def test_an_old_run_continues(method: str, demo: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nerf_core.training.run_folder.load_scene", lambda *_: demo)  # loaded once for all methods
+    monkeypatch.setattr("nerf_core.training.run_folder.open_capture", lambda *_: demo)  # loaded once for all methods
     run = RunFolder(shutil.copytree(FILES / method, tmp_path / method))
     trainer, _ = run.restore()
     assert (trainer.method_name, trainer.step_count, trainer.seed) == (method, 12, 3)

@@ -222,8 +222,7 @@ def test_another_method_starts_over_after_a_question(screen: Screen) -> None:
 
 
 def test_what_cannot_be_opened_forgets_nothing_and_is_not_asked_about(screen: Screen, tmp_path: Path) -> None:
-    """A folder of photos without poses, say. The worker says what is wrong."""
-    (tmp_path / "1.png").write_bytes(b"photo")
+    """An empty folder, say. The worker says what is wrong."""
     panel, state = PANELS.get("scene")(), make_state(make_snapshot("paused"))
     state.open_path = str(tmp_path)
     (opening,) = screen.click(panel, state, "scene.open")
