@@ -8,6 +8,10 @@ from nerf_core.common.language import marked, phrase, phrases
 
 FEW_FEATURES = 300  # of some thousands that a sharp photo with texture has
 OVERLAP = 30  # verified matches: COLMAP registers no photo with fewer
+ALIKE = marked(
+    "Sides that look alike were taken for one. Therefore only photos that follow one another were matched: their names "
+    "must be in the order in which they were taken."
+)
 SOME = 0.2  # a smaller share of lost photos needs no advice: their own reasons say enough
 MOST = 0.5  # more than this share of photos is "most"
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from PIL import ExifTags, Image
 
-from nerf_core.captures.advice import reason, summary, too_few
+from nerf_core.captures.advice import ALIKE, reason, summary, too_few
 from nerf_core.captures.raw_photos import RawPhotos
 from nerf_core.captures.records import COPYING, STAGES, Growing, PoseOptions, PoseProgress
 from nerf_core.captures.video_frames import write_frames
@@ -33,7 +33,7 @@ from nerf_core.common.names import printable
 from nerf_core.common.text import counted, duration
 from nerf_core.datasets.images import UnreadableError, measure, read_photo
 
-FORMAT = 1  # of poses.json
+FORMAT = 2  # of poses.json
 PROGRAM = Path(__file__).with_name("sfm_program.py")
 DONE = "poses.json"
 WORK = ".work-"  # of the folder of one search; two may go on at once
@@ -66,7 +66,7 @@ class Posed:
     unplaced: those without a pose, each with the reason.
     error: the mean distance between points and where photos show them, in pixels of the copies.
     points: of the sparse model.
-    advice: what to photograph instead; empty if every photo has a pose.
+    advice: what to photograph instead, or what was odd; empty: nothing.
     seconds: that it took.
     again: whether it was found from before.
     """
@@ -84,7 +84,7 @@ class Posed:
     def notes(self) -> tuple[str, ...]:
         """Return what to tell the user of the photos that have no pose."""
         if not self.unplaced:
-            return ()
+            return tuple(filter(None, [self.advice]))
         listed = "; ".join(f"{name}: {why}" for name, why in self.unplaced[:3])
         more = "" if len(self.unplaced) <= 3 else phrase("; {n} more", n=len(self.unplaced) - 3)
         return (
@@ -412,8 +412,9 @@ def _judged(job: _Job, result: dict[str, Any], folder: Path, seconds: float) -> 
     ]
     damaged = [Path(text.split(":")[0]).name for text in job.damaged]
     lost += [(name, marked("it cannot be read")) for name in damaged]
+    words = summary(result) or (ALIKE if result["folded"][0] else "")
     return Posed(
-        folder, (*job.names, *damaged), tuple(lost), result["error"], result["points"], summary(result), seconds
+        folder, (*job.names, *damaged), tuple(lost), result["error"], result["points"], words, seconds
     )  # fmt: skip
 
 

@@ -34,6 +34,11 @@ WORDS = 64  # of the vocabulary for `resemblance`: a VLAD of 64 words tells scen
 SAMPLED = 40_000  # descriptors that the vocabulary is made of
 ROUNDS = 8  # of k-means: the words hardly move any more
 PANORAMIC = (5, 6)  # COLMAP's two-view configurations "panoramic" and "planar or panoramic": turned, not moved
+PAIR_BASE = 2147483647  # COLMAP's pair_id is id1 · (2³¹ − 1) + id2
+STRONG = 100  # verified matches that chance does not make
+CANNOT_MATCH = 75.0  # degrees between two views of one surface: SIFT matches up to some 50
+IN_ORDER = 10  # photos that follow one another, when only those are matched
+MOSTLY = 0.9  # of the photos: fewer are not worth a way without jumps
 LEAST_MODEL = 3  # photos; COLMAP's 10 would give up small captures
 
 
@@ -61,6 +66,13 @@ def main(folder: Path) -> None:
     _features(pycolmap, task)
     found = _matches(pycolmap, task)
     models = _map(pycolmap, task)
+    folded = bool(models) and _folded(models[0], task)
+    if folded:
+        _unfold(pycolmap, task)
+        again = _map(pycolmap, task)
+        models = again if again and again[0].num_reg_images() >= MOSTLY * models[0].num_reg_images() else models
+        folded = models is again
+    found["folded"] = np.array([folded])
     _write(pycolmap, task, models, found)
 
 
@@ -159,8 +171,7 @@ def _known(task: dict[str, Any]) -> dict[str, np.ndarray]:
         for number, rows in base.execute("SELECT image_id, rows FROM keypoints"):
             features[ids[number]] = rows
         for pair, rows, config in base.execute("SELECT pair_id, rows, config FROM two_view_geometries"):
-            # COLMAP's pair_id is id1 · (2³¹ − 1) + id2
-            i, j = ids[pair // 2147483647], ids[pair % 2147483647]
+            i, j = ids[pair // PAIR_BASE], ids[pair % PAIR_BASE]
             best[[i, j]] = np.maximum(best[[i, j]], rows)
             if rows:
                 fits[[i, j]] += 1
@@ -215,6 +226,36 @@ def _picture(model: Any) -> None:
 def _c2w(pose: np.ndarray) -> np.ndarray:
     """World to camera (3, 4) in OpenCV's axes → camera to world in OpenGL's."""
     return np.column_stack([pose[:, :3].T * (1, -1, -1), -pose[:, :3].T @ pose[:, 3]])
+
+
+def _folded(model: Any, task: dict[str, Any]) -> bool:
+    """Whether photos that follow one another, and match well, look in directions that cannot match.
+
+    Two sides of a thing that look alike match one another. The mapper then puts the photos of both on one side, and the
+    way of the camera, which was smooth, jumps to the other side and back.
+    """
+    axes = {image.name: image.cam_from_world().matrix()[2, :3] for image in model.images.values() if image.has_pose}
+    place = {name: k for k, name in enumerate(task["copies"])}
+    with sqlite3.connect("file:database.db?mode=ro", uri=True) as base:
+        names = dict(base.execute("SELECT image_id, name FROM images"))
+        rows = base.execute("SELECT pair_id, rows FROM two_view_geometries WHERE rows >= ?", (STRONG,)).fetchall()
+    for pair, _ in rows:
+        a, b = names[pair // PAIR_BASE], names[pair % PAIR_BASE]
+        near = abs(place[a] - place[b]) == 1
+        if near and a in axes and b in axes and float(axes[a] @ axes[b]) < np.cos(np.radians(CANNOT_MATCH)):
+            return True
+    return False
+
+
+def _unfold(pycolmap: Any, task: dict[str, Any]) -> None:
+    """Forget the matches of photos that do not nearly follow one another: what looks alike elsewhere may be the other
+    side."""
+    with pycolmap.Database.open("database.db") as base:
+        ids = {image.name: image.image_id for image in base.read_all_images()}
+        order = [ids[name] for name in task["copies"]]
+        for i, j in itertools.combinations(range(len(order)), 2):
+            if j - i > IN_ORDER and base.exists_two_view_geometry(order[i], order[j]):
+                base.delete_two_view_geometry(order[i], order[j])
 
 
 # ---- the result --------------------------------------------------------------------------------------------------
