@@ -31,7 +31,8 @@ from nerf_core.common.files import write_atomically
 from nerf_core.common.language import marked, phrase
 from nerf_core.common.names import printable
 from nerf_core.common.text import counted, duration
-from nerf_core.datasets.images import UnreadableError, measure, read_photo
+from nerf_core.common.user_paths import absolute
+from nerf_core.datasets.images import BROKEN, UnreadableError, measure, read_photo
 
 FORMAT = 2  # of poses.json
 PROGRAM = Path(__file__).with_name("sfm_program.py")
@@ -106,8 +107,8 @@ def pose_folder(raw: RawPhotos, options: PoseOptions) -> Path:
     """Return the folder in the cache where the poses of these photos lie, or will lie."""
     import platformdirs
 
-    key = f"{raw.key()}-{options.quality}" + (f"-{options.frames}" if raw.video is not None else "")
-    return platformdirs.user_cache_path("nerf-viewer") / "poses" / key / (printable(raw.name) or "photos")
+    name = printable(raw.name)[:60] or "photos"  # of at most 255 bytes
+    return platformdirs.user_cache_path("nerf-viewer") / "poses" / _key(raw, options) / name
 
 
 def find_poses(raw: RawPhotos, out: Path | None, options: PoseOptions, progress: Progress) -> Posed:
@@ -127,31 +128,46 @@ def find_poses(raw: RawPhotos, out: Path | None, options: PoseOptions, progress:
             Nothing of the result is left then.
     """
     check(raw, options)
-    folder = pose_folder(raw, options) if out is None else out
-    key = f"{raw.key()}-{options.quality}-{options.frames}"
+    folder = pose_folder(raw, options) if out is None else absolute(out)
+    key = _key(raw, options)
     known = _known(folder, key)
     if known is not None:
         return known
-    if folder.is_dir() and not (folder / DONE).exists() and any(f for f in folder.iterdir() if WORK not in f.name):
-        raise UserError(f"{folder} is not empty: name a new folder")
+    if out is not None:
+        _must_be_free(folder, raw)
     begun = time.monotonic()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder, prefix=WORK) as scratch:
             work = Path(scratch)
-            job = _Job(raw, options, work, progress)
+            job = _Job(raw, options, work, progress, started=begun)
             job.prepare()
             result = job.run()
             posed = _judged(job, result, folder, time.monotonic() - begun)
             if (other := _known(folder, key)) is not None:
                 return other  # of a search that ended first
             _keep(job, posed, folder, key)
-    except BaseException as error:
+    except OSError as error:
+        where = error.filename or folder
+        raise UserError(f"{where}: {error.strerror or error}: check its rights and the space on its disk") from error
+    finally:
         _remove_if_empty(folder)
-        if isinstance(error, OSError):
-            raise UserError(f"{folder}: {error.strerror or error}: choose another folder with --out") from error
-        raise
     return posed
+
+
+def _key(raw: RawPhotos, options: PoseOptions) -> str:
+    """What a result depends on."""
+    return f"{raw.key()}-{options.quality}" + (f"-{options.frames}" if raw.video is not None else "")
+
+
+def _must_be_free(folder: Path, raw: RawPhotos) -> None:
+    """Raise UserError if a folder that the user named has something in it, or has to do with the photos' folder."""
+    own = folder.resolve()
+    for theirs in {raw.root.resolve(), raw.source.resolve()}:
+        if own == theirs or own in theirs.parents or theirs in own.parents:
+            raise UserError(f"{folder} holds the photos or lies among them: name another folder")
+    if folder.exists() and (not folder.is_dir() or any(f for f in folder.iterdir() if not f.name.startswith(WORK))):
+        raise UserError(f"{folder} is not empty: name a new folder")
 
 
 def check(raw: RawPhotos, options: PoseOptions) -> None:
@@ -183,9 +199,10 @@ class _Job:
     tell: Progress
     photos: tuple[Path, ...] = ()  # the originals
     names: list[str] = field(default_factory=list)  # of the originals, below `images`
-    damaged: list[str] = field(default_factory=list)
+    damaged: list[tuple[str, str]] = field(default_factory=list)  # names, and what is wrong
     state: PoseProgress = field(default_factory=lambda: PoseProgress(""))
     begun: float = 0.0  # the time at which the stage began
+    started: float = 0.0  # the time at which the search began
 
     @property
     def images(self) -> Path:
@@ -211,13 +228,13 @@ class _Job:
             try:
                 size, lens = self._copy(photo, side, k, groups)
             except UnreadableError as error:
-                self.damaged.append(str(error))
+                self.damaged.append((photo.relative_to(self.images).as_posix(), str(error)))
                 continue
             sizes.append(size)
             copies.append(lens)
             self.names.append(photo.relative_to(self.images).as_posix())
         if few := too_few(len(self.names)):
-            raise UserError(f"{self.raw.source} has {few} that can be read ({self.damaged[0]})")
+            raise UserError(f"{self.raw.source} has {few} that can be read ({self.damaged[0][1]})")
         video = self.raw.video is not None
         task: dict[str, Any] = {
             "names": self.names, "sizes": sizes, "copies": copies, "side": side, "features": features, "octave": octave,
@@ -236,7 +253,7 @@ class _Job:
         small = max(1, round(size[0] * scale)), max(1, round(size[1] * scale))
         pixels = read_photo(photo, small, (0.0, 0.0, 0.0), upright=True)
         made_by, focal = _camera_of(photo)
-        group = groups.setdefault((*small, made_by, focal), len(groups))
+        group = groups.setdefault((*size, made_by, focal), len(groups))
         name = f"{group}/{k:06d}.jpg"
         file = self.work / "photos" / name
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -280,8 +297,8 @@ class _Job:
             said = errors.decode("utf-8", "replace").strip().splitlines()
             why = said[-1] if child.returncode > 0 and said else f"crash {child.returncode}"
             raise UserError(
-                f"{self.raw.source}: finding poses failed while {self.state.stage} ({shorten(why, 200)}): try "
-                "--quality fast, or fewer photos"
+                f"{self.raw.source}: finding poses failed while {self.state.stage} ({shorten(why, 200)}): look "
+                "less carefully (fast), or take fewer photos"
             )
         return json.loads(result.read_text("utf-8"))
 
@@ -289,7 +306,7 @@ class _Job:
         """Read what the program says until it ends; returns its standard error."""
         assert child.stdout is not None
         assert child.stderr is not None
-        begun = heard = looked = time.monotonic()
+        heard = looked = time.monotonic()
         limit = self.options.memory_gb * 1e9 or MEMORY_SHARE * free_memory()
         lines, errors = b"", b""
         with selectors.DefaultSelector() as selector:
@@ -312,14 +329,16 @@ class _Job:
                     looked = time.monotonic()
                     heard = looked if self._look() else heard
                 self.tell(self.state)
-                self._check_limits(child.pid, begun, heard, limit)
+                self._check_limits(child.pid, heard, limit)
         child.wait()
         return errors
 
     def _hear(self, line: bytes) -> None:
         said = json.loads(line)
         if said["stage"] == "poses":
-            self.state = replace(self.state, placed=said["done"], growing=_growing(self.work / "growing.npz"))
+            self.state = replace(
+                self.state, placed=max(said["done"], self.state.placed), growing=_growing(self.work / "growing.npz")
+            )
         self._stage(STAGES[said["stage"]], said["done"], said["total"])
 
     def _look(self) -> bool:
@@ -339,17 +358,20 @@ class _Job:
             self._stage(self.state.stage, done, self.state.total)
         return more
 
-    def _check_limits(self, pid: int, begun: float, heard: float, limit: float) -> None:
+    def _check_limits(self, pid: int, heard: float, limit: float) -> None:
         now, where = time.monotonic(), f"{self.raw.source}: finding poses was stopped while {self.state.stage}"
-        if now - begun > 60 * self.options.minutes:
-            raise UserError(f"{where}: it reached --minutes {self.options.minutes:g}: raise it, or take --quality fast")
+        if now - self.started > 60 * self.options.minutes:
+            raise UserError(
+                f"{where}: its {self.options.minutes:g} minutes are over: look less carefully (fast), or raise "
+                "the limit with `nerf-core pose --minutes`"
+            )
         if now - heard > STALLED and self.state.stage != STAGES["poses"]:
-            raise UserError(f"{where}: nothing happened for {duration(STALLED)}: try --quality fast, or fewer photos")
+            raise UserError(f"{where}: nothing happened for {duration(STALLED)}: take fewer photos")
         used = _memory_of(pid)
         if used > limit:
             raise UserError(
-                f"{where}: it took {used / 1e9:.1f} GB of memory, {limit / 1e9:.1f} are allowed: raise --memory-gb, or "
-                "take --quality fast or fewer photos"
+                f"{where}: it took {used / 1e9:.1f} GB of memory, {limit / 1e9:.1f} are allowed: look less "
+                "carefully (fast), take fewer photos, or raise the limit with `nerf-core pose --memory-gb`"
             )
 
 
@@ -364,7 +386,7 @@ def _camera_of(photo: Path) -> tuple[str, int]:
             focal = float(lens.get(ExifTags.Base.FocalLengthIn35mmFilm, 0) or 0)
             names = [str(exif.get(tag, ""))[:100] for tag in (ExifTags.Base.Make, ExifTags.Base.Model)]
             return "/".join(names), round(focal) if 1 <= focal <= 2000 else 0
-    except (OSError, SyntaxError, ValueError, TypeError, KeyError, ArithmeticError):
+    except (*BROKEN, AttributeError, ArithmeticError):
         return "", 0  # a damaged tag costs nothing but its focal length
 
 
@@ -410,7 +432,7 @@ def _judged(job: _Job, result: dict[str, Any], folder: Path, seconds: float) -> 
         for i in range(len(job.names))
         if i not in placed
     ]
-    damaged = [Path(text.split(":")[0]).name for text in job.damaged]
+    damaged = [name for name, _ in job.damaged]
     lost += [(name, marked("it cannot be read")) for name in damaged]
     words = summary(result) or (ALIKE if result["folded"][0] else "")
     return Posed(
@@ -433,8 +455,8 @@ def _keep(job: _Job, posed: Posed, folder: Path, key: str) -> None:
     else:
         _link(folder / "images", job.raw.root, job.photos)
     description = {
-        "format": FORMAT, "key": key, "names": posed.names, "unplaced": posed.unplaced, "error": posed.error,
-        "points": posed.points, "advice": posed.advice, "seconds": posed.seconds,
+        "format": FORMAT, "key": key, "upright": True, "names": posed.names, "unplaced": posed.unplaced,
+        "error": posed.error, "points": posed.points, "advice": posed.advice, "seconds": posed.seconds,
     }  # fmt: skip
     write_atomically(folder / DONE, json.dumps(description))
 

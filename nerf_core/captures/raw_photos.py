@@ -9,9 +9,10 @@ from pathlib import Path
 
 from nerf_core.common.assets import assets_dir
 from nerf_core.common.errors import UserError
+from nerf_core.common.user_paths import absolute
 from nerf_core.datasets.capture import DATASETS
 from nerf_core.datasets.images import SUFFIXES
-from nerf_core.datasets.photo_folders import photo_folders, photos_below
+from nerf_core.datasets.photo_folders import MASK_END, photo_folders
 
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".3gp")
 
@@ -44,27 +45,58 @@ class RawPhotos:
 
 
 def raw_photos(path: Path | None) -> RawPhotos | None:
-    """Return what a path holds that has no poses; None if some format of captures reads it, or it holds no photo.
+    """Return what a path holds that has no poses; None: a format reads it, or it has no photo.
 
-    In a folder, the photos themselves count first, then those in images, then those in any folder below it. A folder
-    without photos but with one video is that video.
+    In a folder, the photos themselves count first, then those in images, then those in all folders directly below. A
+    folder without photos but with one video is that video. Masks and hidden files are no photos.
+    Raises UserError for a folder that cannot be read, and for one with several videos.
     """
     if path is None or path == assets_dir():
         return None
+    path = absolute(path)
+    try:
+        return _found(path)
+    except OSError as error:
+        raise UserError(f"{path}: {error.strerror or error}: check the folder and its rights") from error
+
+
+def _found(path: Path) -> RawPhotos | None:
     if path.is_file():
         return RawPhotos(path, path.parent, (), path) if path.suffix.lower() in VIDEOS else None
-    if not path.is_dir() or any(DATASETS.get(name).matches(path) for name in DATASETS.names()):
+    if not path.is_dir() or _is_capture(path):
         return None
-    photos = tuple(sorted(f for f in path.iterdir() if f.suffix.lower() in SUFFIXES and not f.name.startswith(".")))
-    root = path
+    photos, root = _photos(path), path
     if not photos:
+        inside = [f for f in sorted(path.iterdir()) if f.is_dir() and not f.name.startswith((".", "__", "mask"))]
+        if any(map(_is_capture, inside)):
+            return None  # that capture is meant, and the error says so
         folders = photo_folders(path)
-        root = folders[0].path if folders and folders[0].files else path
-        photos = folders[0].files if folders and folders[0].files else photos_below(path)
+        if folders and folders[0].files:
+            root, photos = folders[0].path, tuple(f for f in folders[0].files if f.is_file())
+        else:
+            photos = tuple(photo for folder in inside for photo in _photos(folder))
     if photos:
-        return RawPhotos(path, root, tuple(p.absolute() for p in photos))
-    videos = [f for f in path.iterdir() if f.suffix.lower() in VIDEOS and not f.name.startswith(".")]
+        return RawPhotos(path, root, photos)
+    videos = [f for f in path.iterdir() if f.suffix.lower() in VIDEOS and not f.name.startswith(".") and f.is_file()]
     if len(videos) > 1:
         names = ", ".join(sorted(f.name for f in videos)[:5])
         raise UserError(f"{path} holds {len(videos)} videos ({names}): name one of them")
     return RawPhotos(path, path, (), videos[0]) if videos else None
+
+
+def _is_capture(path: Path) -> bool:
+    return any(DATASETS.get(name).matches(path) for name in DATASETS.names())
+
+
+def _photos(folder: Path) -> tuple[Path, ...]:
+    """The photos directly in a folder, sorted by name."""
+    return tuple(
+        sorted(
+            f
+            for f in folder.iterdir()
+            if f.suffix.lower() in SUFFIXES
+            and not f.name.startswith(".")
+            and not f.name.lower().endswith(MASK_END)
+            and f.is_file()
+        )
+    )

@@ -23,6 +23,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -42,9 +43,12 @@ MOSTLY = 0.9  # of the photos: fewer are not worth a way without jumps
 LEAST_MODEL = 3  # photos; COLMAP's 10 would give up small captures
 
 
+SAID = os.dup(1)  # to the parent alone: what libraries print on standard output goes to standard error
+
+
 def say(**values: object) -> None:
     """Tell the parent, on a line of its own."""
-    print(json.dumps(values), flush=True)  # noqa: T201  the parent reads it
+    os.write(SAID, json.dumps(values).encode() + b"\n")
 
 
 def main(folder: Path) -> None:
@@ -56,6 +60,7 @@ def main(folder: Path) -> None:
     pairs, near: "all", "video" or "alike", and how many others a photo is matched with then.
     threads, seed: for pycolmap.
     """
+    os.dup2(2, 1)
     threading.Thread(target=_die_with_parent, daemon=True).start()
     os.chdir(folder)  # pycolmap takes no path that is not UTF-8
     task = json.loads(Path("task.json").read_text("utf-8"))
@@ -220,7 +225,8 @@ def _picture(model: Any) -> None:
     colors = np.array([every[k].color for k in chosen], np.uint8).reshape(-1, 3)
     with open("growing.tmp", "wb") as file:
         np.savez(file, poses=poses.astype(np.float32), points=points, colors=colors)
-    Path("growing.tmp").replace("growing.npz")
+    with suppress(OSError):  # where the parent has it open, some systems refuse
+        Path("growing.tmp").replace("growing.npz")
 
 
 def _c2w(pose: np.ndarray) -> np.ndarray:
@@ -273,7 +279,7 @@ def _write(pycolmap: Any, task: dict[str, Any], models: list[Any], found: dict[s
         placed = [place[image.name] for image in model.images.values() if image.has_pose]
         _restore_sizes(model, task, place)
         for image in model.images.values():
-            image.name = names[place[image.name]]
+            image.name = os.fsencode(names[place[image.name]])  # as the system names it, in UTF-8 or not
         Path("sparse/0").mkdir(parents=True, exist_ok=True)
         model.write("sparse/0")
     result["placed"] = sorted(placed)

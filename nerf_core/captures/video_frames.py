@@ -15,6 +15,7 @@ from nerf_core.common.language import marked
 
 SMALL = 192  # the longer side of the frames that are looked at: motion and blur show at this size
 PER_SECOND, FEWEST, MOST = 3.0, 30, 120  # frames that are taken: as many as fit the time, between these bounds
+LEAST_TILE = 8  # pixels: a narrower picture shows no motion
 STILL = 0.004  # of the picture's side: a smaller motion between two frames is noise
 LONGEST = 3600.0  # seconds of video
 LOOKING, WRITING = marked("looking at frames"), marked("writing frames")
@@ -106,6 +107,8 @@ def motion(a: np.ndarray, b: np.ndarray) -> float:
     The median over 3 × 3 tiles of the shift with the best phase correlation (Kuglin and Hines, 1975).
     """
     high, wide = (side // 3 for side in a.shape)
+    if min(high, wide) < LEAST_TILE:
+        return 0.0
     window = np.outer(np.hanning(high), np.hanning(wide))
     shifts = []
     for y in range(3):
@@ -124,7 +127,7 @@ def _length(video: Path) -> tuple[int, float]:
     import imageio_ffmpeg
 
     try:
-        frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(video))
+        frames, seconds = imageio_ffmpeg.count_frames_and_secs(f"file:{video.absolute()}")
         return int(frames or 0), float(seconds or 0.0)
     except (OSError, RuntimeError, ValueError, subprocess.SubprocessError) as error:
         raise UserError(f"{video} cannot be read as a video: convert it to MP4") from error
@@ -135,8 +138,18 @@ def _frames(video: Path, color: bool, side: int | None) -> Iterator[np.ndarray]:
     import imageio_ffmpeg
 
     # Each frame as a PPM or PGM file, which says its size. passthrough: each once, also where their times are uneven.
-    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-i", f"file:{video.absolute()}", "-an"]
+    command = [
+        imageio_ffmpeg.get_ffmpeg_exe(),
+        "-v",
+        "error",
+        "-protocol_whitelist",
+        "file",
+        "-i",
+        f"file:{video.absolute()}",
+        "-an",
+    ]
     command += ["-fps_mode", "passthrough", "-f", "image2pipe", "-vcodec", "ppm" if color else "pgm"]
+    command += ["-pix_fmt", "rgb24" if color else "gray"]  # 10 bits, as phones film in HDR, become 8
     command += [] if side is None else ["-vf", f"scale={side}:{side}:force_original_aspect_ratio=decrease"]
     command += ["-"]
     child = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
@@ -144,7 +157,7 @@ def _frames(video: Path, color: bool, side: int | None) -> Iterator[np.ndarray]:
     try:
         while (head := child.stdout.readline()) in (b"P5\n", b"P6\n"):
             width, height = map(int, child.stdout.readline().split())
-            child.stdout.readline()  # the largest value: 255
+            assert child.stdout.readline() == b"255\n"  # the largest value
             channels = 3 if head == b"P6\n" else 1
             data = child.stdout.read(width * height * channels)
             if len(data) < width * height * channels:

@@ -21,8 +21,11 @@ FOLD_PIXELS = 0.5  # how far off a pixel may be after undistortion and distortio
 def fitted(photo: Photo, header: Header) -> bool:
     """Return whether the photo must be rotated by its EXIF orientation to have the shape of its calibration.
 
-    The pixels as stored are tried first, because most tools calibrate those. Raises UserError if neither shape fits.
+    Of a calibration that says that it is of the upright photo, that is so. Otherwise the pixels as stored are tried
+    first, because most tools calibrate those. Raises UserError if neither shape fits.
     """
+    if photo.upright:
+        return header.orientation != 1
     stated = photo.camera.width / photo.camera.height
     if abs(stated * header.height / header.width - 1) <= ASPECT_TOLERANCE:
         return False

@@ -53,12 +53,14 @@ class Photo:
     camera: calibration and pose in the input's world frame, with OpenGL camera axes. Its pixels are those of the size
         that the input states; where the input states none, of the size that `images.measure` finds in the file.
     mask: the file that says which pixels count, 0 where they do not. None: one of the usual places is looked up.
+    upright: whether the camera is certainly that of the photo as its EXIF orientation turns it.
     """
 
     name: str
     path: Path
     camera: Camera
     mask: Path | None = None
+    upright: bool = False
 
 
 @dataclass(frozen=True)

@@ -143,7 +143,10 @@ def _sized(
                 stored=rotated - sum(upright),
             )
         )
-    shapes = [(h.height, h.width) if turn else (h.width, h.height) for h, turn in zip(headers, upright, strict=True)]
+    shapes = [
+        (h.height, h.width) if turn and h.orientation >= 5 else (h.width, h.height)
+        for h, turn in zip(headers, upright, strict=True)
+    ]  # 2, 3 and 4 keep the shape
     downscale = max(
         1.0, options.downscale / capture.reduced
     )  # the folder may hold smaller photos than the user asked for
@@ -173,7 +176,7 @@ def _sized(
 def _refuse_heavy(capture: Capture, headers: Sequence[Header], upright: Sequence[bool], options: LoadOptions) -> None:
     """Raise UserError if reading a photo would take more than the photos may. Heavy ones are read one at a time."""
     for photo, header, turn in zip(capture.photos, headers, upright, strict=True):
-        shape = (header.width, header.height) if turn else (header.height, header.width)
+        shape = (header.width, header.height) if turn and header.orientation >= 5 else (header.height, header.width)
         memory = header.memory.peak(shape, (photo.camera.width, photo.camera.height))
         if memory > max(options.memory_gb * 1e9, HEAVY_BYTES):
             raise UserError(

@@ -38,7 +38,10 @@ def with_masks(capture: Capture) -> Capture:
     if capture.synthetic:
         return capture
     known: dict[Path, bool] = {}
-    photos = tuple(p if p.mask is not None else replace(p, mask=_beside(p.path, known)) for p in capture.photos)
+    photos = tuple(
+        p if p.mask is not None else replace(p, mask=_beside(p.path, known) or _beside(p.path.resolve(), known))
+        for p in capture.photos
+    )
     return replace(capture, photos=photos)
 
 

@@ -20,7 +20,7 @@ FIELD_OF_VIEW = math.radians(50.0)
 AWAY = 1.6  # of what encloses most cameras: they then fill the picture
 FRUSTUM = 0.09  # depth of a camera's pyramid, in the same unit
 SPLAT = 2  # pixels of a point's side
-DIM = 150  # the least grey of a point: dark ones would not show on the dark ground
+DIM = 50  # the least grey of a point: dark ones would not show on the dark ground
 
 
 class GrowingModel:
@@ -87,7 +87,7 @@ def splats(model: Growing, camera: Camera) -> np.ndarray:
         column, row = np.floor(pixels[order]).astype(int).T
         seen = (depth[order] > 0) & (column >= 0) & (column < camera.width - SPLAT)
         seen &= (row >= 0) & (row < camera.height - SPLAT)
-        colors = np.maximum(model.colors[order][seen], DIM // 3)
+        colors = np.maximum(model.colors[order][seen], DIM)
         for dy in range(SPLAT):
             for dx in range(SPLAT):
                 picture[row[seen] + dy, column[seen] + dx, :3] = colors

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import subprocess
 import sys
 import tempfile
@@ -22,6 +23,7 @@ from nerf_core.datasets.photo_paths import find_photos, photo_name
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.lens import FISHEYE, PERSPECTIVE, Lens
 
+MOST_TEXT = 50_000_000  # of poses.json, with the names of a hundred thousand photos
 READ_SECONDS = 60.0  # a model of ten thousand photos takes about twenty
 LENSES = {  # {camera model: its parameters in COLMAP's order}; f stands for both focal lengths
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
@@ -61,11 +63,12 @@ class Colmap:
         cameras = [_camera(model, i, folder) for i in range(len(names))]
         place, photo_notes = _photo_folder(root, folder, names, options.downscale)
         found = find_photos(place.path, names, folder)
+        upright = _of_upright_photos(root)
         home = place.path.parent if place.path != root else root
         return Capture(
             format="colmap",
             photos=tuple(
-                Photo(photo_name(home, file), file, camera)
+                Photo(photo_name(home, file), file, camera, upright=upright)
                 for file, camera in zip(found.paths, cameras, strict=True)
                 if file is not None
             ),
@@ -73,6 +76,15 @@ class Colmap:
             reduced=place.reduced,
             notes=(*notes, *photo_notes, *found.notes),
         )
+
+
+def _of_upright_photos(root: Path) -> bool:
+    """Whether the model is of photos turned by their EXIF orientation: `nerf-core pose` says so in poses.json."""
+    try:
+        text = (root / "poses.json").read_text("utf-8")
+        return len(text) < MOST_TEXT and json.loads(text).get("upright") is True
+    except (OSError, ValueError, AttributeError, RecursionError):
+        return False
 
 
 def _largest(root: Path) -> tuple[Path, tuple[str, ...]]:

@@ -140,7 +140,8 @@ def test_a_video_is_read_where_the_camera_moved(tmp_path: Path, monkeypatch: pyt
     video = tmp_path / "film.mp4"
     moving = [textured_photos.picture(camera) for camera in textured_photos.arc(30)]
     pictures = [*moving[:15], *[moving[15]] * 40, *moving[15:]]  # it stands still for a while
-    imageio.mimwrite(video, pictures, fps=15, quality=9, macro_block_size=1)  # pyright: ignore[reportCallIssue, reportArgumentType]: the stubs lack the options of ffmpeg
+    ten_bits = ["-pix_fmt", "yuv420p10le"]  # as phones film in HDR
+    imageio.mimwrite(video, pictures, fps=15, quality=9, macro_block_size=1, output_params=ten_bits)  # pyright: ignore[reportCallIssue, reportArgumentType]: the stubs lack the options of ffmpeg
     posed = find_poses(of(video), None, FAST, quiet)
     assert 8 <= len(posed.names) <= 12
     assert not posed.unplaced
@@ -187,7 +188,7 @@ PROGRAMS = {
     "takes all memory": (
         "import time; a = bytearray(400_000_000); time.sleep(60)", PoseOptions("fast", memory_gb=0.2), "memory"
     ),
-    "takes too long": ("import time; time.sleep(60)", PoseOptions("fast", minutes=0.005), "--minutes 0.005"),
+    "takes too long": ("import time; time.sleep(60)", PoseOptions("fast", minutes=0.005), "minutes are over"),
     "is killed": ("import os; os.kill(os.getpid(), 9)", FAST, "crash -9"),
     "fails": ("raise SystemExit('no luck')", FAST, "no luck"),
     "says nothing": ("", FAST, "crash 0"),
@@ -248,7 +249,54 @@ def test_a_folder_with_something_in_it_is_left_alone(tmp_path: Path) -> None:
     assert files(tmp_path / "out") == ["mine.txt"]
 
 
+def test_the_users_own_folders_are_never_written_to(tmp_path: Path) -> None:
+    folder = textured_photos.write(tmp_path / "mine" / "images", textured_photos.arc(3))
+    (tmp_path / "mine" / "poses.json").write_text("{}")
+    before = files(tmp_path)
+    for out in (folder, folder / "posed", tmp_path / "mine", tmp_path):
+        with pytest.raises(UserError, match="name another folder"):
+            find_poses(of(folder), out, FAST, quiet)
+    assert files(tmp_path) == before
+
+
+def test_photos_of_all_kinds_keep_names_masks_and_the_way_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A name that is not UTF-8, a photo that lies upside down, one of another size, a mask, and a link to nowhere."""
+    monkeypatch.chdir(tmp_path)
+    folder = textured_photos.write(tmp_path / "kinds" / "images", textured_photos.arc())
+    os.rename(folder / "photo 0.png", os.fsencode(folder) + b"/caf\xe9.png")
+    with Image.open(folder / "photo 5.png") as image:
+        exif = Image.Exif()
+        exif[0x0112] = 3
+        image.transpose(Image.Transpose.ROTATE_180).save(folder / "photo 5.jpg", quality=95, exif=exif)
+    (folder / "photo 5.png").unlink()
+    with Image.open(folder / "photo 6.png") as image:
+        image.resize((480, 360), Image.Resampling.LANCZOS).save(folder / "photo 6.png")
+    masks = folder.parent / "masks"
+    masks.mkdir()
+    mask = np.full(textured_photos.SIZE[::-1], 255, np.uint8)
+    mask[:60] = 0
+    Image.fromarray(mask).save(masks / "photo 1.png")
+    (folder / "photo 9.png").symlink_to(tmp_path / "nowhere")
+    (folder / "photo 1.mask.png").symlink_to(masks / "photo 1.png")
+    scene = open_capture(Path("kinds"), LoadOptions(poses="fast"))
+    names = [view.name for view in scene.views]
+    assert names == ["images/caf\\xe9.png", *(f"images/photo {k}.png" for k in (1, 2, 3, 4)), "images/photo 5.jpg",
+                     "images/photo 6.png", "images/photo 7.png"]  # fmt: skip
+    shown = scene.photos.images[5] / 257 - textured_photos.picture(textured_photos.arc()[5])
+    assert np.abs(shown).mean() < 20
+    assert list(scene.photos.masked_photos) == [1]
+    (small, large) = (scene.views[k].camera for k in (4, 6))
+    assert large.fx == pytest.approx(1.5 * small.fx, rel=0.05)
+
+
 class TestRawPhotos:
+    def test_a_folder_of_captures_is_none(
+        self, tmp_path: Path, found: tuple[RawPhotos, Posed, list[PoseProgress]]
+    ) -> None:
+        textured_photos.write(tmp_path / "other", textured_photos.arc(3))
+        (tmp_path / "posed").symlink_to(found[1].folder)
+        assert raw_photos(tmp_path) is None
+
     def test_a_capture_with_poses_is_none(self, found: tuple[RawPhotos, Posed, list[PoseProgress]]) -> None:
         assert raw_photos(found[1].folder) is None
         assert raw_photos(None) is None
