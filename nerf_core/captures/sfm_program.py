@@ -23,7 +23,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -136,7 +136,7 @@ def _pairs(task: dict[str, Any]) -> Iterator[tuple[int, int]]:
 
 def _resemblance(task: dict[str, Any], near: int) -> Iterator[np.ndarray]:
     """For each photo, the `near` others that resemble it most, by VLAD of its SIFT descriptors."""
-    with sqlite3.connect("file:database.db?mode=ro", uri=True) as base:
+    with closing(sqlite3.connect("file:database.db?mode=ro", uri=True)) as base:
         rows = dict(base.execute("SELECT name, data FROM images JOIN descriptors USING (image_id)").fetchall())
     described = [np.frombuffer(rows.get(name, b""), np.uint8).reshape(-1, 128) for name in task["copies"]]
     rng = np.random.default_rng(task["seed"])
@@ -171,7 +171,7 @@ def _known(task: dict[str, Any]) -> dict[str, np.ndarray]:
     count = len(task["copies"])
     place = {name: k for k, name in enumerate(task["copies"])}
     features, best, turned, fits = (np.zeros(count, int) for _ in range(4))
-    with sqlite3.connect("file:database.db?mode=ro", uri=True) as base:
+    with closing(sqlite3.connect("file:database.db?mode=ro", uri=True)) as base:
         ids = {number: place[name] for number, name in base.execute("SELECT image_id, name FROM images")}
         for number, rows in base.execute("SELECT image_id, rows FROM keypoints"):
             features[ids[number]] = rows
@@ -242,7 +242,7 @@ def _folded(model: Any, task: dict[str, Any]) -> bool:
     """
     axes = {image.name: image.cam_from_world().matrix()[2, :3] for image in model.images.values() if image.has_pose}
     place = {name: k for k, name in enumerate(task["copies"])}
-    with sqlite3.connect("file:database.db?mode=ro", uri=True) as base:
+    with closing(sqlite3.connect("file:database.db?mode=ro", uri=True)) as base:
         names = dict(base.execute("SELECT image_id, name FROM images"))
         rows = base.execute("SELECT pair_id, rows FROM two_view_geometries WHERE rows >= ?", (STRONG,)).fetchall()
     for pair, _ in rows:
