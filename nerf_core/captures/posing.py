@@ -1,61 +1,32 @@
-"""Find the poses of photos or of a video's frames, in a process of its own, and keep them as a COLMAP folder."""
+"""Find the poses of photos or of a video's frames, and keep them as a COLMAP folder."""
 
 from __future__ import annotations
 
 import importlib.util
 import json
-import math
-import os
-import selectors
 import shutil
-import sqlite3
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from PIL import ExifTags, Image
-
 from nerf_core.captures.advice import ALIKE, reason, summary, too_few
 from nerf_core.captures.raw_photos import RawPhotos
-from nerf_core.captures.records import COPYING, STAGES, Growing, PoseOptions, PoseProgress
-from nerf_core.captures.video_frames import write_frames
+from nerf_core.captures.records import PoseOptions, PoseProgress
+from nerf_core.captures.search import QUALITIES, Job
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.files import write_atomically
 from nerf_core.common.language import marked, phrase
 from nerf_core.common.names import printable
-from nerf_core.common.text import counted, duration
+from nerf_core.common.text import counted
 from nerf_core.common.user_paths import absolute
-from nerf_core.datasets.images import BROKEN, UnreadableError, measure, read_photo
 
 FORMAT = 2  # of poses.json
-PROGRAM = Path(__file__).with_name("sfm_program.py")
 DONE = "poses.json"
 WORK = ".work-"  # of the folder of one search; two may go on at once
-STALLED = 900.0  # seconds without a sign of life: one pair of photos, or one adjustment of a thousand, takes less
-POLL_SECONDS = 0.1
-LOOK_SECONDS = 0.5  # between looks into the program's database
-TABLES = {"features": "descriptors", "matches": "two_view_geometries"}  # of COLMAP's database, a row each
-MEMORY_SHARE = 0.75  # of the memory that is free, for the program
-COPY_QUALITY = 95  # of JPEG: its artefacts are then below SIFT's noise
-ALL_PAIRS = 120  # photos: up to here every pair is matched, 7,140 of them
-NEAR = 20  # photos that each is matched with above that, and 10 in the order of a video
-NEAR_IN_VIDEO = 10
-SEED = 0
 LEAST_PHOTOS, LEAST_POINTS = 3, 100  # of a model: COLMAP places a photo by 30 points; fewer are chance
-
-# The longer side of the copies, the most features of a photo, and SIFT's first octave: −1 doubles the picture first.
-QUALITIES: dict[str, tuple[int, int, int]] = {
-    "fast": (1000, 2048, 0),
-    "normal": (1600, 4096, 0),
-    "high": (3200, 8192, -1),
-}
 
 
 @dataclass(frozen=True)
@@ -140,7 +111,7 @@ def find_poses(raw: RawPhotos, out: Path | None, options: PoseOptions, progress:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder, prefix=WORK) as scratch:
             work = Path(scratch)
-            job = _Job(raw, options, work, progress, started=begun)
+            job = Job(raw, options, work, progress, started=begun)
             job.prepare()
             result = job.run()
             posed = _judged(job, result, folder, time.monotonic() - begun)
@@ -186,242 +157,10 @@ def check(raw: RawPhotos, options: PoseOptions) -> None:
         raise UserError(f"{raw.source} holds {few}")
 
 
-# ---- one search --------------------------------------------------------------------------------------------------
-
-
-@dataclass
-class _Job:
-    """One search for poses, in the folder `work`."""
-
-    raw: RawPhotos
-    options: PoseOptions
-    work: Path
-    tell: Progress
-    photos: tuple[Path, ...] = ()  # the originals
-    names: list[str] = field(default_factory=list)  # of the originals, below `images`
-    damaged: list[tuple[str, str]] = field(default_factory=list)  # names, and what is wrong
-    state: PoseProgress = field(default_factory=lambda: PoseProgress(""))
-    begun: float = 0.0  # the time at which the stage began
-    started: float = 0.0  # the time at which the search began
-
-    @property
-    def images(self) -> Path:
-        """The folder of the originals."""
-        return self.work / "images" if self.raw.video is not None else self.raw.root
-
-    # ---- photos
-
-    def prepare(self) -> None:
-        """Write the task: small upright copies of the photos, which pycolmap can read whatever the originals are."""
-        self.photos = self.raw.photos
-        if self.raw.video is not None:
-            self.images.mkdir()
-            self.photos = write_frames(self.raw.video, self.images, self.options.frames, self._stage)
-            if few := too_few(len(self.photos)):
-                raise UserError(
-                    f"{self.raw.video} gives {few}: in it the camera hardly moves: film while walking around the object"
-                )
-        side, features, octave = QUALITIES[self.options.quality]
-        sizes, copies, groups = list[tuple[int, int]](), list[str](), dict[tuple[int | str, ...], int]()
-        for k, photo in enumerate(self.photos):
-            self._stage(COPYING, k, len(self.photos))
-            try:
-                size, lens = self._copy(photo, side, k, groups)
-            except UnreadableError as error:
-                self.damaged.append((photo.relative_to(self.images).as_posix(), str(error)))
-                continue
-            sizes.append(size)
-            copies.append(lens)
-            self.names.append(photo.relative_to(self.images).as_posix())
-        if few := too_few(len(self.names)):
-            raise UserError(f"{self.raw.source} has {few} that can be read ({self.damaged[0][1]})")
-        video = self.raw.video is not None
-        task: dict[str, Any] = {
-            "names": self.names, "sizes": sizes, "copies": copies, "side": side, "features": features, "octave": octave,
-            "pairs": "all" if len(copies) <= ALL_PAIRS else "video" if video else "alike",
-            "near": NEAR_IN_VIDEO if video else NEAR, "threads": max(1, os.cpu_count() or 1), "seed": SEED,
-        }  # fmt: skip
-        (self.work / "task.json").write_text(json.dumps(task), "utf-8")
-
-    def _copy(
-        self, photo: Path, side: int, k: int, groups: dict[tuple[int | str, ...], int]
-    ) -> tuple[tuple[int, int], str]:
-        """Write the copy of a photo. Returns the original's upright size and the copy's name below photos/."""
-        header = measure(photo)
-        size = (header.width, header.height) if header.orientation < 5 else (header.height, header.width)
-        scale = min(1.0, side / max(size))
-        small = max(1, round(size[0] * scale)), max(1, round(size[1] * scale))
-        pixels = read_photo(photo, small, (0.0, 0.0, 0.0), upright=True)
-        made_by, focal = _camera_of(photo)
-        group = groups.setdefault((*size, made_by, focal), len(groups))
-        name = f"{group}/{k:06d}.jpg"
-        file = self.work / "photos" / name
-        file.parent.mkdir(parents=True, exist_ok=True)
-        exif = Image.Exif()
-        if focal:  # the focal length that a camera writes is a better start than COLMAP's guess
-            exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = focal
-        Image.fromarray((pixels >> 8).astype(np.uint8)).save(file, quality=COPY_QUALITY, subsampling=0, exif=exif)
-        return size, name
-
-    def _stage(self, stage: str, done: int, total: int) -> None:
-        """Show how far a stage is, with the time that it needs if it goes on as it went."""
-        now = time.monotonic()
-        if stage != self.state.stage:
-            self.begun = now
-        spent = now - self.begun
-        left = spent * (total - done) / done if done and spent > 1 else None
-        self.state = replace(self.state, stage=stage, done=done, total=total, seconds_left=left,
-                             photos=len(self.names) or len(self.photos))  # fmt: skip
-        self.tell(self.state)
-
-    # ---- the program
-
-    def run(self) -> dict[str, Any]:
-        """Run the program on the task. Returns its result. Raises UserError if it fails or reaches a limit."""
-        # -P: this package's files must not be imported as top-level modules
-        command = [sys.executable, "-P", str(PROGRAM), str(self.work.resolve())]
-        # its own session: a Ctrl-C in the terminal is ours to handle
-        child = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
-        )
-        try:
-            errors = self._follow(child)
-        finally:
-            child.kill()
-            child.wait()
-            for stream in (child.stdin, child.stdout, child.stderr):
-                if stream is not None:
-                    stream.close()
-        result = self.work / "result.json"
-        if child.returncode or not result.exists():
-            said = errors.decode("utf-8", "replace").strip().splitlines()
-            why = said[-1] if child.returncode > 0 and said else f"crash {child.returncode}"
-            raise UserError(
-                f"{self.raw.source}: finding poses failed while {self.state.stage} ({shorten(why, 200)}): look "
-                "less carefully (fast), or take fewer photos"
-            )
-        return json.loads(result.read_text("utf-8"))
-
-    def _follow(self, child: subprocess.Popen[bytes]) -> bytes:
-        """Read what the program says until it ends; returns its standard error."""
-        assert child.stdout is not None
-        assert child.stderr is not None
-        heard = looked = time.monotonic()
-        limit = self.options.memory_gb * 1e9 or MEMORY_SHARE * free_memory()
-        lines, errors = b"", b""
-        with selectors.DefaultSelector() as selector:
-            for stream in (child.stdout, child.stderr):
-                os.set_blocking(stream.fileno(), False)
-                selector.register(stream, selectors.EVENT_READ)
-            while selector.get_map():
-                for key, _ in selector.select(POLL_SECONDS):
-                    data = os.read(key.fd, 65536)
-                    if not data:
-                        selector.unregister(key.fileobj)
-                    elif key.fileobj is child.stderr:
-                        errors = (errors + data)[-65536:]
-                    else:
-                        heard = time.monotonic()
-                        *whole, lines = (lines + data).split(b"\n")
-                        for line in whole:
-                            self._hear(line)
-                if time.monotonic() - looked > LOOK_SECONDS:
-                    looked = time.monotonic()
-                    heard = looked if self._look() else heard
-                self.tell(self.state)
-                self._check_limits(child.pid, heard, limit)
-        child.wait()
-        return errors
-
-    def _hear(self, line: bytes) -> None:
-        said = json.loads(line)
-        if said["stage"] == "poses":
-            self.state = replace(
-                self.state, placed=max(said["done"], self.state.placed), growing=_growing(self.work / "growing.npz")
-            )
-        self._stage(STAGES[said["stage"]], said["done"], said["total"])
-
-    def _look(self) -> bool:
-        """Read how many features or matches the program has written. Returns whether there are more than before."""
-        table = next((table for name, table in TABLES.items() if STAGES[name] == self.state.stage), None)
-        if table is None:
-            return False
-        try:
-            with closing(
-                sqlite3.connect(f"{(self.work / 'database.db').as_uri()}?mode=ro", uri=True, timeout=0.05)
-            ) as base:
-                done = min(base.execute(f"SELECT count(*) FROM {table}").fetchone()[0], self.state.total)
-        except sqlite3.Error:
-            return False  # it is being made, or written to
-        more = done > self.state.done
-        if more:
-            self._stage(self.state.stage, done, self.state.total)
-        return more
-
-    def _check_limits(self, pid: int, heard: float, limit: float) -> None:
-        now, where = time.monotonic(), f"{self.raw.source}: finding poses was stopped while {self.state.stage}"
-        if now - self.started > 60 * self.options.minutes:
-            raise UserError(
-                f"{where}: its {self.options.minutes:g} minutes are over: look less carefully (fast), or raise "
-                "the limit with `nerf-core pose --minutes`"
-            )
-        if now - heard > STALLED and self.state.stage != STAGES["poses"]:
-            raise UserError(f"{where}: nothing happened for {duration(STALLED)}: take fewer photos")
-        used = _memory_of(pid)
-        if used > limit:
-            raise UserError(
-                f"{where}: it took {used / 1e9:.1f} GB of memory, {limit / 1e9:.1f} are allowed: look less "
-                "carefully (fast), take fewer photos, or raise the limit with `nerf-core pose --memory-gb`"
-            )
-
-
-def _camera_of(photo: Path) -> tuple[str, int]:
-    """What tells the cameras of photos apart: maker and model, and the focal length in 35 mm film; 0: not known."""
-    if photo.suffix.lower() in (".exr", ".png", ".bmp"):
-        return "", 0
-    try:
-        with Image.open(photo) as image:
-            exif = image.getexif()
-            lens = exif.get_ifd(ExifTags.IFD.Exif)
-            focal = float(lens.get(ExifTags.Base.FocalLengthIn35mmFilm, 0) or 0)
-            names = [str(exif.get(tag, ""))[:100] for tag in (ExifTags.Base.Make, ExifTags.Base.Model)]
-            return "/".join(names), round(focal) if 1 <= focal <= 2000 else 0
-    except (*BROKEN, AttributeError, ArithmeticError):
-        return "", 0  # a damaged tag costs nothing but its focal length
-
-
-def _growing(file: Path) -> Growing | None:
-    try:
-        with np.load(file, allow_pickle=False) as arrays:
-            return Growing(arrays["poses"], arrays["points"], arrays["colors"])
-    except (OSError, ValueError, KeyError):
-        return None  # not there yet
-
-
-def free_memory() -> float:
-    """Return the bytes of memory that programs can still take; infinity where the system does not tell."""
-    try:
-        for line in Path("/proc/meminfo").read_text("ascii").splitlines():
-            if line.startswith("MemAvailable:"):
-                return 1024.0 * int(line.split()[1])
-    except (OSError, ValueError, IndexError):
-        pass
-    return math.inf
-
-
-def _memory_of(pid: int) -> float:
-    """The resident bytes of a process; 0 where the system does not tell."""
-    try:
-        pages = int(Path(f"/proc/{pid}/statm").read_text("ascii").split()[1])
-        return float(pages * os.sysconf("SC_PAGE_SIZE"))
-    except (OSError, ValueError, IndexError):
-        return 0.0
-
-
 # ---- the result --------------------------------------------------------------------------------------------------
 
 
-def _judged(job: _Job, result: dict[str, Any], folder: Path, seconds: float) -> Posed:
+def _judged(job: Job, result: dict[str, Any], folder: Path, seconds: float) -> Posed:
     """Raises UserError with plain words if the photos have no poses."""
     placed = set(result["placed"])
     if len(placed) < LEAST_PHOTOS or result["points"] < LEAST_POINTS:
@@ -440,7 +179,7 @@ def _judged(job: _Job, result: dict[str, Any], folder: Path, seconds: float) -> 
     )  # fmt: skip
 
 
-def _keep(job: _Job, posed: Posed, folder: Path, key: str) -> None:
+def _keep(job: Job, posed: Posed, folder: Path, key: str) -> None:
     """Move the result to its folder; poses.json, which says that it is complete, comes last."""
     (folder / DONE).unlink(missing_ok=True)
     for name in ("sparse", "images"):

@@ -14,7 +14,7 @@ import pytest
 import textured_photos
 from PIL import Image
 
-from nerf_core.captures import posing, video_frames
+from nerf_core.captures import posing, records, search, video_frames
 from nerf_core.captures.opening import open_capture
 from nerf_core.captures.posing import Posed, find_poses
 from nerf_core.captures.raw_photos import RawPhotos, raw_photos
@@ -76,7 +76,7 @@ def test_all_photos_get_their_true_poses(found: tuple[RawPhotos, Posed, list[Pos
 def test_what_is_done_is_told_while_it_is_done(found: tuple[RawPhotos, Posed, list[PoseProgress]]) -> None:
     _, _, told = found
     stages = list(dict.fromkeys(state.stage for state in told if state.stage))
-    assert stages == [posing.COPYING, *posing.STAGES.values()]
+    assert stages == [records.COPYING, *records.STAGES.values()]
     assert all(0 <= state.done <= state.total for state in told)
     growing = [state.growing for state in told if state.growing is not None]
     assert growing
@@ -88,7 +88,7 @@ def test_poses_are_found_again_while_the_photos_stay(
     found: tuple[RawPhotos, Posed, list[PoseProgress]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     raw, posed, _ = found
-    monkeypatch.setattr(posing, "PROGRAM", Path("there is no program"))
+    monkeypatch.setattr(search, "PROGRAM", Path("there is no program"))
     again = find_poses(raw, posed.folder, FAST, quiet)
     assert again.again
     assert (again.names, again.unplaced, again.points) == (posed.names, posed.unplaced, posed.points)
@@ -106,7 +106,7 @@ def test_the_scene_is_like_one_with_poses(found: tuple[RawPhotos, Posed, list[Po
 
 def test_large_photos_get_cameras_of_their_own_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """They are looked at as smaller copies. One photo is stored on its side, as phones do."""
-    monkeypatch.setitem(posing.QUALITIES, "fast", (320, 2048, 0))
+    monkeypatch.setitem(search.QUALITIES, "fast", (320, 2048, 0))
     folder = textured_photos.write(tmp_path / "large", textured_photos.arc())
     for photo in folder.iterdir():
         with Image.open(photo) as image:
@@ -126,8 +126,8 @@ def test_large_photos_get_cameras_of_their_own_size(tmp_path: Path, monkeypatch:
 
 
 def test_many_photos_are_matched_with_those_that_resemble_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(posing, "ALL_PAIRS", 4)
-    monkeypatch.setattr(posing, "NEAR", 3)
+    monkeypatch.setattr(search, "ALL_PAIRS", 4)
+    monkeypatch.setattr(search, "NEAR", 3)
     folder, pairs = textured_photos.write(tmp_path / "many", textured_photos.arc()), set[int]()
     posed = find_poses(of(folder), tmp_path / "out", FAST, lambda s: pairs.add(s.total) if "match" in s.stage else None)
     assert posed.unplaced == ()
@@ -147,7 +147,7 @@ def test_a_video_is_read_where_the_camera_moved(tmp_path: Path, monkeypatch: pyt
     assert not posed.unplaced
     assert sum(15 <= int(name[6:12]) < 55 for name in posed.names) <= 2
     assert files(tmp_path / "cache")
-    monkeypatch.setattr(posing, "PROGRAM", Path("there is no program"))
+    monkeypatch.setattr(search, "PROGRAM", Path("there is no program"))
     scene = open_capture(video, LoadOptions(poses="fast"))  # found again
     assert (scene.name, scene.format) == ("film", "colmap")
 
@@ -200,8 +200,9 @@ def test_a_program_that_goes_wrong_harms_nothing(name: str, tmp_path: Path, monk
     source, options, words = PROGRAMS[name]
     program = tmp_path / "program.py"
     program.write_text(source)
-    monkeypatch.setattr(posing, "PROGRAM", program)
-    monkeypatch.setattr(posing, "STALLED", 1.0)
+    monkeypatch.setattr(search, "PROGRAM", program)
+    if name == "hangs":  # the others may take their time on a busy machine
+        monkeypatch.setattr(search, "STALLED", 1.0)
     folder = textured_photos.write(tmp_path / "photos", textured_photos.arc(3))
     begun = time.monotonic()
     with pytest.raises(UserError, match=words):
@@ -210,7 +211,7 @@ def test_a_program_that_goes_wrong_harms_nothing(name: str, tmp_path: Path, monk
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("stage", [posing.COPYING, posing.STAGES["features"]])
+@pytest.mark.parametrize("stage", [records.COPYING, records.STAGES["features"]])
 def test_cancelling_leaves_nothing(stage: str, tmp_path: Path) -> None:
     class Enough(BaseException):
         pass
