@@ -10,6 +10,7 @@ from __future__ import annotations
 import triton
 import triton.language as tl
 
+# In products they stand behind the tensor: Triton 3.8 interprets a constant times a tensor as a constant.
 STRAIGHT = tl.constexpr(0.1)  # as `nerf_core.kernels.torch_march.STRAIGHT`
 NEARING = tl.constexpr(0.25)  # as there
 STEPPED = tl.constexpr(2**-22)  # as there
@@ -91,9 +92,9 @@ def march(  # noqa: PLR0915  one loop, with all that it needs in registers
             speed = tl.sqrt(ux * ux + uy * uy + uz * uz)  # may round to 0 far outside; the march then ends
             away = norm / length  # from the centre, in t
             curved = step / tl.maximum(speed, 1e-30)
-            curved = tl.where(slope > 0, tl.minimum(curved, NEARING * away), curved)
+            curved = tl.where(slope > 0, tl.minimum(curved, away * NEARING), curved)
             dt = tl.where(bent, curved, straight)
-            farthest = tl.where(bent, STRAIGHT * away, farthest)
+            farthest = tl.where(bent, away * STRAIGHT, farthest)
         dt = tl.maximum(dt, t * STEPPED)
         inside = alive & (px >= 0) & (py >= 0) & (pz >= 0) & (px < nx) & (py < ny) & (pz < nz)
         px, py, pz = tl.where(inside, px, 0.0), tl.where(inside, py, 0.0), tl.where(inside, pz, 0.0)
