@@ -28,9 +28,11 @@ def usable(registry: Registry[type[Implementation[T]]]) -> dict[str, Callable[[]
 def fast_packed() -> dict[str, PackedKernels]:
     """The packed kernels to compare with `PLAIN`. Triton decides at its import whether it interprets its kernels."""
     if os.environ.get("TRITON_INTERPRET") == "1":
-        from nerf_core.kernels.triton_packed import TritonPacked
+        from nerf_core.kernels import triton_packed
 
-        return {"triton": TritonPacked()}
+        # one program takes its interpreter as long for large blocks as for small ones
+        triton_packed.POINTS, triton_packed.RAYS, triton_packed.ROWS = 1024, 128, 2048
+        return {"triton": triton_packed.TritonPacked()}
     found = {name: make() for name, make in usable(PACKED_KERNELS).items()}
     if not numba_obstacle():
         from nerf_core.kernels.cpu_packed import CpuPacked

@@ -16,7 +16,7 @@ from nerf_core.volume.cells import Cells
 from nerf_core.volume.compositing import absorb, composite
 
 LEVELS = HashLevels((2, 5, 11, 40))
-MARCHED = 100 if "triton" in fast_packed() else 300  # rays; Triton's interpreter takes seconds for 64 of them
+MARCHED = 100 if "triton" in fast_packed() else 300  # rays; Triton's interpreter takes seconds for a block of them
 WHITE = torch.tensor([1.0, 0.5, 0.25])
 each_fast = pytest.mark.parametrize("kernels", fast_packed().values(), ids=fast_packed().keys())
 each = pytest.mark.parametrize("kernels", [*fast_packed().values(), PLAIN], ids=[*fast_packed().keys(), "torch"])
@@ -54,24 +54,24 @@ def points(count: int = 300) -> Tensor:
 @pytest.mark.parametrize("contracted", [False, True])
 @each_fast
 def test_a_march_finds_the_same_samples(kernels: PackedKernels, contracted: bool) -> None:
-    g = generator()
+    g, count = generator(), MARCHED + 50  # more than one block
     half = 2.0 if contracted else 1.0
     occupied = torch.rand(9, 13, 10, generator=g) < 0.3
     occupied[:, 4:9] = False  # blocks to leap over
     cells = Cells.of(np.full(3, -half), 2 * half / np.array([9, 13, 10]), occupied, contracted)
-    origins = 3 * (torch.rand(MARCHED, 3, generator=g) * 2 - 1)
+    origins = 3 * (torch.rand(count, 3, generator=g) * 2 - 1)
     origins[:10] *= 0.2  # within the box
-    d = torch.nn.functional.normalize(torch.rand(MARCHED, 3, generator=g) * 2 - 1 - origins, dim=-1)
+    d = torch.nn.functional.normalize(torch.rand(count, 3, generator=g) * 2 - 1 - origins, dim=-1)
     d[5], d[20], origins[20] = torch.tensor([1.0, 0, 0]), torch.tensor([0, 0, 1.0]), torch.tensor([0.1, 0.2, -3])
     d[21], origins[21] = torch.tensor([0, 1.0, 0]), torch.tensor([9.0, 0, 0])  # beside the box, along its side
-    far = torch.full((MARCHED,), 1e6)
+    far = torch.full((count,), 1e6)
     far[30] = -1.0
-    rays, offsets = BoxRays(origins, d, d, torch.full((MARCHED,), 0.05), far), torch.rand(MARCHED, generator=g)
+    rays, offsets = BoxRays(origins, d, d, torch.full((count,), 0.05), far), torch.rand(count, generator=g)
     a, b = (k.march(cells, rays, 0.6, offsets) for k in (kernels, PLAIN))
     same = a.row_offsets.diff() == b.row_offsets.diff()
     assert int((~same).sum()) <= 4  # a sample that lies on a cell's face may be rounded to either side of it
     mine, theirs = (s.at(same[s.ray].nonzero()[:, 0]) for s in (a, b))
-    assert len(mine.t) > 2.5 * MARCHED
+    assert len(mine.t) > 2.5 * count
     torch.testing.assert_close(mine.x, theirs.x, atol=2e-2, rtol=0)
     torch.testing.assert_close(mine.t, theirs.t, atol=1e-2, rtol=1e-2)
     near = mine.t < 50  # farther out a step's length is mostly rounding
