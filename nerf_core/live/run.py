@@ -157,8 +157,7 @@ class Run:
 
         def posing(state: PoseProgress) -> None:
             self.posing = state
-            words = phrase("{words}: {done:,} of {total:,}", words=state.stage, done=state.done, total=state.total)
-            self._busy_with(words, now=False)
+            progress(phrase(state.stage), state.done, state.total)
 
         path = None if path is None else absolute(path)  # the current folder may go while it is open
         opening = phrase("opening the demo scene") if path is None else phrase("opening {path}", path=str(path))

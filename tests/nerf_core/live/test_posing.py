@@ -11,6 +11,7 @@ import textured_photos
 from desk import Desk
 
 from nerf_core.captures.records import STAGES
+from nerf_core.common.language import said, use_language
 from nerf_core.datasets import LoadOptions
 from nerf_core.live.messages import CancelLoading, OpenScene
 
@@ -31,6 +32,11 @@ def test_poses_are_found_and_training_begins(open_desk: OpenDesk, photos: Path, 
     assert shown.status == "loading"
     assert shown.posing is not None
     assert shown.posing.photos == 8
+    use_language("ru")
+    try:
+        assert "поиск" in said(shown.loading)
+    finally:
+        use_language("en")
     shown = desk.until(lambda s: s.status == "finished")
     assert shown.posing is None
     assert shown.scene is not None
