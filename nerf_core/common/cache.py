@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -63,10 +64,8 @@ def entries() -> list[Entry]:
 
 def used(folder: Path) -> None:
     """Note that an entry is used now: others are deleted before it. folder: that of `entry_folder`."""
-    try:
+    with suppress(OSError):  # a cache that cannot be written can still be read
         os.utime(folder.parent)
-    except OSError:
-        pass  # a cache that cannot be written still can be read
 
 
 def make_room(wanted: int, keep: Path) -> None:
@@ -101,7 +100,10 @@ def _folders(place: Path) -> list[Path]:
 
 
 def folder_bytes(folder: Path) -> int:
-    """Return what the files below a folder take on the disk. Links are not followed: they lead to the user's own photos."""
+    """Return what the files below a folder take on the disk, in bytes.
+
+    Links are not followed: they lead to the user's own photos.
+    """
     total = 0
     for place, _, files in os.walk(folder):
         for name in files:

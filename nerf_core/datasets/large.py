@@ -151,13 +151,14 @@ def _proposal(how: Reading, store: Store, k: int, left: float) -> str:
         return ""
     if divisor <= 1 and then > FASTER * now:
         return ""
+    seconds = left * then / now if left else then / THREADS * len(how.sizes)
     header, (width, height) = how.headers[k], how.sizes[k]
     ratio = how.capture.reduced * max(header.width, header.height) / max(width, height)
     why = phrase("{free} of memory are free", free=in_bytes(free)) if divisor > 1 else phrase("it is faster")
     return phrase(
         "--downscale {downscale} suits this machine better ({why}): {width}×{height}, {bytes}, read in about {time}",
         downscale=math.ceil(smaller * ratio), why=why, width=width // smaller, height=height // smaller,
-        bytes=in_bytes(store.flat.nbytes / smaller**2), time=duration(then / THREADS * len(how.sizes)),
+        bytes=in_bytes(store.flat.nbytes / smaller**2), time=duration(seconds),
     )  # fmt: skip
 
 

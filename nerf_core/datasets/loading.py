@@ -15,8 +15,8 @@ from nerf_core.datasets.calibration import fitted, oddities
 from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions
 from nerf_core.datasets.claims import HEAVY_BYTES
 from nerf_core.datasets.geometry import normalise
-from nerf_core.datasets.in_threads import Progress, in_threads
 from nerf_core.datasets.images import Header, UnreadableError, damage_notes, measure, read_photo
+from nerf_core.datasets.in_threads import Progress, in_threads
 from nerf_core.datasets.large import Reading, arriving, is_large
 from nerf_core.datasets.masks import alpha_mask, masked_by_alpha, notes_on_masks, read_mask, with_masks
 from nerf_core.datasets.recognise import recognise

@@ -103,10 +103,11 @@ class _Mapped(Store):
             self._close()
             raise
         flat = np.frombuffer(mapped, dtype).reshape(shape)
-        super().__init__(flat, np.frombuffer(os.pread(self._marks, count, 0), np.uint8) == 1)
+        marks = np.frombuffer(os.pread(self._marks, count, 0), np.uint8)
+        super().__init__(flat, marks == 1)
 
     def write(self, start: int, pixels: np.ndarray) -> None:
-        rest = memoryview(np.ascontiguousarray(pixels, self.flat.dtype)).cast("B")
+        rest = memoryview(np.ascontiguousarray(pixels, self.flat.dtype).tobytes())
         at = start * 3 * self.flat.itemsize
         while rest:
             done = os.pwrite(self._pixels, rest, at)

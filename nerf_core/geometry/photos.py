@@ -130,8 +130,18 @@ class Photos:
         """Return whether photo k was found to be damaged when it was read."""
         return self.filling is not None and self.ids is not None and self.filling.state[self.ids[k]] == DAMAGED
 
+    def reading(self) -> tuple[int, int, float | None] | None:
+        """Return how many photos are read, of how many, and the seconds for the rest (None: not known yet).
+
+        None: all are.
+        """
+        if self.filling is None:
+            return None
+        done, total = int(np.count_nonzero(self.filling.state)), len(self.filling.state)
+        return None if done == total else (done, total, self.filling.seconds_left())
+
     def present(self) -> np.ndarray:
-        """Return which photos have pixels now, (N,) bool: damaged ones and those that are still to be read have none."""
+        """Return which photos have pixels now, (N,) bool: not damaged ones, nor those that are still to be read."""
         if self.filling is None or self.ids is None:
             return np.ones(len(self.sizes), bool)
         return self.filling.state[self.ids] == THERE

@@ -114,13 +114,18 @@ class Scene:
         """The poses of all cameras, (N, 3, 4)."""
         return np.array([view.camera.c2w for view in self.views], dtype=np.float64).reshape(-1, 3, 4)
 
+    @cached_property
+    def photo_sizes(self) -> list[tuple[int, int]]:
+        """The sizes (width, height) that photos have, each once, sorted."""
+        return sorted({(view.camera.width, view.camera.height) for view in self.views})
+
     def owns(self, camera: Camera) -> bool:
         """Return whether a camera stands where one of the capture's cameras stood, and looks the same way."""
         return bool((self.poses == camera.c2w).all((1, 2)).any())
 
     def summary(self) -> str:
         """Describe in words what the loading options decide."""
-        sizes = sorted({(view.camera.width, view.camera.height) for view in self.views})
+        sizes = self.photo_sizes
         size = f"{sizes[0][0]:,}×{sizes[0][1]:,}" + (f" to {sizes[-1][0]:,}×{sizes[-1][1]:,}" if sizes[1:] else "")
         counts = ", ".join(f"{len(indices):,} {name}" for name, indices in self.splits.items())
         ground = ", ".join(f"{channel:g}" for channel in self.background)
@@ -139,7 +144,8 @@ class Scene:
     def identity(self) -> str:
         """Return a hash of poses, intrinsics, bounds, names, splits and a few pixels of each photo, for checkpoints.
 
-        Of a large capture, whose photos may still be read, it has the sizes of their files in place of pixels. Masks are left out, so that runs of versions without masks can go on.
+        Of a large capture, whose photos may still be read, it has the sizes of their files in place of pixels. Masks
+        are left out, so that runs of versions without masks can go on.
         Numbers are rounded to DECIMALS: processors differ in the last digits of a matrix product.
         """
         return self._hash(lambda number: round(float(number), DECIMALS) + 0.0)  # −0 becomes 0

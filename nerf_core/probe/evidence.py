@@ -110,7 +110,7 @@ class TrainingViews:
             UserError: the method keeps no samples along a ray.
         """
         pixels, framed = self.project(point)
-        framed &= self.scene.photos.at(self.views).present()
+        framed &= self.scene.photos.at(self.views.tolist()).present()
         offsets = point - self._c2w[:, :, 3]
         distance = np.linalg.norm(offsets, axis=-1)
         looks = offsets / np.maximum(distance, 1e-12)[:, None]  # a camera in the point itself has no direction

@@ -106,8 +106,8 @@ class PixelSampler:
         if not views:
             raise UserError(f"{scene.name}: no training photos: every photo is held out")
         if scene.photos.filling is not None and scene.photos.ids is not None:
-            place = np.argsort(scene.photos.filling.order)  # the inverse of a permutation
-            views.sort(key=lambda view: place[scene.photos.ids[view]])
+            place = np.argsort(scene.photos.filling.order)[scene.photos.ids]  # argsort inverts a permutation
+            views.sort(key=lambda view: place[view])
         self.scene, self.views, self.device = scene, views, device
         self.generator = torch.Generator().manual_seed(seed)
         self._photos: dict[int, _Level] = {}
@@ -145,9 +145,7 @@ class PixelSampler:
         colors = photo_colors(index, pixel, photos.sizes[:, 0], photos.starts, photos.pixels)
         return Batch(photos.cameras.rays(index, pixel + 0.5).to(self.device), colors.to(self.device), index)
 
-    def _filled_batch(
-        self, photos: _Level, whole: Photos, wanted: Draw, part: range | None, step: int
-    ) -> Batch:
+    def _filled_batch(self, photos: _Level, whole: Photos, wanted: Draw, part: range | None, step: int) -> Batch:
         """Draw from the first photos of a large capture. For a damaged one, the one before it is taken.
 
         whole: the photos at full size.

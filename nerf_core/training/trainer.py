@@ -196,7 +196,8 @@ class Trainer:
     def step(self, yield_callback: Callable[[], None] = nothing) -> Report:
         """Do one optimiser step.
 
-        With a large capture, it first waits until the photos of this step are read (`first_photos`). If device memory runs out, the step is tried again with chunks of half the size, as often as they can be halved.
+        With a large capture, it first waits until the photos of this step are read (`first_photos`). If device memory
+        runs out, the step is tried again with chunks of half the size, as often as they can be halved.
         Several processes do not try again, because the others have not run out of theirs.
 
         Args:

@@ -15,6 +15,7 @@ from .visits import DISC_EM, Ink, discs
 
 NEAR = 1e-3  # of the distance to the orbit's centre: lines nearer to the eye are cut off
 FAINT = 1e-3  # a sample of smaller weight cannot change an 8-bit pixel and is not drawn
+MOST_FRUSTA = 400  # of a capture's cameras: they are drawn in 5 ms; more would hide the picture
 MANY = 300  # discs: comparing more of them pairwise would take longer than drawing them
 TAG_PAD_EM = 0.3  # margin around a name
 REACH_EM = 0.3  # the mouse still hits a sample at this distance from its rim
@@ -241,6 +242,11 @@ def clip_segments(
             visible &= (speed != 0) | (room >= 0)
     visible &= first < last
     return a + first[:, None] * way, a + last[:, None] * way, visible
+
+
+def spread_views(count: int) -> list[int]:
+    """Return which of `count` cameras are drawn: all, or MOST_FRUSTA of them, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, min(count, MOST_FRUSTA)).round().astype(int)).tolist()
 
 
 def frusta(cameras: list[Camera], size: float) -> tuple[np.ndarray, np.ndarray]:
