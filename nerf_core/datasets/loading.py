@@ -34,8 +34,8 @@ def load_scene(path: Path | None, options: LoadOptions, progress: Progress | Non
     Args:
         path: a folder or a .json, .xml or .csv file; None opens the demo scene.
         options: the user's choices.
-        progress: called as (what is done, photos done, photos in all) from this thread, first "checking photos", then
-            "loading photos"; it may raise to cancel.
+        progress: called as (what is done, photos done, photos in all) from this thread, first "looking for masks", then
+            "checking photos", then "loading photos" or "reading the first photos"; it may raise to cancel.
 
     Returns:
         The scene. `Scene.notes` has warnings about what is odd but harmless.
@@ -47,6 +47,8 @@ def load_scene(path: Path | None, options: LoadOptions, progress: Progress | Non
     try:
         source, name, notes = recognise(path, options.format)
         capture = DATASETS.get(name).read(source, options)
+        if progress is not None:
+            progress(phrase("looking for masks"), 0, len(capture.photos))
         capture, headers, damaged = _readable(with_masks(capture), progress)
         capture, upright, eight_bits, size_notes = _sized(capture, headers, options)
         _refuse_heavy(capture, headers, upright, options)
