@@ -95,10 +95,10 @@ def measure(folder: Path, load: LoadOptions, seconds: float, offscreen: bool) ->
         begin = time.perf_counter()
         while not done() and time.perf_counter() - begin < most:
             turn = time.perf_counter() + 0.05
-            app.run(lambda: time.perf_counter() > turn)
+            app.run(lambda turn=turn: time.perf_counter() > turn)
             held = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text("ascii").splitlines())
-            for name in peaks:
-                peaks[name] = max(peaks[name], 1024 * int(held[name].split()[0]))
+            for name, peak in peaks.items():
+                peaks[name] = max(peak, 1024 * int(held[name].split()[0]))
         return time.perf_counter() - begin
 
     until(lambda: worker.snapshot().status == "empty" and len(link.frames) > 5)
