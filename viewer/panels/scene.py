@@ -177,8 +177,8 @@ def _rows(scene: Scene) -> list[Row]:
 def _read(done: int, total: int, seconds: float | None) -> str:
     """How many photos of a large capture are read, and how long the rest takes."""
     if seconds is None:
-        return phrase("{done:,} of {total:,} photos", done=done, total=total)
-    return phrase("{done:,} of {total:,} photos, {time} left", done=done, total=total, time=duration(seconds))
+        return phrase("{done:,} of {total:,}", done=done, total=total)
+    return phrase("{done:,} of {total:,}, {time} left", done=done, total=total, time=duration(seconds))
 
 
 def _masks(scene: Scene) -> str:
