@@ -16,10 +16,10 @@ from nerf_core.captures.advice import ALIKE, reason, summary, too_few
 from nerf_core.captures.raw_photos import RawPhotos
 from nerf_core.captures.records import PoseOptions, PoseProgress
 from nerf_core.captures.search import QUALITIES, Job
+from nerf_core.common import cache
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.files import write_atomically
 from nerf_core.common.language import marked, phrase
-from nerf_core.common.names import printable
 from nerf_core.common.text import counted
 from nerf_core.common.user_paths import absolute
 
@@ -76,10 +76,7 @@ Progress = Callable[[PoseProgress], None]
 
 def pose_folder(raw: RawPhotos, options: PoseOptions) -> Path:
     """Return the folder in the cache where the poses of these photos lie, or will lie."""
-    import platformdirs
-
-    name = printable(raw.name)[:60] or "photos"  # of at most 255 bytes
-    return platformdirs.user_cache_path("nerf-viewer") / "poses" / _key(raw, options) / name
+    return cache.entry_folder("poses", _key(raw, options), raw.name)
 
 
 def find_poses(raw: RawPhotos, out: Path | None, options: PoseOptions, progress: Progress) -> Posed:
@@ -103,6 +100,8 @@ def find_poses(raw: RawPhotos, out: Path | None, options: PoseOptions, progress:
     key = _key(raw, options)
     known = _known(folder, key)
     if known is not None:
+        if out is None:
+            cache.used(folder)
         return known
     if out is not None:
         _must_be_free(folder, raw)
@@ -118,6 +117,8 @@ def find_poses(raw: RawPhotos, out: Path | None, options: PoseOptions, progress:
             if (other := _known(folder, key)) is not None:
                 return other  # of a search that ended first
             _keep(job, posed, folder, key)
+        if out is None:
+            cache.make_room(cache.folder_bytes(folder), folder)
     except OSError as error:
         where = error.filename or folder
         raise UserError(f"{where}: {error.strerror or error}: check its rights and the space on its disk") from error

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import selectors
 import sqlite3
@@ -24,6 +23,7 @@ from nerf_core.captures.raw_photos import RawPhotos
 from nerf_core.captures.records import COPYING, STAGES, Growing, PoseOptions, PoseProgress
 from nerf_core.captures.video_frames import write_frames
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.memory import free_memory
 from nerf_core.common.text import duration
 from nerf_core.datasets.images import BROKEN, UnreadableError, measure, read_photo
 
@@ -253,17 +253,6 @@ def _growing(file: Path) -> Growing | None:
             return Growing(arrays["poses"], arrays["points"], arrays["colors"])
     except (OSError, ValueError, KeyError):
         return None  # not there yet
-
-
-def free_memory() -> float:
-    """Return the bytes of memory that programs can still take; infinity where the system does not tell."""
-    try:
-        for line in Path("/proc/meminfo").read_text("ascii").splitlines():
-            if line.startswith("MemAvailable:"):
-                return 1024.0 * int(line.split()[1])
-    except (OSError, ValueError, IndexError):
-        pass
-    return math.inf
 
 
 def _memory_of(pid: int) -> float:

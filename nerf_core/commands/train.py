@@ -20,6 +20,7 @@ from nerf_core.common.output import say
 from nerf_core.common.processes import started_together
 from nerf_core.common.signals import Signals
 from nerf_core.common.text import counted, duration
+from nerf_core.datasets.images import damage_notes
 from nerf_core.kernels import choice as kernels
 from nerf_core.methods import nothing_to_train
 from nerf_core.methods.group import ALONE, Group
@@ -118,6 +119,8 @@ class Train:
                 finished = train_run(run, trainer, goal, save_every=self.save_every, show=show, warn=warn, stop=stop)
             else:
                 finished = train_steps(trainer, lambda: False, stop)
+        if (filling := trainer.scene.photos.filling) is not None:
+            tell(damage_notes(filling.damaged()))
         ending = "finished" if finished else "stopped"
         saved = step_path(run.path, trainer.step_count)
         where = f"; saved {saved}" if saved.exists() else ""  # else a warning said where it is

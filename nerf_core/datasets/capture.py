@@ -32,7 +32,8 @@ class LoadOptions:
     max_size: the limit for the longer side of a photo after that, in pixels; 0: no limit.
     ndc: whether to train in normalised device coordinates; "auto": where that is possible.
     background: the colour behind transparent photos; "auto": white for photos with alpha, else black.
-    memory_gb: the limit for all loaded photos together, in 10⁹ bytes; photos are downscaled further to fit.
+    memory_gb: the limit for all photos together, in memory or in the cache, in 10⁹ bytes; photos are downscaled further
+        to fit.
     poses: how carefully the poses of photos are found that have none.
     """
 

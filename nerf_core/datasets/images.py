@@ -117,7 +117,12 @@ def damage_notes(damaged: Sequence[str]) -> tuple[str, ...]:
 
 
 def read_photo(
-    path: Path, size: tuple[int, int], background: tuple[float, float, float], upright: bool = False
+    path: Path,
+    size: tuple[int, int],
+    background: tuple[float, float, float],
+    upright: bool = False,
+    *,
+    fast: bool = False,
 ) -> np.ndarray:
     """Read a photo, average it to a size and composite it over a background.
 
@@ -129,6 +134,7 @@ def read_photo(
         size: (width, height) in pixels.
         background: the sRGB colour behind transparent pixels.
         upright: rotate by the EXIF orientation; otherwise the pixels stay as stored.
+        fast: whether a JPEG may be decoded at 1/8, 1/4 or 1/2, to no less than twice the wanted size.
 
     Returns:
         uint16 (height, width, 3), sRGB-encoded.
@@ -148,7 +154,7 @@ def read_photo(
             heavy = _memory(image, path).peak(shape, size) > HEAVY_BYTES
         with HEAVY if heavy else nullcontext():
             with _damage_named(path):
-                pixels = _decoded(image, path, size, upright, heavy)
+                pixels = _decoded(image, path, size, upright, heavy or fast)
             return composite(pixels, size, background)
 
 
@@ -202,10 +208,10 @@ class Strips:
         return self._convert(*(image.crop(box) for image in self._images))
 
 
-def _decoded(image: ImageFile.ImageFile, path: Path, size: tuple[int, int], upright: bool, heavy: bool) -> Strips:
-    """Decode a photo; a heavy one near the wanted size, where its format can."""
+def _decoded(image: ImageFile.ImageFile, path: Path, size: tuple[int, int], upright: bool, near: bool) -> Strips:
+    """Decode a photo; `near` the wanted size, where its format can and that is asked for."""
     orientation = _orientation(image) if upright else 1
-    if heavy:
+    if near:
         _draft(image, (size[1], size[0]) if orientation >= 5 else size)
     packing, profile = _packing(image), foreign_profile(image)
     if packing in DEEP_COLOR and profile is None:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
@@ -19,19 +16,16 @@ from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions
 from nerf_core.datasets.claims import HEAVY_BYTES
 from nerf_core.datasets.geometry import normalise
 from nerf_core.datasets.images import Header, UnreadableError, damage_notes, measure, read_photo
+from nerf_core.datasets.in_threads import Progress, in_threads
+from nerf_core.datasets.large import Reading, arriving, is_large
 from nerf_core.datasets.masks import alpha_mask, masked_by_alpha, notes_on_masks, read_mask, with_masks
 from nerf_core.datasets.recognise import recognise
 from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene, View
 
-Progress = Callable[[str, int, int], None]
-T = TypeVar("T")
 WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 MOST_POINTS = 20_000  # of a sparse model that a scene keeps, to show: more are a cloud just the same
 LARGEST_SIDE = 1_000_000  # in pixels: no photo has more
-THREADS = min(
-    4, os.cpu_count() or 1
-)  # decoders release the GIL; each holds a whole photo, so that more threads would take much memory
 
 
 def load_scene(path: Path | None, options: LoadOptions, progress: Progress | None = None) -> Scene:
@@ -40,8 +34,8 @@ def load_scene(path: Path | None, options: LoadOptions, progress: Progress | Non
     Args:
         path: a folder or a .json, .xml or .csv file; None opens the demo scene.
         options: the user's choices.
-        progress: called as (what is done, photos done, photos in all) from this thread, first "checking photos", then
-            "loading photos"; it may raise to cancel.
+        progress: called as (what is done, photos done, photos in all) from this thread, first "looking for masks", then
+            "checking photos", then "loading photos" or "reading the first photos"; it may raise to cancel.
 
     Returns:
         The scene. `Scene.notes` has warnings about what is odd but harmless.
@@ -53,13 +47,21 @@ def load_scene(path: Path | None, options: LoadOptions, progress: Progress | Non
     try:
         source, name, notes = recognise(path, options.format)
         capture = DATASETS.get(name).read(source, options)
+        if progress is not None:
+            progress(phrase("looking for masks"), 0, len(capture.photos))
         capture, headers, damaged = _readable(with_masks(capture), progress)
         capture, upright, eight_bits, size_notes = _sized(capture, headers, options)
         _refuse_heavy(capture, headers, upright, options)
         normalised = normalise(capture, options)
         background = _background(capture, headers, options)
-        photos, kept, more_damaged = _photos(capture, upright, eight_bits, background, progress)
-        photos, kept, mask_notes = _masked(capture, headers, upright, photos, kept, masked_by_alpha(capture, options))
+        by_alpha, more_damaged = masked_by_alpha(capture, options), []
+        if is_large(capture, headers, by_alpha):
+            how = Reading(source.resolve().name, capture, headers, upright, eight_bits, background)
+            photos, mask_notes = arriving(how, progress)
+            kept = range(len(capture.photos))
+        else:
+            photos, kept, more_damaged = _photos(capture, upright, eight_bits, background, progress)
+            photos, kept, mask_notes = _masked(capture, headers, upright, photos, kept, by_alpha)
     except OSError as error:
         raise UserError(
             f"{error.filename or path}: {error.strerror or error}: check the path and its rights"
@@ -111,7 +113,7 @@ def check_options(options: LoadOptions) -> None:
 
 def _readable(capture: Capture, progress: Progress | None) -> tuple[Capture, list[Header], list[str]]:
     """Drop the photos that are not images. Returns the rest, their headers, and the fault of each dropped photo."""
-    found = _map(
+    found = in_threads(
         lambda i: measure(capture.photos[i].path), range(len(capture.photos)), phrase("checking photos"), progress
     )
     damaged = [str(v) for v in found if isinstance(v, UnreadableError)]
@@ -219,7 +221,7 @@ def _photos(
     def read(i: int) -> None:
         photos.put(i, read_photo(capture.photos[i].path, sizes[i], background, upright[i]))
 
-    found = _map(read, range(len(capture.photos)), phrase("loading photos"), progress)
+    found = in_threads(read, range(len(capture.photos)), phrase("loading photos"), progress)
     damaged = [str(v) for v in found if isinstance(v, UnreadableError)]
     if len(damaged) == len(found):
         raise UserError(f"no photo can be read ({damaged[0]}): save them as PNG or JPEG")
@@ -256,7 +258,7 @@ def _masked(
             masks[i] = found
 
     given = [i for i in kept if capture.photos[i].mask is not None or (by_alpha and headers[i].alpha)]
-    damaged = [str(v) for v in _map(lambda k: read(given[k]), range(len(given)), "", None) if v is not None]
+    damaged = [str(v) for v in in_threads(lambda k: read(given[k]), range(len(given)), "", None) if v is not None]
     if damaged:
         raise UserError(f"{damaged[0]}: its alpha cannot be read: save it again as PNG")
     if not masks:
@@ -269,29 +271,6 @@ def _masked(
             f"every photo is masked as a whole, first {shorten(empty[0])}: masks are 0 where pixels are ignored"
         )
     return photos, left, notes_on_masks([i in given for i in left], empty)
-
-
-def _map(
-    work: Callable[[int], T], items: Sequence[int], words: str, progress: Progress | None
-) -> list[T | UnreadableError]:
-    """Do `work` for all items in threads, in order. Damaged photos are returned as errors; other errors cancel."""
-
-    def guarded(i: int) -> T | UnreadableError:
-        try:
-            return work(i)
-        except UnreadableError as error:
-            return error
-
-    results: list[T | UnreadableError] = []
-    pool = ThreadPoolExecutor(THREADS, thread_name_prefix="photos")
-    try:
-        for result in pool.map(guarded, items):
-            results.append(result)
-            if progress is not None:
-                progress(words, len(results), len(items))
-    finally:
-        pool.shutdown(cancel_futures=True)
-    return results
 
 
 def _names(capture: Capture) -> list[str]:

@@ -38,10 +38,15 @@ def with_masks(capture: Capture) -> Capture:
     if capture.synthetic:
         return capture
     known: dict[Path, bool] = {}
-    photos = tuple(
-        p if p.mask is not None else replace(p, mask=_beside(p.path, known) or _beside(p.path.resolve(), known))
-        for p in capture.photos
-    )
+    real = {folder: folder.resolve() for folder in {p.path.parent for p in capture.photos}}
+
+    def found(path: Path) -> Path | None:
+        mask, home = _beside(path, known), real[path.parent]
+        if mask is not None or (home == path.parent and not path.is_symlink()):
+            return mask
+        return _beside(path.resolve(), known)
+
+    photos = tuple(p if p.mask is not None else replace(p, mask=found(p.path)) for p in capture.photos)
     return replace(capture, photos=photos)
 
 

@@ -7,6 +7,7 @@ import stat
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path, PurePosixPath
 
 from nerf_core.common.errors import UserError, shorten
@@ -157,7 +158,7 @@ def _mode(path: Path) -> int | None:
 def _listed_file(folder: Path, entry: str, source: Path) -> Path | None:
     """The listed file itself, or with one of the usual extensions if the entry has none; None if there is none."""
     path = folder / entry
-    for candidate in (path, *(path.parent / (path.name + suffix) for suffix in SUFFIXES)):
+    for candidate in chain((path,), (path.parent / (path.name + suffix) for suffix in SUFFIXES)):
         mode = _mode(candidate)
         if mode is None:
             continue

@@ -5,12 +5,60 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, overload
+from typing import Any, Protocol, overload
 
 import numpy as np
 
 DIMMED = 4  # how many times darker masked pixels are shown
 WIDEN = 257  # 255 · 257 = 65535: the 16-bit value of an 8-bit one
+
+
+WAITING, THERE, DAMAGED = range(3)  # the states of a photo that is read while others are used already
+
+
+FIRST_PHOTOS = 100  # that training begins with: some seconds of decoding, and all sides of most captures
+PHOTOS_A_STEP = 2  # that each step adds: two cores decode about as many as they train steps
+
+
+def first_photos(step: int) -> int:
+    """Return how many photos of a large capture a training step may draw from, in `Filling.order`.
+
+    It follows the step alone. A step waits until they are read, so that the clock decides nothing.
+    """
+    return FIRST_PHOTOS + PHOTOS_A_STEP * step
+
+
+class Filling(Protocol):
+    """Reads the N photos of a large capture while those that are there are used. Threads may share it.
+
+    order: (N,) int64, in which order they are read: early ones are spread over the whole capture.
+    state: (N,) uint8, WAITING, THERE or DAMAGED for each.
+    bytes: (N,) int64, the sizes of their files.
+    """
+
+    order: np.ndarray
+    state: np.ndarray
+    bytes: np.ndarray
+
+    def need(self, k: int) -> None:
+        """Read photo k now, unless that is done. Raises UserError if reading had to end."""
+        ...
+
+    def prefer(self, k: int) -> None:
+        """Let photo k be read before the others."""
+        ...
+
+    def check(self) -> None:
+        """Raises UserError if reading had to end."""
+        ...
+
+    def seconds_left(self) -> float | None:
+        """Return how long reading the rest takes; None: not known yet."""
+        ...
+
+    def damaged(self) -> tuple[str, ...]:
+        """Return what is wrong with each photo that could not be read."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,12 +70,17 @@ class Photos:
     starts: (N,) int64, the row of `flat` at which each photo begins.
     sizes: (N, 2) int64, width and height.
     kept: (P,) bool, False for pixels that are masked: they are neither trained on nor measured. None: all count.
+    filling: reads the photos of a large capture, which then have no masks; None: all are there. A photo is read at the
+        latest when its pixels are asked for. A damaged one is black, and none of its pixels counts.
+    ids: (N,) int64, the photos' numbers in `filling`.
     """
 
     flat: np.ndarray
     starts: np.ndarray
     sizes: np.ndarray
     kept: np.ndarray | None = None
+    filling: Filling | None = None
+    ids: np.ndarray | None = None
 
     @staticmethod
     def empty(sizes: Sequence[tuple[int, int]], eight_bits: bool = False) -> Photos:
@@ -51,13 +104,47 @@ class Photos:
 
     @property
     def images(self) -> Sequence[np.ndarray]:
-        """The photos, uint16 (H, W, 3): views into `flat`, or copies made at each access if that has 8 bits."""
-        return self._stored if self.flat.dtype == np.uint16 else _Widened(self)
+        """The photos, uint16 (H, W, 3): views into `flat`, or made at each access if it has 8 bits or they are read."""
+        return self._stored if self.flat.dtype == np.uint16 and self.filling is None else _Widened(self)
 
     def part(self, k: int, rows: Any, columns: Any) -> np.ndarray:
-        """Return image[rows, columns] of photo k, uint16, for any indices or slices of numpy."""
+        """Return image[rows, columns] of photo k, uint16, for any indices or slices of numpy.
+
+        A photo that is not there yet is read now, which may take a quarter of a second; see `there`.
+        """
+        if self.filling is not None and self.ids is not None:
+            self.filling.need(int(self.ids[k]))
         found = self._stored[k][rows, columns]
         return found if found.dtype == np.uint16 else found.astype(np.uint16) * np.uint16(WIDEN)
+
+    def there(self, k: int) -> bool:
+        """Return whether the pixels of photo k can be had at once. If not, it is read next."""
+        if self.filling is None or self.ids is None:
+            return True
+        found = self.filling.state[self.ids[k]] != WAITING
+        if not found:
+            self.filling.prefer(int(self.ids[k]))
+        return bool(found)
+
+    def damaged(self, k: int) -> bool:
+        """Return whether photo k was found to be damaged when it was read."""
+        return self.filling is not None and self.ids is not None and self.filling.state[self.ids[k]] == DAMAGED
+
+    def reading(self) -> tuple[int, int, float | None] | None:
+        """Return how many photos are read, of how many, and the seconds for the rest (None: not known yet).
+
+        None: all are.
+        """
+        if self.filling is None:
+            return None
+        done, total = int(np.count_nonzero(self.filling.state)), len(self.filling.state)
+        return None if done == total else (done, total, self.filling.seconds_left())
+
+    def present(self) -> np.ndarray:
+        """Return which photos have pixels now, (N,) bool: not damaged ones, nor those that are still to be read."""
+        if self.filling is None or self.ids is None:
+            return np.ones(len(self.sizes), bool)
+        return self.filling.state[self.ids] == THERE
 
     def masked(self, masks: Mapping[int, np.ndarray]) -> Photos:
         """Return the photos with masks by photo, (H, W) bool; photos without one are used whole."""
@@ -69,17 +156,21 @@ class Photos:
     def mask(self, k: int) -> np.ndarray | None:
         """Return which pixels of photo k count, (H, W) bool; None if all do."""
         width, height = self.sizes[k].tolist()
+        if self.damaged(k):
+            return np.zeros((height, width), bool)
         found = None if self.kept is None else self.kept[self.starts[k] : self.starts[k] + width * height]
         return None if found is None or found.all() else found.reshape(height, width)
 
     def counts(self, k: int, x: int, y: int) -> bool:
         """Return whether the pixel of column x and row y of photo k counts."""
-        return self.kept is None or bool(self.kept[self.starts[k] + y * self.sizes[k, 0] + x])
+        if self.kept is None:
+            return not self.damaged(k)
+        return bool(self.kept[self.starts[k] + y * self.sizes[k, 0] + x])
 
     @cached_property
     def masked_photos(self) -> tuple[int, ...]:
         """The photos of which some pixels do not count."""
-        return tuple(k for k in range(len(self.sizes)) if self.mask(k) is not None)
+        return () if self.kept is None else tuple(k for k in range(len(self.sizes)) if self.mask(k) is not None)
 
     def small(self, k: int, most: int) -> np.ndarray:
         """Return every n-th pixel of photo k as opaque uint8 RGBA, its sides about `most` long at most.
@@ -95,7 +186,8 @@ class Photos:
     def at(self, index: Sequence[int]) -> Photos:
         """Return the photos of these indices without a copy."""
         chosen = np.array(index, np.int64)
-        return Photos(self.flat, self.starts[chosen], self.sizes[chosen], self.kept)
+        ids = None if self.ids is None else self.ids[chosen]
+        return Photos(self.flat, self.starts[chosen], self.sizes[chosen], self.kept, self.filling, ids)
 
     @cached_property
     def _stored(self) -> tuple[np.ndarray, ...]:

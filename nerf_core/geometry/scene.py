@@ -19,6 +19,7 @@ from nerf_core.geometry.photos import Photos
 
 SPLITS = ("train", "val", "test")
 IDENTITY = 2  # how `Scene.identity` is made; 1: of exact numbers
+LARGE_IDENTITY = 3  # that of a large capture: the sizes of the files stand for pixels, which are not there yet
 DECIMALS = 6  # poses and bounds are some units: far more than rounding errors, far less than any real difference
 
 
@@ -113,13 +114,18 @@ class Scene:
         """The poses of all cameras, (N, 3, 4)."""
         return np.array([view.camera.c2w for view in self.views], dtype=np.float64).reshape(-1, 3, 4)
 
+    @cached_property
+    def photo_sizes(self) -> list[tuple[int, int]]:
+        """The sizes (width, height) that photos have, each once, sorted."""
+        return sorted({(view.camera.width, view.camera.height) for view in self.views})
+
     def owns(self, camera: Camera) -> bool:
         """Return whether a camera stands where one of the capture's cameras stood, and looks the same way."""
         return bool((self.poses == camera.c2w).all((1, 2)).any())
 
     def summary(self) -> str:
         """Describe in words what the loading options decide."""
-        sizes = sorted({(view.camera.width, view.camera.height) for view in self.views})
+        sizes = self.photo_sizes
         size = f"{sizes[0][0]:,}×{sizes[0][1]:,}" + (f" to {sizes[-1][0]:,}×{sizes[-1][1]:,}" if sizes[1:] else "")
         counts = ", ".join(f"{len(indices):,} {name}" for name, indices in self.splits.items())
         ground = ", ".join(f"{channel:g}" for channel in self.background)
@@ -138,27 +144,37 @@ class Scene:
     def identity(self) -> str:
         """Return a hash of poses, intrinsics, bounds, names, splits and a few pixels of each photo, for checkpoints.
 
-        Masks are left out, so that runs of versions without masks can go on.
+        Of a large capture, whose photos may still be read, it has the sizes of their files in place of pixels. Masks
+        are left out, so that runs of versions without masks can go on.
         Numbers are rounded to DECIMALS: processors differ in the last digits of a matrix product.
         """
         return self._hash(lambda number: round(float(number), DECIMALS) + 0.0)  # −0 becomes 0
 
+    @property
+    def identity_kind(self) -> int:
+        """How `identity` is made: IDENTITY or LARGE_IDENTITY."""
+        return IDENTITY if self.photos.filling is None else LARGE_IDENTITY
+
     def is_of(self, description: Mapping[str, Any]) -> bool:
         """Return whether a checkpoint was trained on this scene, as far as can be known.
 
-        A checkpoint without `scene_identity` is older and has a hash of exact numbers. Where it differs, the processor
-        may be the reason, and the name and the summary decide; see `doubt`.
+        A checkpoint of an earlier `identity_kind` has another hash: of exact numbers, or of pixels that are not there.
+        Where it differs, the name and the summary decide; see `doubt`.
         """
         if description["scene"] == self.identity():
             return True
-        if "scene_identity" in description:
+        if description.get("scene_identity", 1) >= self.identity_kind:
             return False
         alike = (description["scene_name"], description["scene_summary"]) == (self.name, self.summary())
         return alike or not self.doubt(description)
 
     def doubt(self, description: Mapping[str, Any]) -> str:
         """Return a warning if it cannot be known whether a checkpoint for which `is_of` holds is of this scene."""
-        if "scene_identity" in description or description["scene"] == self._hash(lambda number: number):
+        if description.get("scene_identity", 1) >= self.identity_kind:
+            return ""
+        if self.photos.filling is not None:
+            return marked("an earlier version wrote the checkpoint: its photos and poses are not compared")
+        if description["scene"] == self._hash(lambda number: number):
             return ""
         return marked(
             "an earlier version wrote the checkpoint, perhaps on another processor: its poses are not compared"
@@ -176,6 +192,9 @@ class Scene:
             digest.update(repr(tuple(number(v) for v in _described(view.camera))).encode())
             c2w = [[number(v) for v in row] for row in view.camera.c2w.tolist()]
             digest.update(np.array(c2w, dtype="<f8").tobytes())
+            if self.photos.filling is not None and self.photos.ids is not None:
+                digest.update(repr(int(self.photos.filling.bytes[self.photos.ids[k]])).encode())
+                continue
             sparse = self.photos.part(
                 k, slice(None, None, max(1, height // 16)), slice(None, None, max(1, width // 16))
             )

@@ -20,6 +20,7 @@ from nerf_core.common.errors import UserError
 from nerf_core.common.language import marked, phrase, phrases
 from nerf_core.common.names import printable
 from nerf_core.common.user_paths import absolute
+from nerf_core.datasets.images import damage_notes
 from nerf_core.geometry.scene import Scene
 from nerf_core.kernels import choice as kernels
 from nerf_core.live import messages, pin_files
@@ -79,6 +80,7 @@ class Run:
         self._until_seconds = math.inf
         self._saved: tuple[Path, int] | None = None  # the newest checkpoint that was written or loaded, and its step
         self.rays_per_step = 0
+        self._told_of = 0  # the number of the scene, in `loaded`, of which it was told that all photos are read
         self._good: LastGood | None = None
 
     # ---- commands ---------------------------------------------------------------------------------------------------
@@ -338,6 +340,16 @@ class Run:
         if trainer.step_count >= end or trainer.seconds >= self._until_seconds:
             self.until = None
 
+    def tell_of_photos(self) -> None:
+        """Tell once when all photos of a large capture are read, and which of them are damaged."""
+        filling = None if self.scene is None else self.scene.photos.filling
+        if filling is None or self._told_of == self.loaded or not filling.state.all():
+            return
+        self._told_of = self.loaded
+        self._tell("info", phrase("all {n:,} photos are read", n=len(filling.state)))
+        for note in damage_notes(filling.damaged()):
+            self._tell("warning", note)
+
     def step(self, yield_callback: Callable[[], None]) -> Report | None:
         """Do one training step; return None if the loss diverged, after the last good weights were restored.
 
@@ -353,6 +365,9 @@ class Run:
         except Diverged as error:
             self._recover(trainer, error)
             return None
+        except UserError:  # the photos of a large capture cannot be read any more
+            self.until, self.failed = None, True
+            raise
         except torch.OutOfMemoryError as error:
             self.until = None
             raise UserError(

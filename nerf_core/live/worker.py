@@ -179,6 +179,7 @@ class Worker:
             return
         for run in self._runs.values():
             run.pause_if_done()
+            run.tell_of_photos()
         number = self._scheduler.next_run([*self._runs.values(), self._study, self._report])
         if number == self._study.number:
             self._study_piece()

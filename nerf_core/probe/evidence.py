@@ -103,12 +103,14 @@ class TrainingViews:
                 at its beginning, because the surface itself must not count as an obstacle.
 
         Returns:
-            The photos that have the point in their frame and not masked, at most MOST_VIEWS of them.
+            The photos that have the point in their frame and not masked, at most MOST_VIEWS of them. Those of a large
+            capture that are still to be read are left out.
 
         Raises:
             UserError: the method keeps no samples along a ray.
         """
         pixels, framed = self.project(point)
+        framed &= self.scene.photos.at(self.views.tolist()).present()
         offsets = point - self._c2w[:, :, 3]
         distance = np.linalg.norm(offsets, axis=-1)
         looks = offsets / np.maximum(distance, 1e-12)[:, None]  # a camera in the point itself has no direction

@@ -31,9 +31,9 @@ def truth_of(scene: Scene, camera: Camera, ray: RayProbe) -> Truth | None:
     Returns:
         The first photo with this pose that has the ray in its frame and not masked; None if there is none.
     """
-    for k, view in enumerate(scene.views):
-        if np.abs(view.camera.c2w - camera.c2w).max() > SAME_POSE * max(1.0, float(np.abs(camera.c2w).max())):
-            continue
+    apart = np.abs(scene.poses - camera.c2w).max((1, 2))
+    for k in np.flatnonzero(apart <= SAME_POSE * max(1.0, float(np.abs(camera.c2w).max()))).tolist():
+        view = scene.views[k]
         point = ray.origin.astype(np.float64) + ray.direction.astype(np.float64)
         (place,), (z,) = view.camera.project(point[None])
         width, height = view.camera.width, view.camera.height

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,11 +15,12 @@ from nerf_core.common.errors import UserError
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.cameras import Cameras
 from nerf_core.geometry.fast_rays import photo_colors
-from nerf_core.geometry.photos import Photos
+from nerf_core.geometry.photos import DAMAGED, WAITING, WIDEN, Photos, first_photos
 from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Draw
 
+TAPS = 4  # pixels a side, at most, that stand for a block of a large capture's photo: all of a block of 4 × 4
 TRIES = 16  # rounds of drawing pixels until enough of them are not masked
 
 
@@ -45,9 +47,11 @@ class _Level:
     offsets: (N + 1,) int64; photo i has the pixels offsets[i] … offsets[i + 1] − 1, counted over all photos.
     pixels, starts, kept: see `Photos`.
     usable: (n,) int64, the photos with pixels that count; None: all.
+    filled: the photos of a large capture at full size, of which blocks are averaged when they are drawn; else None.
     """
 
-    def __init__(self, photos: Photos, cameras: list[Camera], scene: Scene) -> None:
+    def __init__(self, photos: Photos, cameras: list[Camera], scene: Scene, filled: Photos | None = None) -> None:
+        self.filled = filled
         self.cameras = Cameras(cameras, scene.near, scene.far)
         self.sizes = torch.from_numpy(photos.sizes)
         reach = torch.tensor([camera.lens.reach() for camera in cameras], dtype=torch.float64)
@@ -101,6 +105,9 @@ class PixelSampler:
         views = list(scene.trained(train_images))
         if not views:
             raise UserError(f"{scene.name}: no training photos: every photo is held out")
+        if scene.photos.filling is not None and scene.photos.ids is not None:
+            place = np.argsort(scene.photos.filling.order)[scene.photos.ids]  # argsort inverts a permutation
+            views.sort(key=lambda view: place[view])
         self.scene, self.views, self.device = scene, views, device
         self.generator = torch.Generator().manual_seed(seed)
         self._photos: dict[int, _Level] = {}
@@ -109,29 +116,75 @@ class PixelSampler:
         """Return the rays and colours of `batch`."""
         return self.batch(wanted, part)[:2]
 
-    def batch(self, wanted: Draw, part: range | None = None) -> Batch:
+    def arrived(self, step: int) -> bool:
+        """Return whether the photos of a step are read. If not, those that lack are read next. Raises UserError."""
+        photos = self.scene.photos
+        if photos.filling is None or photos.ids is None:
+            return True
+        photos.filling.check()
+        ids = photos.ids[self.views[: first_photos(step)]]
+        lacking = ids[photos.filling.state[ids] == WAITING]
+        for k in lacking[::-1].tolist():  # the one that is asked for last is read first
+            photos.filling.prefer(k)
+        return not len(lacking)
+
+    def batch(self, wanted: Draw, part: range | None = None, step: int = 0) -> Batch:
         """Draw the pixels of one training step.
 
         Args:
             wanted: how many, and from which part of the photos.
             part: return only these of them; the generator moves on as for all. None: all.
+            step: the number of steps done, which decides the photos of a large capture. They must have `arrived`.
         """
         photos = self._at(wanted.shrink)
+        if photos.filled is not None:
+            return self._filled_batch(photos, photos.filled, wanted, part, step)
         index, pixel = self._pixels(photos, wanted) if photos.kept is None else self._counting(photos, wanted)
         if part is not None:
             index, pixel = index[part.start : part.stop], pixel[part.start : part.stop]
         colors = photo_colors(index, pixel, photos.sizes[:, 0], photos.starts, photos.pixels)
         return Batch(photos.cameras.rays(index, pixel + 0.5).to(self.device), colors.to(self.device), index)
 
-    def _pixels(self, photos: _Level, wanted: Draw, photo: int = -1) -> tuple[Tensor, Tensor]:
-        """Draw pixels, whether they count or not: photos (R,), columns and rows (R, 2). photo: take all from it."""
-        count = wanted.rays
+    def _filled_batch(self, photos: _Level, whole: Photos, wanted: Draw, part: range | None, step: int) -> Batch:
+        """Draw from the first photos of a large capture. For a damaged one, the one before it is taken.
+
+        whole: the photos at full size.
+        """
+        first = min(first_photos(step), len(self.views))
+        good = self._good(whole, first)
+        index, pixel = self._pixels(photos, wanted, among=good)
+        if part is not None:
+            index, pixel = index[part.start : part.stop], pixel[part.start : part.stop]
+        colors = block_colors(whole, index, pixel, wanted.shrink)
+        return Batch(photos.cameras.rays(index, pixel + 0.5).to(self.device), colors.to(self.device), index)
+
+    def _good(self, whole: Photos, first: int) -> Tensor:
+        """For each of the `first` photos itself, or the next sound one before it, or the first sound one: (first,)."""
+        assert whole.filling is not None
+        assert whole.ids is not None
+        sound = whole.filling.state[whole.ids[:first]] != DAMAGED
+        if not sound.any():
+            raise UserError(f"{self.scene.name}: {whole.filling.damaged()[0]}: no photo can be read: check the files")
+        before = np.maximum.accumulate(np.where(sound, np.arange(first), -1))
+        return torch.from_numpy(np.where(before < 0, sound.argmax(), before))
+
+    def _pixels(
+        self, photos: _Level, wanted: Draw, photo: int = -1, among: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Draw pixels, whether they count or not: photos (R,), columns and rows (R, 2).
+
+        photo: take all from it. among: (n,) what to take for each of the first n photos; None: all photos as they are.
+        """
+        count, total = wanted.rays, len(photos.sizes) if among is None else len(among)
         if photo >= 0:
             index = torch.tensor([photo]).expand(count)
         elif wanted.one_image:
-            index = self._integers(len(photos.sizes), 1).expand(count)
+            index = self._integers(total, 1).expand(count)
         else:
-            index = torch.searchsorted(photos.offsets, self._integers(int(photos.offsets[-1]), count), right=True) - 1
+            end = int(photos.offsets[total])
+            index = torch.searchsorted(photos.offsets, self._integers(end, count), right=True) - 1
+        if among is not None:
+            index = among[index]
         where = torch.rand(count, 2, generator=self.generator, dtype=torch.float64)
         size = photos.sizes[index]
         window = size
@@ -187,6 +240,11 @@ class PixelSampler:
             cameras = [self.scene.views[i].camera for i in self.views]
             if shrink > 1:
                 cameras = [camera.shrunk(shrink) for camera in cameras]
+            if photos.filling is not None:
+                small = replace(photos, sizes=np.array([(c.width, c.height) for c in cameras], np.int64))
+                self._photos = {shrink: _Level(small, cameras, self.scene, photos)}
+                return self._photos[shrink]
+            if shrink > 1:
                 photos = shrunk(photos, [(camera.width, camera.height) for camera in cameras], shrink)
             self._photos = {shrink: _Level(photos, cameras, self.scene)}
         return self._photos[shrink]
@@ -201,6 +259,34 @@ class PixelSampler:
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         """Continue from `state`. Raises KeyError, RuntimeError or TypeError if it is not a generator's state."""
         self.generator.set_state(state["generator"])
+
+
+def block_colors(photos: Photos, index: Tensor, pixel: Tensor, factor: int) -> Tensor:
+    """Return the mean colours of blocks of factor × factor pixels, of which at most TAPS × TAPS are read.
+
+    It gives what `shrunk` stores, for photos that are too many to be stored a second time.
+
+    Args:
+        photos: N photos at full size.
+        index: (R,) the photo of each block.
+        pixel: (R, 2) integer column and row of the block.
+        factor: the side of a block, in pixels.
+
+    Returns:
+        sRGB colours (R, 3), float32 in [0, 1].
+    """
+    k, corner = index.numpy(), pixel.numpy()
+    size = photos.sizes[k]
+    side = np.minimum(factor, size.min(1))
+    taps = min(factor, TAPS)
+    total = np.zeros((len(k), 3))
+    for row in range(taps):
+        y = corner[:, 1] * side + (2 * row + 1) * side // (2 * taps)
+        for column in range(taps):
+            x = corner[:, 0] * side + (2 * column + 1) * side // (2 * taps)
+            total += photos.flat[photos.starts[k] + y * size[:, 0] + x]
+    scale = WIDEN if photos.flat.dtype == np.uint8 else 1
+    return torch.from_numpy((np.floor(total * scale / taps**2 + 0.5) / 65535).astype(np.float32))
 
 
 def shrunk(photos: Photos, sizes: Sequence[tuple[int, int]], factor: int) -> Photos:

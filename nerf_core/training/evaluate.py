@@ -123,6 +123,8 @@ def evaluating(
     for index in selection.views:
         view = trainer.scene.views[index]
         truth = trainer.scene.images[index].astype(np.float32) / 65535
+        if trainer.scene.photos.damaged(index):  # found only now, because it was read only now
+            continue
         work, done = rendering(trainer.method, view.camera, trainer.scene), len(images)
         color, _ = yield from mapped(work, lambda share, done=done: (done, (done + share) / count))
         mask = trainer.scene.photos.mask(index)

@@ -36,7 +36,8 @@ class LoadingOptions:
     background: Literal["auto", "white", "black"] = "auto"
     """What transparent photos lie on; auto: white if they have alpha, else black."""
     memory_gb: float = 8.0
-    """What all photos together may take; they are downscaled further to fit."""
+    """What all photos together may take, in memory or, of a large capture, in the cache; they are downscaled further to
+    fit."""
 
     poses: Quality = "normal"
     """How carefully the poses of photos and videos without poses are found: fast takes a third of the time, high

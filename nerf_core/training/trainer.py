@@ -17,7 +17,7 @@ from nerf_core.common.configs import constants
 from nerf_core.common.device import pick_device, usable_cores
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.language import marked, phrase
-from nerf_core.geometry.scene import IDENTITY, Scene
+from nerf_core.geometry.scene import Scene
 from nerf_core.methods import METHODS, Config, Distributed, Method, Posed
 from nerf_core.methods.group import ALONE, Group
 from nerf_core.training.batches import Batch, PixelSampler
@@ -26,6 +26,7 @@ from nerf_core.training.loss_history import HistoryLog
 from nerf_core.training.settings import RunSettings
 
 EXPOSURES = "auto", "on", "off"
+ARRIVAL_SECONDS = 0.005  # between two looks whether a step's photos are read: a window wants a frame every 16 ms
 
 
 def nothing() -> None:
@@ -195,7 +196,8 @@ class Trainer:
     def step(self, yield_callback: Callable[[], None] = nothing) -> Report:
         """Do one optimiser step.
 
-        If device memory runs out, the step is tried again with chunks of half the size, as often as they can be halved.
+        With a large capture, it first waits until the photos of this step are read (`first_photos`). If device memory
+        runs out, the step is tried again with chunks of half the size, as often as they can be halved.
         Several processes do not try again, because the others have not run out of theirs.
 
         Args:
@@ -208,6 +210,7 @@ class Trainer:
 
         Raises:
             Diverged: the loss is not finite.
+            UserError: the photos of a large capture cannot be read any more.
             torch.OutOfMemoryError: memory runs out and chunks cannot be smaller.
         """
         waited, yielded = 0.0, False  # yielded: whether the callback runs or has raised
@@ -218,12 +221,16 @@ class Trainer:
             yield_callback()
             waited, yielded = waited + time.perf_counter() - begin, False
 
+        while not self.batches.arrived(self.step_count):
+            yield_callback()
+            time.sleep(ARRIVAL_SECONDS)
         start, config = time.perf_counter(), self.config
         while True:
             try:
                 with self.transaction():
                     wanted = self.method.draw(self.step_count)
-                    loss = self._train(self.batches.batch(wanted, self.group.part(wanted.rays)), timed_yield)
+                    part = self.group.part(wanted.rays)
+                    loss = self._train(self.batches.batch(wanted, part, self.step_count), timed_yield)
                 break
             except torch.OutOfMemoryError:
                 # smaller chunks do not help the callback, and must be the same in all processes
@@ -299,7 +306,7 @@ class Trainer:
             "step": self.step_count,
             "seconds": self.seconds,
             "scene": self.scene.identity(),
-            "scene_identity": IDENTITY,
+            "scene_identity": self.scene.identity_kind,
             "scene_name": self.scene.name,
             "scene_summary": self.scene.summary(),
         }

@@ -21,7 +21,7 @@ from ..commands.pointer import ViewportInput
 from ..commands.registry import USER_COMMANDS, with_keys
 from ..draw.growing import GrowingModel
 from ..draw.imgui_renderer import ImguiRenderer
-from ..draw.overlays import NEAR, Overlay, axis_directions, frusta
+from ..draw.overlays import NEAR, Overlay, axis_directions, frusta, spread_views
 from ..draw.photo import NearestPhoto
 from ..draw.viewport import ViewportPicture
 from ..draw.visits import Ink
@@ -125,8 +125,9 @@ class ViewportPanel:
         if state.show_cameras:
             train = set(scene.split("train"))
             depth = FRUSTUM_DEPTH * scene.radius
-            for indices, color in ((train, theme.text), (set(range(len(scene.views))) - train, theme.muted)):
-                cameras = [scene.views[k].camera for k in sorted(indices)]
+            shown = spread_views(len(scene.views))
+            for trained, color in ((True, theme.text), (False, theme.muted)):
+                cameras = [scene.views[k].camera for k in shown if (k in train) is trained]
                 if cameras:
                     shade = faded(SHADE, 0.5), 2.5 * thin  # so that lines show on a white background
                     overlay.lines(*frusta(cameras, depth), shade, (faded(color, 0.55), thin))

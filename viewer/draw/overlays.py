@@ -15,6 +15,7 @@ from .visits import DISC_EM, Ink, discs
 
 NEAR = 1e-3  # of the distance to the orbit's centre: lines nearer to the eye are cut off
 FAINT = 1e-3  # a sample of smaller weight cannot change an 8-bit pixel and is not drawn
+MOST_FRUSTA = 400  # of a capture's cameras: they are drawn in 5 ms; more would hide the picture
 MANY = 300  # discs: comparing more of them pairwise would take longer than drawing them
 TAG_PAD_EM = 0.3  # margin around a name
 REACH_EM = 0.3  # the mouse still hits a sample at this distance from its rim
@@ -243,17 +244,21 @@ def clip_segments(
     return a + first[:, None] * way, a + last[:, None] * way, visible
 
 
+def spread_views(count: int) -> list[int]:
+    """Return which of `count` cameras are drawn: all, or MOST_FRUSTA of them, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, min(count, MOST_FRUSTA)).round().astype(int)).tolist()
+
+
 def frusta(cameras: list[Camera], size: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the edges of each camera's pyramid, `size` deep: starts and ends (8·N, 3)."""
-    starts, ends = [], []
-    for camera in cameras:
-        x = np.array([0, camera.width, camera.width, 0]) - camera.cx
-        y = np.array([0, 0, camera.height, camera.height]) - camera.cy
-        local = np.stack([x / camera.fx, -y / camera.fy, -np.ones(4)], -1) * size
-        corners = local @ camera.c2w[:, :3].T + camera.c2w[:, 3]
-        starts += [np.broadcast_to(camera.c2w[:, 3], (4, 3)), corners]
-        ends += [corners, np.roll(corners, -1, 0)]
-    return np.concatenate(starts), np.concatenate(ends)
+    table = np.array([(c.width, c.height, c.fx, c.fy, c.cx, c.cy) for c in cameras], np.float64).reshape(-1, 6)
+    width, height, fx, fy, cx, cy = table.T[:, :, None]
+    c2w = np.array([c.c2w for c in cameras], np.float64).reshape(-1, 3, 4)
+    x, y = (width * [0, 1, 1, 0] - cx) / fx, (height * [0, 0, 1, 1] - cy) / fy
+    corners = np.stack([x, -y, -np.ones_like(x)], -1) * size @ c2w[:, :, :3].swapaxes(1, 2) + c2w[:, None, :, 3]
+    eyes = np.broadcast_to(c2w[:, None, :, 3], corners.shape)
+    starts, ends = np.concatenate([eyes, corners], 1), np.concatenate([corners, np.roll(corners, -1, 1)], 1)
+    return starts.reshape(-1, 3), ends.reshape(-1, 3)
 
 
 def axis_directions(camera: Camera, up: np.ndarray) -> list[tuple[np.ndarray, float, bool]]:

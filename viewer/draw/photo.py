@@ -18,15 +18,18 @@ TEXTURE = "viewport.photo"
 def nearest_photo(scene: Scene, camera: Camera) -> int | None:
     """Return the index of the training photo that was taken from nearest to a camera; None if there is none.
 
+    Photos of a large capture that are still to be read do not count.
+
     The distance is that of the centres in units of the scene's radius, plus one minus the cosine of the angle between
     the directions in which they look.
     """
-    train = scene.split("train")
-    if not train:
+    train = np.array(scene.split("train"), np.int64)
+    train = train[scene.photos.at(train.tolist()).present()]
+    if not len(train):
         return None
-    c2w = np.stack([scene.views[k].camera.c2w for k in train])
+    c2w = scene.poses[train]
     apart = np.linalg.norm(c2w[:, :, 3] - camera.c2w[:, 3], axis=1) / scene.radius
-    return train[int(np.argmin(apart + 1 - c2w[:, :, 2] @ camera.c2w[:, 2]))]
+    return int(train[np.argmin(apart + 1 - c2w[:, :, 2] @ camera.c2w[:, 2])])
 
 
 class NearestPhoto:

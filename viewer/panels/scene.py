@@ -15,7 +15,7 @@ from nerf_core.captures.raw_photos import raw_photos
 from nerf_core.common.configs import Constant, constants
 from nerf_core.common.errors import UserError
 from nerf_core.common.language import figure, marked, phrase, phrases, tr, trn
-from nerf_core.common.text import number
+from nerf_core.common.text import duration, number
 from nerf_core.common.user_paths import own_path
 from nerf_core.datasets.recognise import recognise
 from nerf_core.geometry.scene import SPLITS, Scene
@@ -148,7 +148,7 @@ def _can_be_opened(path: Path | None, state: AppState) -> bool:
 def _rows(scene: Scene) -> list[Row]:
     known = {name: len(scene.split(name)) for name in SPLITS}
     counts = [tr(PHOTOS[name]).format(n=figure(count, ",")) for name, count in known.items() if count]
-    sizes = sorted({(v.camera.width, v.camera.height) for v in scene.views})
+    sizes = scene.photo_sizes
     width, height = max((w for w, _ in sizes), default=0), max((h for _, h in sizes), default=0)
     size = phrase("{width:,} × {height:,} px", width=width, height=height) if sizes else "–"
     if len(sizes) > 1:
@@ -161,14 +161,24 @@ def _rows(scene: Scene) -> list[Row]:
         )
     bounds = phrase("{near} … {far} units", near=number(scene.near), far=number(scene.far))
     masked = [(tr("masks"), _masks(scene))] if scene.photos.kept is not None else []
+    reading = scene.photos.reading()
+    read = [(tr("read"), _read(*reading))] if reading is not None else []
     return [
         (tr("name"), scene.name),
         (tr("format"), phrase("{format}, in NDC", format=scene.format) if scene.ndc is not None else scene.format),
         (tr("photos"), " · ".join(counts) or tr("none")),
         (tr("size"), size),
         *masked,
+        *read,
         (tr("near … far"), bounds),
     ]
+
+
+def _read(done: int, total: int, seconds: float | None) -> str:
+    """How many photos of a large capture are read, and how long the rest takes."""
+    if seconds is None:
+        return phrase("{done:,} of {total:,}", done=done, total=total)
+    return phrase("{done:,} of {total:,}, {time} left", done=done, total=total, time=duration(seconds))
 
 
 def _masks(scene: Scene) -> str:

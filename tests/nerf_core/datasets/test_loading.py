@@ -155,6 +155,7 @@ def test_progress_counts_photos_and_may_cancel(transforms_folder: Folder) -> Non
     folder, _ = transforms_folder
     calls: list[tuple[str, int, int]] = []
     load_scene(folder, AUTO, lambda *call: calls.append(call))
+    assert calls.pop(0) == ("looking for masks", 0, 10)
     assert calls == [(words, i, 10) for words in ("checking photos", "loading photos") for i in range(1, 11)]
 
     class StopError(Exception):
