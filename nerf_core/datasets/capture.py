@@ -54,6 +54,7 @@ class Photo:
         that the input states; where the input states none, of the size that `images.measure` finds in the file.
     mask: the file that says which pixels count, 0 where they do not. None: one of the usual places is looked up.
     upright: whether the camera is certainly that of the photo as its EXIF orientation turns it.
+    orientation: the EXIF orientation that the camera's pixels still have; 1: they are upright, as far as is known.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Photo:
     camera: Camera
     mask: Path | None = None
     upright: bool = False
+    orientation: int = 1
 
 
 @dataclass(frozen=True)

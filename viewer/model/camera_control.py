@@ -215,8 +215,7 @@ class CameraControl:
         if train:
             cameras = [scene.views[i].camera for i in train]
             camera = cameras[0] if scene.synthetic else cameras[_most_central(cameras, scene.center)]
-            photo = self._photo(camera)
-            self._home = replace(photo, rotation=level(photo.rotation, self._up))
+            self._home = self._upright(camera)
         else:
             self._home = _pleasant(np.asarray(scene.center, np.float64), self._up, 3 * self._unit)
         self._ease = None
@@ -288,6 +287,15 @@ class CameraControl:
             )  # the centre lies behind: the photo looks out of the scene
         fov = math.degrees(2 * math.atan(camera.height / 2 / camera.fy))
         return Pose(c2w[:, 3].copy(), c2w[:, :3].copy(), distance, fov)
+
+    def _upright(self, camera: Camera) -> Pose:
+        """A photo's point of view without roll. Of a camera that was held on its side, it shows the whole height."""
+        photo = self._photo(camera)
+        roll = angles_from(photo.rotation, self._up)[2]
+        fov = photo.fov_y_degrees
+        if abs(math.sin(roll)) > math.cos(math.pi / 4):  # the picture's sides are above and below
+            fov = math.degrees(2 * math.atan(camera.width / 2 / camera.fx))
+        return replace(photo, rotation=level(photo.rotation, self._up), fov_y_degrees=fov)
 
     def _move(self, pose: Pose) -> None:
         self._pose, self._ease, self._touched = pose, None, True
