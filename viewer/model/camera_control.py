@@ -15,12 +15,13 @@ import numpy as np
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.paths.steps import capture_distance
 from nerf_core.geometry.scene import Scene
-from nerf_core.geometry.turntable import angles_from, level, looking_along, rotation_from
+from nerf_core.geometry.turntable import angles_from, horizontal_axes, level, looking_along, rotation_from
 
 EASE_SECONDS = 0.2
 MOVING_SECONDS = 0.15  # longer than the gap between two mouse events, shorter than a delay that one notices
 ZOOM_STEP = 0.88  # factor on the distance for one notch of the wheel
 ORBIT_TURN = math.pi  # radians for a drag as long as the viewport's height
+STEEP = math.radians(75.0)  # of a photo that looks straight down: its direction no longer tells what is at the top
 MAX_ELEVATION = math.radians(89.0)  # at 90° a sideways drag would spin the picture
 ROLL_FADE = 0.1  # radians of orbiting after which the roll of a photo's camera has fallen to 1/e
 FLY_SPEED, FLY_FAST = 0.6, 5.0  # scene radii per second; Shift multiplies it by the second number
@@ -202,7 +203,7 @@ class CameraControl:
     # ---- jumps -----------------------------------------------------------------------------------------------
 
     def set_scene(self, scene: Scene) -> None:
-        """Start, without easing, at a training photo, level; without photos, at a pleasant distance.
+        """Start, without easing, at a training photo's place, level; without photos, at a pleasant distance.
 
         For a synthetic object, seen from all around, it is the first photo. For a place it is the photo that is most
         similar to the others, because the content is what most photos show.
@@ -215,7 +216,7 @@ class CameraControl:
         if train:
             cameras = [scene.views[i].camera for i in train]
             camera = cameras[0] if scene.synthetic else cameras[_most_central(cameras, scene.center)]
-            self._home = self._upright(camera)
+            self._home = self._upright(camera, scene)
         else:
             self._home = _pleasant(np.asarray(scene.center, np.float64), self._up, 3 * self._unit)
         self._ease = None
@@ -288,14 +289,33 @@ class CameraControl:
         fov = math.degrees(2 * math.atan(camera.height / 2 / camera.fy))
         return Pose(c2w[:, 3].copy(), c2w[:, :3].copy(), distance, fov)
 
-    def _upright(self, camera: Camera) -> Pose:
-        """A photo's point of view without roll. Of a camera that was held on its side, it shows the whole height."""
+    def _upright(self, camera: Camera, scene: Scene) -> Pose:
+        """The first view: from a photo's place, without roll, turned to the scene's centre if the photo shows it there.
+
+        A photo straight down is followed by a view straight down on the centre, with the photo's top at the top. Of a
+        camera that was held on its side, the whole height is shown.
+        """
         photo = self._photo(camera)
-        roll = angles_from(photo.rotation, self._up)[2]
+        _, elevation, roll = angles_from(photo.rotation, self._up)
         fov = photo.fov_y_degrees
         if abs(math.sin(roll)) > math.cos(math.pi / 4):  # the picture's sides are above and below
             fov = math.degrees(2 * math.atan(camera.width / 2 / camera.fx))
-        return replace(photo, rotation=level(photo.rotation, self._up), fov_y_degrees=fov)
+        center = np.asarray(scene.center, np.float64)
+        pixels, depth = camera.project(center[None])
+        shown = depth[0] > scene.near and (pixels[0] >= 0).all() and (pixels[0] < (camera.width, camera.height)).all()
+        if abs(elevation) > STEEP:
+            e1, e2, _ = horizontal_axes(self._up)
+            outwards = -math.copysign(1.0, elevation) * photo.rotation[:, 1]
+            rotation = rotation_from(
+                math.atan2(outwards @ e2, outwards @ e1), math.copysign(MAX_ELEVATION, elevation), 0.0, self._up
+            )
+            return _around(center if shown else photo.pivot, rotation, photo.distance, fov)
+        if not shown:
+            return replace(photo, rotation=level(photo.rotation, self._up), fov_y_degrees=fov)
+        away = center - photo.eye
+        distance = float(np.linalg.norm(away))
+        rotation = looking_along(away / distance, photo.rotation, self._up)
+        return Pose(photo.eye, rotation, distance, fov)
 
     def _move(self, pose: Pose) -> None:
         self._pose, self._ease, self._touched = pose, None, True
