@@ -47,9 +47,10 @@ class Normalised:
 def normalise(capture: Capture, options: LoadOptions) -> Normalised:
     """Move, rotate and scale a capture into the trainer's frame, with one similarity.
 
-    Synthetic captures keep their frame, and their unit if it is about the usual one. NDC uses the official LLFF frame: the mean camera lies at the origin and looks
-    along −z, y is up, and the nearest bound is at 1/0.75. All other captures have the point that their cameras look at
-    as the origin, z up, and the cameras at an RMS distance of 1 (official spherify; smaller for a far background).
+    Synthetic captures keep their frame, and their unit if it is about the usual one. NDC uses the official LLFF frame:
+    the mean camera lies at the origin and looks along −z, y is up, and the nearest bound is at 1/0.75. All other
+    captures have the point that their cameras look at as the origin, z up, and the cameras at an RMS distance of 1
+    (official spherify; smaller for a far background).
     Raises UserError for `ndc="on"` where it is impossible, and for lengths that floats cannot hold.
     """
     poses = np.stack([photo.camera.c2w for photo in capture.photos])
@@ -134,7 +135,7 @@ def _in_ndc(capture: Capture, poses: np.ndarray, depths: Depths) -> Normalised:
 
 
 def _ndc_up(capture: Capture, mean: np.ndarray) -> np.ndarray:
-    """Up in the frame of the mean camera (3, 4): its y axis, or the side that EXIF says of most photos taken as stored."""
+    """Up in the frame of the mean camera (3, 4): y, or the side that EXIF names for most photos taken as stored."""
     if all(photo.orientation == 1 for photo in capture.photos):
         return np.array([0.0, 1.0, 0.0])
     x, y, _ = mean[:, :3].T @ _held(capture)[:, :, 1].mean(0)

@@ -101,7 +101,9 @@ def _rolled_up(poses: np.ndarray) -> np.ndarray | None:
     """
     sides, tops, back = poses[:, :, :2], poses[:, :, 1], poses[:, :, 2].mean(0)
     best: tuple[float, np.ndarray, np.ndarray] | None = None
-    for normal in (_plane(sides[:, :, 0])[1], _plane(sides[:, :, 1])[1], _plane(poses[:, :, 2])[1]):
+    for vectors in (sides[:, :, 0], sides[:, :, 1], poses[:, :, 2]):
+        share, normal = _plane(vectors)
+        chosen = np.zeros(len(poses), int)
         for _ in range(ROLL_ROUNDS):
             off = np.abs(np.einsum("nik,i->nk", sides, normal))
             chosen = off.argmin(1)

@@ -76,9 +76,10 @@ def measured(camera: Camera, depth: np.ndarray, scene: Scene, truth: Arrangement
         pixels, _ = camera.project(np.array([truth.target]))
         place = "{:.2f}, {:.2f}".format(*(pixels[0] / (camera.width, camera.height)))
     subject = np.array([box.subject for box in truth.world] + [False])[index].mean()
-    foggy = (depth * metre < FOG * t).mean()
-    return (f"{np.degrees(np.arccos(np.clip(turn @ scene.up @ UP, -1, 1))):5.1f}° | {np.degrees(np.arctan2(seen[0], seen[1])):6.1f}°"
-            f" | {place} | {subject:4.0%} | {t.min():.2f} m | {foggy:.1%}")  # fmt: skip
+    foggy = (depth * metre < FOG * t)[np.isfinite(t)].mean()
+    off = np.degrees(np.arccos(np.clip(turn @ scene.up @ UP, -1, 1)))
+    roll = np.degrees(np.arctan2(seen[0], seen[1]))
+    return f"{off:.1f}° | {roll:.1f}° | {place} | {subject:.0%} | {t.min():.2f} m | {foggy:.1%}"
 
 
 def main() -> None:

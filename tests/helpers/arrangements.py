@@ -63,9 +63,8 @@ class Arrangement:
         """The cameras as a calibration states them: turned, in the input's frame and unit."""
         found = []
         for camera, turn in zip(self.cameras, self.turns, strict=True):
-            camera = turned(camera, turn)
-            pose = np.column_stack([FRAME @ camera.c2w[:, :3], self.place(camera.c2w[:, 3])])
-            found.append(camera.moved(pose))
+            held = turned(camera, turn)
+            found.append(held.moved(np.column_stack([FRAME @ held.c2w[:, :3], self.place(held.c2w[:, 3])])))
         return found
 
     def points(self, count: int = 40) -> np.ndarray:
@@ -96,7 +95,9 @@ def in_world(camera: Camera, scene: Scene, truth: Arrangement) -> Camera:
     return camera.moved(np.column_stack([turn @ camera.c2w[:, :3], eye]))
 
 
-def meet(world: Sequence[Box], origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def meet(
+    world: Sequence[Box], origins: np.ndarray, directions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Where rays (R, 3) first meet a world: t (R,), infinite beside it; the face's axis (R,); the box's index (R,)."""
     t, axis, index = np.full(len(origins), np.inf), np.zeros(len(origins), int), np.full(len(origins), -1)
     safe = np.where(np.abs(directions) < 1e-12, 1e-12, directions)  # a ray along a face never meets it
@@ -111,7 +112,7 @@ def meet(world: Sequence[Box], origins: np.ndarray, directions: np.ndarray) -> t
 
 
 def draw(world: Sequence[Box], camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A photo: colours (H, W, 3) uint8, the distance along each ray (H, W), and the index of the box it meets (H, W)."""
+    """A photo: colours (H, W, 3) uint8, the distance along each ray (H, W), and the box that it meets (H, W)."""
     rays = camera_rays(camera, 0.01, 100.0)
     o, d = rays.origins.double().numpy(), rays.directions.double().numpy()
     t, axis, index = meet(world, o, d)
@@ -130,7 +131,12 @@ def draw(world: Sequence[Box], camera: Camera) -> tuple[np.ndarray, np.ndarray, 
     return np.rint(255 * color).astype(np.uint8).reshape(*shape, 3), t.reshape(shape), index.reshape(shape)
 
 
-def looking(eye: Sequence[float], target: Sequence[float], up: Sequence[float] = (0, 0, 1), focal: float = 1.0) -> Camera:
+def looking(
+    eye: np.ndarray | Sequence[float],
+    target: np.ndarray | Sequence[float],
+    up: Sequence[float] = (0, 0, 1),
+    focal: float = 1.0,
+) -> Camera:
     """A camera at `eye` with its axis through `target`; focal in picture widths."""
     back = np.subtract(eye, target).astype(np.float64)
     back /= np.linalg.norm(back)
@@ -200,7 +206,7 @@ def walk(count: int = 28) -> tuple[Camera, ...]:
     rng, found = np.random.default_rng(0), []
     for k in range(count):
         eye = np.array([0.3 * np.sin(k), 0.0 + 7.0 * k / count, 0.1 * np.cos(2 * k)])
-        found.append(looking(eye, eye + (0.07 * rng.normal(), 1.0, 0.07 * rng.normal()), focal=0.8))
+        found.append(looking(eye, eye + np.array([0.07 * rng.normal(), 1.0, 0.07 * rng.normal()]), focal=0.8))
     return tuple(found)
 
 

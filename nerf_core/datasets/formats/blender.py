@@ -76,8 +76,8 @@ def _usual_bounds(poses: Sequence[np.ndarray]) -> tuple[tuple[float, float], tup
         return (NEAR, FAR), ()
     near, far = (2 * bound / (NEAR + FAR) * distance for bound in (NEAR, FAR))
     note = phrase(
-        "the cameras look at a point {distance:.4g} away, not between {near:g} and {far:g} as is usual: bounds are taken "
-        "in proportion; near and far in transforms_train.json would tell",
+        "the cameras look at a point {distance:.4g} away, not between {near:g} and {far:g} as is usual: bounds are "
+        "taken in proportion; near and far in transforms_train.json would tell",
         distance=distance,
         near=NEAR,
         far=FAR,

@@ -105,7 +105,9 @@ def test_the_unit_of_the_input_changes_nothing(kind: str) -> None:
             for a, b in ((metres.poses, other.poses), (metres.up, other.up), (metres.center, other.center)):
                 np.testing.assert_allclose(a, b, rtol=0, atol=1e-9)
             numbers = ("near", "far", "radius")
-            assert [getattr(metres, n) for n in numbers] == pytest.approx([getattr(other, n) for n in numbers], rel=1e-9)
+            assert [getattr(metres, n) for n in numbers] == pytest.approx(
+                [getattr(other, n) for n in numbers], rel=1e-9
+            )
             np.testing.assert_allclose(first(metres).c2w(), first(other).c2w(), rtol=0, atol=1e-9)
             assert first(metres).distance == pytest.approx(first(other).distance, rel=1e-9)
 
