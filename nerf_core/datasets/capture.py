@@ -66,12 +66,28 @@ class Photo:
 
 
 @dataclass(frozen=True)
+class Depths:
+    """The z-depths of a capture's content.
+
+    near, far: all content lies between them, with a margin.
+    closest: the depth of the nearest content.
+    middle: half of the content is nearer than this.
+    """
+
+    closest: float
+    near: float
+    middle: float
+    far: float
+
+
+@dataclass(frozen=True)
 class Capture:
     """The posed photos that a format has read: N photos, P sparse points, lengths in the input's units.
 
     splits: indices into `photos` by split name ("train", "val", "test"); None: every 8th is test, the rest train.
-    near, far: z-depth bounds for all photos; None: derived from bounds_per_photo or points.
+    near, far: z-depth bounds for all photos; None: derived from bounds_per_photo, depths or points.
     bounds_per_photo: (N, 2) near and far z-depths of each photo, or None.
+    depths: those of the capture's depth maps, or None.
     points: (P, 3) sparse points in the input's world frame, or None.
     synthetic: an object rendered on a plain background with known bounds (Blender); its poses are not normalised.
     up: (3,) unit vector in the input's frame if the format defines one; None: derived from the cameras.
@@ -88,6 +104,7 @@ class Capture:
     near: float | None = None
     far: float | None = None
     bounds_per_photo: np.ndarray | None = None
+    depths: Depths | None = None
     points: np.ndarray | None = None
     synthetic: bool = False
     up: np.ndarray | None = None
