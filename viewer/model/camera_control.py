@@ -7,7 +7,6 @@ movements and then calls `update(time)` once.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,45 +14,22 @@ import numpy as np
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.paths.steps import capture_distance
 from nerf_core.geometry.scene import Scene
-from nerf_core.geometry.turntable import angles_from, horizontal_axes, level, looking_along, rotation_from
+from nerf_core.geometry.turntable import angles_from, level, looking_along, rotation_from
+
+from .first_view import MAX_ELEVATION, Pose, around, most_central, upright
 
 EASE_SECONDS = 0.2
 MOVING_SECONDS = 0.15  # longer than the gap between two mouse events, shorter than a delay that one notices
 ZOOM_STEP = 0.88  # factor on the distance for one notch of the wheel
 ORBIT_TURN = math.pi  # radians for a drag as long as the viewport's height
-STEEP = math.radians(75.0)  # of a photo that looks straight down: its direction no longer tells what is at the top
-MAX_ELEVATION = math.radians(89.0)  # at 90° a sideways drag would spin the picture
 ROLL_FADE = 0.1  # radians of orbiting after which the roll of a photo's camera has fallen to 1/e
 FLY_SPEED, FLY_FAST = 0.6, 5.0  # scene radii per second; Shift multiplies it by the second number
 FLY_LONGEST = 0.1  # seconds: limits the camera's step after a slow frame
-SAMPLED = 100  # each of thousands of cameras is compared with so many
 NEAREST, FARTHEST = 1e-3, 100.0  # the wheel's limits for the distance from eye to pivot, in scene radii
 
 
-@dataclass(frozen=True)
-class Pose:
-    """A point of view.
-
-    rotation: (3, 3) camera to world.
-    distance: from the eye (3,) forward to the pivot.
-    """
-
-    eye: np.ndarray
-    rotation: np.ndarray
-    distance: float
-    fov_y_degrees: float
-
-    @property
-    def pivot(self) -> np.ndarray:
-        return self.eye - self.distance * self.rotation[:, 2]
-
-
-def _around(pivot: np.ndarray, rotation: np.ndarray, distance: float, fov_y_degrees: float) -> Pose:
-    return Pose(pivot + distance * rotation[:, 2], rotation, distance, fov_y_degrees)
-
-
 def _pleasant(center: np.ndarray, up: np.ndarray, distance: float) -> Pose:
-    return _around(center, rotation_from(math.radians(-60), math.radians(25), 0.0, up), distance, 40.0)
+    return around(center, rotation_from(math.radians(-60), math.radians(25), 0.0, up), distance, 40.0)
 
 
 def _blend(a: Pose, b: Pose, share: float, up: np.ndarray) -> Pose:
@@ -67,22 +43,13 @@ def _blend(a: Pose, b: Pose, share: float, up: np.ndarray) -> Pose:
 
     (azimuth, elevation, roll), (azimuth2, elevation2, roll2) = angles_from(a.rotation, up), angles_from(b.rotation, up)
     rotation = rotation_from(turn(azimuth, azimuth2), mix(elevation, elevation2), turn(roll, roll2), up)
-    pose = _around(
+    pose = around(
         a.pivot + share * (b.pivot - a.pivot),
         rotation,
         mix(a.distance, b.distance),
         mix(a.fov_y_degrees, b.fov_y_degrees),
     )
     return replace(pose, eye=a.eye) if np.array_equal(a.eye, b.eye) else pose
-
-
-def _most_central(cameras: Sequence[Camera], center: np.ndarray) -> int:
-    """Index of the camera with the least total difference to the others in position and direction of view."""
-    poses = np.stack([np.asarray(camera.c2w, np.float64) for camera in cameras])
-    size = np.linalg.norm(poses[:, :, 3] - center, axis=1).mean() or 1.0
-    features = np.concatenate([(poses[:, :, 3] - center) / size, poses[:, :, 2]], 1)
-    others = features[np.linspace(0, len(features) - 1, min(SAMPLED, len(features))).astype(int)]
-    return int(np.linalg.norm(features[:, None] - others, axis=-1).sum(1).argmin())
 
 
 @dataclass
@@ -171,7 +138,7 @@ class CameraControl:
         elevation = float(np.clip(elevation + dy * scale, -MAX_ELEVATION, MAX_ELEVATION))
         roll *= math.exp(-math.hypot(dx, dy) * scale / ROLL_FADE)
         rotation = rotation_from(azimuth - dx * scale, elevation, roll, self._up)
-        self._move(_around(self.pivot, rotation, self.distance, self.fov_y_degrees))
+        self._move(around(self.pivot, rotation, self.distance, self.fov_y_degrees))
 
     def pan(self, dx: float, dy: float, height: int) -> None:
         """Move sideways so that a point at the pivot's depth follows a pointer that moved by (dx, dy) pixels."""
@@ -215,8 +182,8 @@ class CameraControl:
         train = scene.split("train")
         if train:
             cameras = [scene.views[i].camera for i in train]
-            camera = cameras[0] if scene.synthetic else cameras[_most_central(cameras, scene.center)]
-            self._home = self._upright(camera, scene)
+            camera = cameras[0] if scene.synthetic else cameras[most_central(cameras, scene.center)]
+            self._home = upright(self._photo(camera), camera, scene, self._up)
         else:
             self._home = _pleasant(np.asarray(scene.center, np.float64), self._up, 3 * self._unit)
         self._ease = None
@@ -242,7 +209,7 @@ class CameraControl:
             return
         rotation = level(self._pose.rotation, self._up)
         distance = max(capture_distance(self.scene), NEAREST * self._unit)
-        self._jump(_around(np.asarray(self.scene.center, np.float64), rotation, distance, self._home.fov_y_degrees))
+        self._jump(around(np.asarray(self.scene.center, np.float64), rotation, distance, self._home.fov_y_degrees))
 
     def look(self, rotation: np.ndarray, radii: float | None = None) -> None:
         """Look at the scene's middle.
@@ -253,7 +220,7 @@ class CameraControl:
             return
         distance = capture_distance(self.scene) if radii is None else radii * self._unit
         center = np.asarray(self.scene.center, np.float64)
-        self._jump(_around(center, rotation, max(distance, NEAREST * self._unit), self._home.fov_y_degrees))
+        self._jump(around(center, rotation, max(distance, NEAREST * self._unit), self._home.fov_y_degrees))
 
     def focus(self, point: np.ndarray) -> None:
         """Turn to a world point (3,) and orbit it from now on. Ignore a point that is not finite: nothing was hit."""
@@ -264,7 +231,7 @@ class CameraControl:
         nearest = NEAREST * self._unit
         if distance < nearest:  # the eye is at the point and there is no direction to turn to, so step back
             rotation = level(self._pose.rotation, self._up)
-            self._jump(_around(np.asarray(point, np.float64), rotation, nearest, self.fov_y_degrees))
+            self._jump(around(np.asarray(point, np.float64), rotation, nearest, self.fov_y_degrees))
             return
         rotation = looking_along(to_point / distance, self._pose.rotation, self._up)
         self._jump(replace(self._pose, rotation=rotation, distance=distance))
@@ -288,34 +255,6 @@ class CameraControl:
             )  # the centre lies behind: the photo looks out of the scene
         fov = math.degrees(2 * math.atan(camera.height / 2 / camera.fy))
         return Pose(c2w[:, 3].copy(), c2w[:, :3].copy(), distance, fov)
-
-    def _upright(self, camera: Camera, scene: Scene) -> Pose:
-        """The first view: from a photo's place, without roll, turned to the scene's centre if the photo shows it there.
-
-        A photo straight down is followed by a view straight down on the centre, with the photo's top at the top. Of a
-        camera that was held on its side, the whole height is shown.
-        """
-        photo = self._photo(camera)
-        _, elevation, roll = angles_from(photo.rotation, self._up)
-        fov = photo.fov_y_degrees
-        if abs(math.sin(roll)) > math.cos(math.pi / 4):  # the picture's sides are above and below
-            fov = math.degrees(2 * math.atan(camera.width / 2 / camera.fx))
-        center = np.asarray(scene.center, np.float64)
-        pixels, depth = camera.project(center[None])
-        shown = depth[0] > scene.near and (pixels[0] >= 0).all() and (pixels[0] < (camera.width, camera.height)).all()
-        if abs(elevation) > STEEP:
-            e1, e2, _ = horizontal_axes(self._up)
-            outwards = -math.copysign(1.0, elevation) * photo.rotation[:, 1]
-            rotation = rotation_from(
-                math.atan2(outwards @ e2, outwards @ e1), math.copysign(MAX_ELEVATION, elevation), 0.0, self._up
-            )
-            return _around(center if shown else photo.pivot, rotation, photo.distance, fov)
-        if not shown:
-            return replace(photo, rotation=level(photo.rotation, self._up), fov_y_degrees=fov)
-        away = center - photo.eye
-        distance = float(np.linalg.norm(away))
-        rotation = looking_along(away / distance, photo.rotation, self._up)
-        return Pose(photo.eye, rotation, distance, fov)
 
     def _move(self, pose: Pose) -> None:
         self._pose, self._ease, self._touched = pose, None, True
