@@ -129,6 +129,7 @@ TURNED = {
     "half on a side": Arrangement(OBJECT, ring(), (0, 90) * 12),
     "every way": Arrangement(OBJECT, ring(), (0, 90, 180, 270) * 6),
     "an arc on a side, which EXIF says": Arrangement(OBJECT, ring()[:10], (270,) * 10, exif=True),
+    "an arc on the other side, which EXIF says": Arrangement(OBJECT, ring()[:10], (90,) * 10, exif=True),
     "a third of an arc on a side": Arrangement(OBJECT, ring()[:12], (0, 0, 90) * 4),
     "a room with a third on a side": Arrangement(ROOM, outward(), (0, 0, 90) * 12, target=None),
     "a room, every way as EXIF says": Arrangement(ROOM, outward(), (0, 90, 180, 270) * 9, exif=True, target=None),
@@ -156,3 +157,12 @@ def test_a_photo_on_its_side_is_shown_at_its_whole_height() -> None:
     for kind, side in (("inward", height), ("sideways", width), ("upside down", height)):
         camera = opened(kind, True)[3]
         assert camera.height / camera.fy == pytest.approx(side / focal)
+
+
+@POINTS
+def test_a_view_straight_down_has_the_photos_top_at_its_top(points: bool) -> None:
+    """The direction of a photo that looks almost straight down says nothing of what is at the top."""
+    arrangement, _, _, camera = opened("aerial", points)
+    assert degrees(camera.c2w[:, 2], UP) < 2
+    along = min(degrees(camera.c2w[:, 1], sign * arrangement.cameras[0].c2w[:, 1]) for sign in (1, -1))
+    assert along < 10  # the strips fly to and fro
