@@ -52,8 +52,9 @@ def most_central(cameras: Sequence[Camera], center: np.ndarray) -> int:
 def upright(photo: Pose, camera: Camera, scene: Scene, up: np.ndarray) -> Pose:
     """The first view: from a photo's place, without roll, turned to the scene's centre if the photo shows it there.
 
-    A photo straight down is followed by a view straight down on the centre, with the photo's top at the top. Of a
-    camera that was held on its side, the whole height is shown.
+    A photo straight down is followed by a view straight down on the centre, with the photo's top at the top. The
+    picture is as high as the photo's shorter side: beside a photo in portrait, a wide window would show much that no
+    photo does.
 
     Args:
         photo: the point of view of the photo.
@@ -61,10 +62,8 @@ def upright(photo: Pose, camera: Camera, scene: Scene, up: np.ndarray) -> Pose:
         scene: the scene.
         up: its unit up direction (3,).
     """
-    _, elevation, roll = angles_from(photo.rotation, up)
-    fov = photo.fov_y_degrees
-    if abs(math.sin(roll)) > math.cos(math.pi / 4):  # the picture's sides are above and below
-        fov = math.degrees(2 * math.atan(camera.width / 2 / camera.fx))
+    _, elevation, _ = angles_from(photo.rotation, up)
+    fov = math.degrees(2 * math.atan(min(camera.width / camera.fx, camera.height / camera.fy) / 2))
     center = np.asarray(scene.center, np.float64)
     pixels, depth = camera.project(center[None])
     shown = depth[0] > scene.near and (pixels[0] >= 0).all() and (pixels[0] < (camera.width, camera.height)).all()

@@ -152,12 +152,16 @@ def test_what_nothing_tells_apart_is_left_as_the_photos_show_it() -> None:
     assert degrees(up_of(hanging, scene_of(hanging)), -UP) < 3
 
 
-def test_a_photo_on_its_side_is_shown_at_its_whole_height() -> None:
-    width, height = SIZE
-    focal = KINDS["sideways"].cameras[0].fx
-    for kind, side in (("inward", height), ("sideways", width), ("upside down", height)):
+def test_the_first_view_is_as_high_as_the_shorter_side_of_a_photo() -> None:
+    """A wide window would else show much beside a photo in portrait that no photo does."""
+    focal = KINDS["inward"].cameras[0].fx
+    for kind in ("inward", "sideways", "upside down"):
         camera = opened(kind, True)[3]
-        assert camera.height / camera.fy == pytest.approx(side / focal)
+        assert camera.height / camera.fy == pytest.approx(min(SIZE) / focal)
+    scene = scene_of(KINDS["inward"])
+    tall = tuple(View(v.name, replace(v.camera, width=SIZE[1], height=SIZE[0])) for v in scene.views)
+    camera = first(replace(scene, views=tall)).camera(320, 240)
+    assert camera.height / camera.fy == pytest.approx(min(SIZE) / focal)
 
 
 @POINTS
