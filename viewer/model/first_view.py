@@ -53,8 +53,8 @@ def upright(photo: Pose, camera: Camera, scene: Scene, up: np.ndarray) -> Pose:
     """The first view: from a photo's place, without roll, turned to the scene's centre if the photo shows it there.
 
     A photo straight down is followed by a view straight down on the centre, with the photo's top at the top. The
-    picture is as high as the photo's shorter side: beside a photo in portrait, a wide window would show much that no
-    photo does.
+    picture is as high as the photo, or as the square of its area for one in portrait: at its whole height, a wide window
+    would show much beside it that no photo does, and at its width, it would cut off the subject.
 
     Args:
         photo: the point of view of the photo.
@@ -62,8 +62,11 @@ def upright(photo: Pose, camera: Camera, scene: Scene, up: np.ndarray) -> Pose:
         scene: the scene.
         up: its unit up direction (3,).
     """
-    _, elevation, _ = angles_from(photo.rotation, up)
-    fov = math.degrees(2 * math.atan(min(camera.width / camera.fx, camera.height / camera.fy) / 2))
+    _, elevation, roll = angles_from(photo.rotation, up)
+    wide, high = camera.width / camera.fx, camera.height / camera.fy
+    if abs(math.sin(roll)) > math.cos(math.pi / 4):  # the camera was held on its side
+        wide, high = high, wide
+    fov = math.degrees(2 * math.atan(min(high, math.sqrt(wide * high)) / 2))
     center = np.asarray(scene.center, np.float64)
     pixels, depth = camera.project(center[None])
     shown = depth[0] > scene.near and (pixels[0] >= 0).all() and (pixels[0] < (camera.width, camera.height)).all()
