@@ -53,8 +53,8 @@ def upright(photo: Pose, camera: Camera, scene: Scene, up: np.ndarray) -> Pose:
     """The first view: from a photo's place, without roll, turned to the scene's centre if the photo shows it there.
 
     A photo straight down is followed by a view straight down on the centre, with the photo's top at the top. The
-    picture is as high as the photo, or as the square of its area for one in portrait: at its whole height, a wide window
-    would show much beside it that no photo does, and at its width, it would cut off the subject.
+    picture is as high as the photo, or as the square of its area for one in portrait: at its whole height, a wide
+    window would show much beside it that no photo does, and at its width, it would cut off the subject.
 
     Args:
         photo: the point of view of the photo.
