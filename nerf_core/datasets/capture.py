@@ -55,6 +55,7 @@ class Photo:
         that the input states; where the input states none, of the size that `images.measure` finds in the file.
     mask: the file that says which pixels count, 0 where they do not. None: one of the usual places is looked up.
     upright: whether the camera is certainly that of the photo as its EXIF orientation turns it.
+    orientation: the EXIF orientation that the camera's pixels still have; 1: they are upright, as far as is known.
     """
 
     name: str
@@ -62,6 +63,22 @@ class Photo:
     camera: Camera
     mask: Path | None = None
     upright: bool = False
+    orientation: int = 1
+
+
+@dataclass(frozen=True)
+class Depths:
+    """The z-depths of a capture's content.
+
+    near, far: all content lies between them, with a margin.
+    closest: the depth of the nearest content.
+    middle: half of the content is nearer than this.
+    """
+
+    closest: float
+    near: float
+    middle: float
+    far: float
 
 
 @dataclass(frozen=True)
@@ -69,8 +86,9 @@ class Capture:
     """The posed photos that a format has read: N photos, P sparse points, lengths in the input's units.
 
     splits: indices into `photos` by split name ("train", "val", "test"); None: every 8th is test, the rest train.
-    near, far: z-depth bounds for all photos; None: derived from bounds_per_photo or points.
+    near, far: z-depth bounds for all photos; None: derived from bounds_per_photo, depths or points.
     bounds_per_photo: (N, 2) near and far z-depths of each photo, or None.
+    depths: those of the capture's depth maps, or None.
     points: (P, 3) sparse points in the input's world frame, or None.
     synthetic: an object rendered on a plain background with known bounds (Blender); its poses are not normalised.
     up: (3,) unit vector in the input's frame if the format defines one; None: derived from the cameras.
@@ -87,6 +105,7 @@ class Capture:
     near: float | None = None
     far: float | None = None
     bounds_per_photo: np.ndarray | None = None
+    depths: Depths | None = None
     points: np.ndarray | None = None
     synthetic: bool = False
     up: np.ndarray | None = None

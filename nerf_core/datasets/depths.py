@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from nerf_core.datasets.capture import Capture
+from nerf_core.datasets.capture import Capture, Depths
 from nerf_core.geometry.camera import Camera
 
 MARGIN = 0.9  # official LLFF: samples begin at 0.9 of the nearest bound; the farthest percentile gets the same margin
@@ -16,36 +15,33 @@ NEAREST = 1e-3  # of the median depth: nearer points would touch a lens, so they
 MAX_PAIRS = 20_000_000  # of points and cameras: more of them take seconds and do not change a percentile
 
 
-@dataclass(frozen=True)
-class Depths:
-    """The z-depths of a capture's content.
-
-    near, far: all content lies between them, with a margin.
-    closest: the depth of the nearest content.
-    middle: half of the content is nearer than this.
-    """
-
-    closest: float
-    near: float
-    middle: float
-    far: float
-
-
 def known_depths(capture: Capture) -> Depths | None:
-    """Return the depths in the input's units; None for a capture without bounds and without points that cameras see."""
+    """Return the depths in the input's units; None for a capture without bounds, without depth maps, and without points
+    that cameras see."""
     if capture.near is not None and capture.far is not None:
         return Depths(capture.near, capture.near, _middle(capture.near, capture.far), capture.far)
     if capture.bounds_per_photo is not None:
         closest, far = float(capture.bounds_per_photo.min()), float(capture.bounds_per_photo.max())
         return Depths(closest, MARGIN * closest, _middle(closest, far), far)
+    if capture.depths is not None:
+        return capture.depths
     if capture.points is None:
         return None
     z = seen_depths([photo.camera for photo in capture.photos], capture.points)
     if not len(z):
         return None
-    closest, middle, far = (float(v) for v in np.percentile(z, PERCENTILES))
+    return robust_depths(z, z)
+
+
+def robust_depths(z: np.ndarray, all_z: np.ndarray) -> Depths:
+    """Return the depths of a capture from those of pixels or points, some of which are wrong.
+
+    z: (K,) z-depths. all_z: (L,) these and less certain ones, which tell no more than how far content may reach.
+    """
+    closest, middle, _ = (float(v) for v in np.percentile(z, PERCENTILES))
+    far = float(np.percentile(all_z, PERCENTILES[-1]))
     closest = max(closest, NEAREST * middle)
-    return Depths(closest, MARGIN * closest, middle, far / MARGIN)
+    return Depths(closest, MARGIN * closest, middle, max(far, middle) / MARGIN)
 
 
 def seen_depths(cameras: Sequence[Camera], points: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import subprocess
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +72,28 @@ def exr_pixels(path: Path) -> np.ndarray:
     return np.dstack([srgb_encoded(plane * inverse) for plane in (red, green, blue)] + [alpha])
 
 
+def exr_plane(path: Path) -> np.ndarray:
+    """Read the one channel of an EXR image that has no other, (H, W) float32, as it is stored.
+
+    Its channel may be called R, as in Record3D's depth maps. ffmpeg decodes one channel only if it is called Y, and
+    knows no other way to ask for it, so it gets the file with this letter changed.
+    Raises OSError for damaged files and other channels, and UserError without ffmpeg.
+    """
+    width, height, _ = exr_header(path)
+    data = path.read_bytes()
+    begin = data.index(b"channels\0chlist\0") + 16  # then 4 bytes of size, and entries of a letter, 0 and 16 bytes
+    if data[begin + 5 : begin + 6] != b"\0" or data[begin + 4 + 18 : begin + 4 + 19] != b"\0":
+        raise OSError("has several channels, or one with a longer name: a depth map has one")
+    renamed = data[: begin + 4] + b"Y" + data[begin + 5 :]
+    with tempfile.NamedTemporaryFile(suffix=".exr") as copy:
+        copy.write(renamed)
+        copy.flush()
+        plane = _decoded(Path(copy.name), "grayf32le")
+    if len(plane) != 4 * width * height:
+        raise OSError("no EXR image that can be read")
+    return np.frombuffer(plane, np.float32).reshape(height, width)
+
+
 def _pixel_bytes(channels: bytes) -> float:
     """The bytes per pixel of a channel list: name, 0, type (1 is half), linear, sampling in x and y; it ends with 0."""
     total = 0.0
@@ -89,8 +112,11 @@ def _split(data: bytes) -> tuple[bytes, bytes]:
     return text, rest
 
 
-def _decoded(path: Path) -> bytes:
-    """The planes green, blue, red and alpha as float32 bytes, linear and premultiplied."""
+def _decoded(path: Path, layout: str = "gbrapf32le") -> bytes:
+    """The planes green, blue, red and alpha as float32 bytes, linear and premultiplied.
+
+    layout: another of ffmpeg's pixel formats.
+    """
     import imageio_ffmpeg
 
     try:
@@ -99,6 +125,6 @@ def _decoded(path: Path) -> bytes:
         raise UserError(f"{path}: EXR photos need ffmpeg, which is missing: install it or save them as PNG") from error
     command = [ffmpeg, "-v", "error", "-f", "exr_pipe", "-i", f"file:{path.absolute()}", "-frames:v", "1"]
     try:
-        return run_limited([*command, "-f", "rawvideo", "-pix_fmt", "gbrapf32le", "-"], SECONDS).output
+        return run_limited([*command, "-f", "rawvideo", "-pix_fmt", layout, "-"], SECONDS).output
     except subprocess.TimeoutExpired as error:
         raise OSError(f"decoding took longer than {SECONDS} s") from error

@@ -11,12 +11,13 @@ from nerf_core.common.errors import UserError
 from nerf_core.common.language import marked, phrase
 from nerf_core.datasets.capture import Capture, LoadOptions
 from nerf_core.datasets.depths import Depths, known_depths
-from nerf_core.datasets.rig import common_focus, spread, up_direction, upright
+from nerf_core.datasets.rig import as_held, common_focus, spread, up_direction, upright
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.forward_facing import mean_camera, turned_away
 from nerf_core.geometry.ndc import Ndc
 
 SYNTHETIC_DEPTHS = (2.0, 6.0)  # of the official Blender configurations
+ANOTHER_UNIT = 10.0  # times farther or nearer than that, an object has another unit: γ of networks needs some units
 NDC_NEAR_BOUND = 0.75  # official LLFF: the nearest content lies at 1/0.75, so beyond the near plane at 1
 LONGEST = np.pi  # the official encoding γ has no factor π: its lowest frequency is unique within ±π
 SHRINK = 2.0  # the largest scaling that fits a far background into ±π; more would lose detail at the centre
@@ -46,9 +47,10 @@ class Normalised:
 def normalise(capture: Capture, options: LoadOptions) -> Normalised:
     """Move, rotate and scale a capture into the trainer's frame, with one similarity.
 
-    Synthetic captures keep their frame. NDC uses the official LLFF frame: the mean camera lies at the origin and looks
-    along −z, y is up, and the nearest bound is at 1/0.75. All other captures have the point that their cameras look at
-    as the origin, z up, and the cameras at an RMS distance of 1 (official spherify; smaller for a far background).
+    Synthetic captures keep their frame, and their unit if it is about the usual one. NDC uses the official LLFF frame:
+    the mean camera lies at the origin and looks along −z, y is up, and the nearest bound is at 1/0.75. All other
+    captures have the point that their cameras look at as the origin, z up, and the cameras at an RMS distance of 1
+    (official spherify; smaller for a far background).
     Raises UserError for `ndc="on"` where it is impossible, and for lengths that floats cannot hold.
     """
     poses = np.stack([photo.camera.c2w for photo in capture.photos])
@@ -127,9 +129,17 @@ def _in_ndc(capture: Capture, poses: np.ndarray, depths: Depths) -> Normalised:
         disparity=False,
         center=np.array([0.0, 0.0, -depths.middle * scale]),
         radius=depths.middle * scale,
-        up=np.array([0.0, 1.0, 0.0]),
+        up=_ndc_up(capture, mean),
         to_input=to_input,
     )
+
+
+def _ndc_up(capture: Capture, mean: np.ndarray) -> np.ndarray:
+    """Up in the frame of the mean camera (3, 4): y, or the side that EXIF names for most photos taken as stored."""
+    if all(photo.orientation == 1 for photo in capture.photos):
+        return np.array([0.0, 1.0, 0.0])
+    x, y, _ = mean[:, :3].T @ _held(capture)[:, :, 1].mean(0)
+    return np.array([0.0, np.sign(y) or 1.0, 0.0]) if abs(y) >= abs(x) else np.array([np.sign(x), 0.0, 0.0])
 
 
 # ---- captures in world space -----------------------------------------------------------------------------------
@@ -141,16 +151,29 @@ def _synthetic(capture: Capture, poses: np.ndarray) -> Normalised:
         near, far = SYNTHETIC_DEPTHS
     focus = common_focus(poses)
     center = np.zeros(3) if focus is None else focus
+    scale = sum(SYNTHETIC_DEPTHS) / (near + far)
+    cameras, to_input = tuple(photo.camera for photo in capture.photos), np.eye(4)
+    if 1 / ANOTHER_UNIT <= scale <= ANOTHER_UNIT:
+        scale = 1.0
+    else:
+        cameras, to_input = _placed(cameras, np.eye(3), np.zeros(3), scale)
     return Normalised(
-        cameras=tuple(photo.camera for photo in capture.photos),
-        near=near,
-        far=far,
+        cameras=cameras,
+        near=near * scale,
+        far=far * scale,
         ndc=None,
         disparity=False,
-        center=center,
-        radius=_orbit_radius(poses[:, :, 3], center, (near + far) / 2),
+        center=center * scale,
+        radius=_orbit_radius(poses[:, :, 3], center, (near + far) / 2) * scale,
         up=np.array([0.0, 0.0, 1.0]) if capture.up is None else capture.up,
-        to_input=np.eye(4),
+        to_input=to_input,
+    )
+
+
+def _held(capture: Capture) -> np.ndarray:
+    """The poses (N, 3, 4) that the cameras would have if the photos were turned as EXIF says."""
+    return np.stack(
+        [np.column_stack([as_held(p.camera.c2w[:, :3], p.orientation), p.camera.c2w[:, 3]]) for p in capture.photos]
     )
 
 
@@ -195,7 +218,7 @@ def _real(capture: Capture, poses: np.ndarray, depths: Depths | None) -> Normali
                 far=layout.far,
             ),
         )
-    up = up_direction(poses) if capture.up is None else capture.up / np.linalg.norm(capture.up)
+    up = up_direction(_held(capture)) if capture.up is None else capture.up / np.linalg.norm(capture.up)
     cameras, to_input = _placed([p.camera for p in capture.photos], upright(up), layout.center, scale)
     return Normalised(
         cameras=cameras,
@@ -237,4 +260,12 @@ def _unfocused(poses: np.ndarray, depths: Depths | None) -> _Layout:
         "the cameras do not look at one point and no depths are known: content is assumed around "
         f"{reach:.4g} of the input's units from them; sparse points (COLMAP) or near and far would tell"
     )
-    return _Layout(center, unit, before, NO_DEPTHS_NEAR * reach, before + LONGEST * unit, (note,))
+    # Who walks ahead passes what the photos show: it is as near as the walk is long, not as far as the content.
+    ahead = length > FORWARD and 2 * _along(poses, forward / length) > size
+    near = NO_DEPTHS_NEAR * (size if ahead else reach)
+    return _Layout(center, unit, before, near, before + LONGEST * unit, (note,))
+
+
+def _along(poses: np.ndarray, direction: np.ndarray) -> float:
+    """The RMS distance of the camera centres from their mean along a unit vector (3,)."""
+    return float((poses[:, :, 3] @ direction).std())

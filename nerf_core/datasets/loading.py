@@ -171,7 +171,10 @@ def _sized(
                 memory=options.memory_gb,
             )
         )
-    photos = tuple(replace(p, camera=p.camera.resized(*size)) for p, size in zip(capture.photos, sizes, strict=True))
+    photos = tuple(
+        replace(p, camera=p.camera.resized(*size), orientation=1 if turn else h.orientation)
+        for p, size, h, turn in zip(capture.photos, sizes, headers, upright, strict=True)
+    )
     return replace(capture, photos=photos), upright, eight_bits, notes
 
 

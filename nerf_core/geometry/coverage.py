@@ -21,11 +21,13 @@ MOST_VIEWS = 128  # views that fill the cells, spread evenly: 128 take about 30 
 
 @dataclass(frozen=True)
 class Coverage:
-    """Which cells of a cube lie in a training view at a depth between near and far.
+    """Which cells of a cube lie in a training view at a depth between near and far, and in none before near.
 
     low: (3,) the cube's lower corner, in world units.
     side: the side of a cell, in world units.
     covered: (CELLS, CELLS, CELLS) bool. Cells beside covered ones count too, so that no ray passes between two samples.
+        Cells before the near bound of a photo that looks at them do not count, whatever other photos show: its rays
+        pass them unseen, so that a model may hold fog there, and the bound says that they are empty.
     """
 
     low: np.ndarray
@@ -47,17 +49,22 @@ class Coverage:
         side = 2 * half / CELLS
         low = np.asarray(center, np.float64) - half
         centres = (low + (np.indices((CELLS,) * 3).reshape(3, -1).T + 0.5) * side).astype(np.float32)
-        covered = np.zeros(len(centres), bool)
+        covered, empty = np.zeros(len(centres), bool), np.zeros(len(centres), bool)
+        margin = side * 3**0.5 / 2  # a cell's corners lie this far from its centre
         for i in index:
             if cameras[i].lens.wide:
                 covered |= _seen(cameras[i], centres, near, far)
+                empty |= _seen(cameras[i], centres, 0.0, near - margin)
                 continue
             left, right, bottom, top = _window(cameras[i])
             c2w = poses[i].astype(np.float32)
             x, y, z = ((centres - c2w[:, 3]) @ c2w[:, :3]).T
             framed = (x >= -left * z) & (x <= -right * z) & (y >= -bottom * z) & (y <= -top * z)
             covered |= framed & (-z >= near) & (-z <= far)
-        return Coverage(low, side, _grown(covered.reshape((CELLS,) * 3)))
+            beside = (x >= -left * z - margin) & (x <= -right * z + margin)
+            beside &= (y >= -bottom * z - margin) & (y <= -top * z + margin)
+            empty |= beside & (-z > -margin) & (-z < near - margin)
+        return Coverage(low, side, _grown(covered.reshape((CELLS,) * 3)) & ~empty.reshape((CELLS,) * 3))
 
     def crossed(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return where rays from one point cross covered cells.

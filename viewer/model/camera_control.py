@@ -7,7 +7,6 @@ movements and then calls `update(time)` once.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,43 +16,20 @@ from nerf_core.geometry.paths.steps import capture_distance
 from nerf_core.geometry.scene import Scene
 from nerf_core.geometry.turntable import angles_from, level, looking_along, rotation_from
 
+from .first_view import MAX_ELEVATION, Pose, around, most_central, upright
+
 EASE_SECONDS = 0.2
 MOVING_SECONDS = 0.15  # longer than the gap between two mouse events, shorter than a delay that one notices
 ZOOM_STEP = 0.88  # factor on the distance for one notch of the wheel
 ORBIT_TURN = math.pi  # radians for a drag as long as the viewport's height
-MAX_ELEVATION = math.radians(89.0)  # at 90° a sideways drag would spin the picture
 ROLL_FADE = 0.1  # radians of orbiting after which the roll of a photo's camera has fallen to 1/e
 FLY_SPEED, FLY_FAST = 0.6, 5.0  # scene radii per second; Shift multiplies it by the second number
 FLY_LONGEST = 0.1  # seconds: limits the camera's step after a slow frame
-SAMPLED = 100  # each of thousands of cameras is compared with so many
-CANDIDATES = 1000  # photos, evenly spread, of which the most central one is looked for: 10,000 would take 0.3 s
 NEAREST, FARTHEST = 1e-3, 100.0  # the wheel's limits for the distance from eye to pivot, in scene radii
 
 
-@dataclass(frozen=True)
-class Pose:
-    """A point of view.
-
-    rotation: (3, 3) camera to world.
-    distance: from the eye (3,) forward to the pivot.
-    """
-
-    eye: np.ndarray
-    rotation: np.ndarray
-    distance: float
-    fov_y_degrees: float
-
-    @property
-    def pivot(self) -> np.ndarray:
-        return self.eye - self.distance * self.rotation[:, 2]
-
-
-def _around(pivot: np.ndarray, rotation: np.ndarray, distance: float, fov_y_degrees: float) -> Pose:
-    return Pose(pivot + distance * rotation[:, 2], rotation, distance, fov_y_degrees)
-
-
 def _pleasant(center: np.ndarray, up: np.ndarray, distance: float) -> Pose:
-    return _around(center, rotation_from(math.radians(-60), math.radians(25), 0.0, up), distance, 40.0)
+    return around(center, rotation_from(math.radians(-60), math.radians(25), 0.0, up), distance, 40.0)
 
 
 def _blend(a: Pose, b: Pose, share: float, up: np.ndarray) -> Pose:
@@ -67,23 +43,13 @@ def _blend(a: Pose, b: Pose, share: float, up: np.ndarray) -> Pose:
 
     (azimuth, elevation, roll), (azimuth2, elevation2, roll2) = angles_from(a.rotation, up), angles_from(b.rotation, up)
     rotation = rotation_from(turn(azimuth, azimuth2), mix(elevation, elevation2), turn(roll, roll2), up)
-    pose = _around(
+    pose = around(
         a.pivot + share * (b.pivot - a.pivot),
         rotation,
         mix(a.distance, b.distance),
         mix(a.fov_y_degrees, b.fov_y_degrees),
     )
     return replace(pose, eye=a.eye) if np.array_equal(a.eye, b.eye) else pose
-
-
-def _most_central(cameras: Sequence[Camera], center: np.ndarray) -> int:
-    """Index of the camera with the least total difference to the others in position and direction of view."""
-    poses = np.stack([np.asarray(camera.c2w, np.float64) for camera in cameras])
-    size = np.linalg.norm(poses[:, :, 3] - center, axis=1).mean() or 1.0
-    features = np.concatenate([(poses[:, :, 3] - center) / size, poses[:, :, 2]], 1)
-    candidates = np.linspace(0, len(features) - 1, min(CANDIDATES, len(features))).astype(int)
-    others = features[np.linspace(0, len(features) - 1, min(SAMPLED, len(features))).astype(int)]
-    return int(candidates[np.linalg.norm(features[candidates, None] - others, axis=-1).sum(1).argmin()])
 
 
 @dataclass
@@ -172,7 +138,7 @@ class CameraControl:
         elevation = float(np.clip(elevation + dy * scale, -MAX_ELEVATION, MAX_ELEVATION))
         roll *= math.exp(-math.hypot(dx, dy) * scale / ROLL_FADE)
         rotation = rotation_from(azimuth - dx * scale, elevation, roll, self._up)
-        self._move(_around(self.pivot, rotation, self.distance, self.fov_y_degrees))
+        self._move(around(self.pivot, rotation, self.distance, self.fov_y_degrees))
 
     def pan(self, dx: float, dy: float, height: int) -> None:
         """Move sideways so that a point at the pivot's depth follows a pointer that moved by (dx, dy) pixels."""
@@ -204,7 +170,7 @@ class CameraControl:
     # ---- jumps -----------------------------------------------------------------------------------------------
 
     def set_scene(self, scene: Scene) -> None:
-        """Start, without easing, at a training photo, level; without photos, at a pleasant distance.
+        """Start, without easing, at a training photo's place, level; without photos, at a pleasant distance.
 
         For a synthetic object, seen from all around, it is the first photo. For a place it is the photo that is most
         similar to the others, because the content is what most photos show.
@@ -216,9 +182,8 @@ class CameraControl:
         train = scene.split("train")
         if train:
             cameras = [scene.views[i].camera for i in train]
-            camera = cameras[0] if scene.synthetic else cameras[_most_central(cameras, scene.center)]
-            photo = self._photo(camera)
-            self._home = replace(photo, rotation=level(photo.rotation, self._up))
+            camera = cameras[0] if scene.synthetic else cameras[most_central(cameras, scene.center)]
+            self._home = upright(self._photo(camera), camera, scene, self._up)
         else:
             self._home = _pleasant(np.asarray(scene.center, np.float64), self._up, 3 * self._unit)
         self._ease = None
@@ -244,7 +209,7 @@ class CameraControl:
             return
         rotation = level(self._pose.rotation, self._up)
         distance = max(capture_distance(self.scene), NEAREST * self._unit)
-        self._jump(_around(np.asarray(self.scene.center, np.float64), rotation, distance, self._home.fov_y_degrees))
+        self._jump(around(np.asarray(self.scene.center, np.float64), rotation, distance, self._home.fov_y_degrees))
 
     def look(self, rotation: np.ndarray, radii: float | None = None) -> None:
         """Look at the scene's middle.
@@ -255,7 +220,7 @@ class CameraControl:
             return
         distance = capture_distance(self.scene) if radii is None else radii * self._unit
         center = np.asarray(self.scene.center, np.float64)
-        self._jump(_around(center, rotation, max(distance, NEAREST * self._unit), self._home.fov_y_degrees))
+        self._jump(around(center, rotation, max(distance, NEAREST * self._unit), self._home.fov_y_degrees))
 
     def focus(self, point: np.ndarray) -> None:
         """Turn to a world point (3,) and orbit it from now on. Ignore a point that is not finite: nothing was hit."""
@@ -266,7 +231,7 @@ class CameraControl:
         nearest = NEAREST * self._unit
         if distance < nearest:  # the eye is at the point and there is no direction to turn to, so step back
             rotation = level(self._pose.rotation, self._up)
-            self._jump(_around(np.asarray(point, np.float64), rotation, nearest, self.fov_y_degrees))
+            self._jump(around(np.asarray(point, np.float64), rotation, nearest, self.fov_y_degrees))
             return
         rotation = looking_along(to_point / distance, self._pose.rotation, self._up)
         self._jump(replace(self._pose, rotation=rotation, distance=distance))

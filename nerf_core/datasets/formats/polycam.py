@@ -6,6 +6,7 @@ ARKit's frame, whose y axis points up, and the camera's axes are OpenGL's.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar
 
@@ -14,7 +15,8 @@ import numpy as np
 from nerf_core.common.errors import UserError
 from nerf_core.common.json_files import Fields, read_json, scaled_note
 from nerf_core.common.language import phrase
-from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions
+from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions, Photo
+from nerf_core.datasets.depth_maps import DepthMap, recorded_depths
 from nerf_core.datasets.posed_files import Posed, checked_camera, posed_photos
 from nerf_core.geometry.camera import Camera
 
@@ -59,7 +61,11 @@ class Polycam:
                     folder=base,
                 ),
             )
-        return Capture(format="polycam", photos=photos, up=np.array([0.0, 1.0, 0.0]), notes=notes)
+        maps = _depth_maps(base, photos)
+        depths, depth_notes = recorded_depths(maps) if maps else (None, ())
+        return Capture(
+            format="polycam", photos=photos, depths=depths, up=np.array([0.0, 1.0, 0.0]), notes=notes + depth_notes
+        )
 
 
 def _folders(path: Path) -> tuple[Path, Path] | None:
@@ -69,6 +75,17 @@ def _folders(path: Path) -> tuple[Path, Path] | None:
             if (base / images).is_dir() and next((base / cameras).glob("*.json"), None) is not None:
                 return base / cameras, base / images
     return None
+
+
+def _depth_maps(base: Path, photos: Sequence[Photo]) -> list[DepthMap]:
+    """The depth maps of photos: depth/NAME.png in millimetres, and confidence/NAME.png beside it."""
+    found = []
+    for photo in photos:
+        file, confidence = (base / kind / f"{photo.path.stem}.png" for kind in ("depth", "confidence"))
+        if file.is_file():
+            size = photo.camera.width, photo.camera.height
+            found.append(DepthMap(file, size, confidence if confidence.is_file() else None))
+    return found
 
 
 def _camera(fields: Fields) -> tuple[Camera, float]:

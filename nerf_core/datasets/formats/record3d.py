@@ -1,12 +1,13 @@
 """Record3D's export: a file metadata with one calibration and the poses of all photos, beside folders of photos.
 
-Written from what the app's author says in github.com/marek-simonik/record3d (issues 27, 33, 36 and 93), and from
-nerfstudio's reader. `K` is a 3 × 3 matrix of intrinsics, column by column. Each of `poses` is a quaternion and a
+Written from what the app's author says in github.com/marek-simonik/record3d (issues 27, 33, 36, 53, 67 and 93), and
+from nerfstudio's reader. `K` is a 3 × 3 matrix of intrinsics, column by column. Each of `poses` is a quaternion and a
 position, qx qy qz qw px py pz: camera to world, with OpenGL's axes.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -15,7 +16,8 @@ import numpy as np
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.json_files import LIMIT, Fields, read_json
 from nerf_core.common.language import phrase
-from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions
+from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions, Photo
+from nerf_core.datasets.depth_maps import DepthMap, recorded_depths
 from nerf_core.datasets.posed_files import (
     Posed,
     begins_with,
@@ -26,12 +28,16 @@ from nerf_core.datasets.posed_files import (
 
 FILES = ("metadata.json", "metadata")  # of the export as EXR and JPG, and in an unpacked .r3d file
 PHOTOS = ("rgb", "rgbd")
+DEPTHS = "depth"
 SUFFIXES = (".jpg", ".jpeg", ".png")
 
 
 @DATASETS.register("record3d")
 class Record3D:
-    """Photos are numbered, and photo k has pose k. Depth maps are not read."""
+    """Photos are numbered, and photo k has pose k. Depth maps in EXR tell the bounds.
+
+    Those of a .r3d file are not read: they are compressed by LZFSE.
+    """
 
     rank: ClassVar[int] = 6
     files: ClassVar[str] = "metadata.json with rgb"
@@ -72,11 +78,18 @@ class Record3D:
                     photos=len(photos),
                 ),
             )
-        return Capture(format="record3d", photos=found, notes=notes)
+        maps = [DepthMap(file, size) for file in sorted(_depth_maps(path, found))]
+        depths, depth_notes = recorded_depths(maps) if maps else (None, ())
+        return Capture(format="record3d", photos=found, depths=depths, notes=notes + depth_notes)
 
 
 def _file(path: Path) -> Path | None:
     return next((path / name for name in FILES if begins_with(path / name, b"{")), None)
+
+
+def _depth_maps(path: Path, photos: Sequence[Photo]) -> list[Path]:
+    """The depth maps of photos: depth/k.exr for rgb/k.jpg, float32 in metres in the red channel (issues 53 and 67)."""
+    return [file for p in photos if (file := path / DEPTHS / f"{p.path.stem}.exr").is_file()]
 
 
 def _photos(path: Path) -> list[Path] | None:

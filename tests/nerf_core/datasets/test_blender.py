@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from nerf_core.common.errors import UserError
-from nerf_core.datasets import DATASETS, LoadOptions
+from nerf_core.datasets import DATASETS, LoadOptions, load_scene
 
 Folder = tuple[Path, dict[str, dict[str, Any]]]
 BLENDER = DATASETS.get("blender")
@@ -64,3 +64,30 @@ def test_any_of_its_files_opens_the_folder(blender_folder: Folder) -> None:
     assert BLENDER.matches(folder / "transforms_val.json")
     assert not BLENDER.matches(folder / "train/r_0.png")
     assert len(BLENDER.read(folder / "transforms_val.json", LoadOptions()).photos) == 9
+
+
+def test_an_object_in_another_unit_is_the_same_scene(blender_folder: Folder) -> None:
+    folder, documents = blender_folder
+    for frame in (f for document in documents.values() for f in document["frames"]):
+        frame["transform_matrix"] = np.array(frame["transform_matrix"])
+    found = []
+    for unit in (1.0, 1e-3, 1e3):
+        for split, document in documents.items():
+            frames = [{**f, "transform_matrix": f["transform_matrix"].copy()} for f in document["frames"]]
+            for frame in frames:
+                frame["transform_matrix"][:3, 3] /= unit
+                frame["transform_matrix"] = frame["transform_matrix"].tolist()
+            rewrite(folder, split, {**document, "frames": frames})
+        found.append(load_scene(folder, LoadOptions()))
+    metres, *others = found
+    assert (metres.near, metres.far, metres.notes) == (2, 6, ())
+    for scene, unit in zip(others, (1e-3, 1e3), strict=True):
+        distance = np.linalg.norm(scene.center - scene.poses[0, :, 3])
+        ratio = (scene.near + scene.far) / 2 / distance  # the bounds lie about the focus as those of metres do about 4
+        assert ratio == pytest.approx(1, rel=0.05)
+        assert scene.far / scene.near == pytest.approx(3)
+        size = distance / np.linalg.norm(metres.center - metres.poses[0, :, 3])
+        np.testing.assert_allclose(scene.poses[:, :, 3], size * metres.poses[:, :, 3], atol=1e-9)
+        assert 3 < scene.radius < 5
+        np.testing.assert_allclose(scene.to_input[:3, :3] * size * unit, np.eye(3), atol=1e-9)
+        assert any("look at a point" in note for note in scene.notes)
