@@ -38,10 +38,7 @@ def view_rays(scene: Scene, camera: Camera, pixels: np.ndarray) -> Rays:
     if scene.ndc is not None:
         begin = scene.ndc.world_t(rays.origins, rays.directions, scene.ndc.first(rays.origins)[:, None])[:, 0]
         return replace(rays, near=begin.clamp(min=0).minimum(rays.far))
-    bounds = _bounds(scene, camera)
-    at = np.asarray(pixels) * BINS / (camera.width, camera.height) + 0.5
-    column, row = torch.from_numpy(at.astype(np.int64)).unbind(-1)
-    near, far = bounds[row * (BINS + 1) + column].unbind(-1)
+    near, far = _between(_bounds(scene, camera), camera, pixels).unbind(-1)
     return replace(rays, near=near, far=far)
 
 
@@ -79,6 +76,20 @@ def _bounds(scene: Scene, camera: Camera) -> torch.Tensor:
     bounds = torch.from_numpy(np.stack([near, np.maximum(far, near)], -1)).float()
     _last[:] = [(weakref.ref(scene), camera, bounds)]
     return bounds
+
+
+def _between(bounds: torch.Tensor, camera: Camera, pixels: np.ndarray) -> torch.Tensor:
+    """Interpolate the bounds of corners at pixels (R, 2): (R, 2). In steps, they would show as squares in a picture.
+
+    The four corners around a pixel each enclose every ray between them, and so does their mean.
+    """
+    at = torch.from_numpy(np.asarray(pixels) * BINS / np.maximum((camera.width - 1, camera.height - 1), 1)).float()
+    low = at.long().clamp(max=BINS - 1)
+    (x, y), (column, row) = (at - low).unbind(-1), low.unbind(-1)
+    grid = bounds.view(BINS + 1, BINS + 1, 2)
+    upper = torch.lerp(grid[row, column], grid[row, column + 1], x[:, None])
+    lower = torch.lerp(grid[row + 1, column], grid[row + 1, column + 1], x[:, None])
+    return torch.lerp(upper, lower, y[:, None])
 
 
 def _widest(bound: np.ndarray, choose: np.ufunc) -> np.ndarray:
