@@ -292,10 +292,19 @@ def test_every_beginning_of_the_order_is_spread() -> None:
         assert gaps.max() <= 2.5 * 1000 / count
 
 
-def test_a_better_downscale_is_proposed(large: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nerf_core.datasets.large.free_memory", lambda: 6000.0)
-    (note,) = [note for note in opened(large).notes if note.startswith("--downscale")]
-    assert note.startswith("--downscale 2 suits this machine better (6 kB of memory are free): 12×8, 2.88 kB, read in")
+@pytest.mark.parametrize(
+    ("downscale", "free", "said"),
+    [
+        (1, 6000.0, "--downscale 2 suits this machine better (6 kB of memory are free): 12×8, 2.88 kB, read in"),
+        (2, 3000.0, "--downscale 4 suits this machine better (3 kB of memory are free): 6×4, 1.44 kB, read in"),
+    ],
+)
+def test_a_better_downscale_is_proposed(
+    large: Path, monkeypatch: pytest.MonkeyPatch, downscale: int, free: float, said: str
+) -> None:
+    monkeypatch.setattr("nerf_core.datasets.large.free_memory", lambda: free)
+    (note,) = [note for note in opened(large, downscale=downscale).notes if note.startswith("--downscale")]
+    assert note.startswith(said)
 
 
 def test_a_fast_jpeg_has_the_colours_of_a_whole_one(tmp_path: Path) -> None:
