@@ -19,6 +19,7 @@ from nerf_core.captures.search import QUALITIES, Job
 from nerf_core.common import cache
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.files import write_atomically
+from nerf_core.common.json_files import read_json
 from nerf_core.common.language import marked, phrase
 from nerf_core.common.text import counted
 from nerf_core.common.user_paths import absolute
@@ -215,7 +216,7 @@ def _link(link: Path, root: Path, photos: Sequence[Path]) -> None:
 def _known(folder: Path, key: str) -> Posed | None:
     """The result of an earlier time, if it is complete and of the same photos."""
     try:
-        said = json.loads((folder / DONE).read_text("utf-8"))
+        said = read_json(folder / DONE).values
         if said["format"] != FORMAT or said["key"] != key or not (folder / "sparse" / "0").is_dir():
             return None
         if not (folder / "images").is_dir():
@@ -223,7 +224,7 @@ def _known(folder: Path, key: str) -> Posed | None:
         lost = tuple((str(name), str(why)) for name, why in said["unplaced"])
         numbers = float(said["error"]), int(said["points"]), str(said["advice"]), float(said["seconds"])
         return Posed(folder, tuple(map(str, said["names"])), lost, *numbers, again=True)
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, UserError, ValueError, KeyError, TypeError, OverflowError):
         return None
 
 
