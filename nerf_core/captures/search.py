@@ -9,7 +9,7 @@ import sqlite3
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -25,7 +25,10 @@ from nerf_core.captures.video_frames import write_frames
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.memory import free_memory
 from nerf_core.common.text import duration
+from nerf_core.datasets.capture import Photo
 from nerf_core.datasets.images import BROKEN, UnreadableError, measure, read_photo
+from nerf_core.datasets.masks import kept_pixels
+from nerf_core.geometry.camera import Camera
 
 PROGRAM = Path(__file__).with_name("sfm_program.py")
 STALLED = 900.0  # seconds without a sign of life: one pair of photos, or one adjustment of a thousand, takes less
@@ -80,10 +83,11 @@ class Job:
                 )
         side, features, octave = QUALITIES[self.options.quality]
         sizes, copies, groups = list[tuple[int, int]](), list[str](), dict[tuple[int | str, ...], int]()
-        for k, photo in enumerate(self.photos):
+        masks = self.raw.masks() or [None] * len(self.photos)
+        for k, (photo, mask) in enumerate(zip(self.photos, masks, strict=True)):
             self._stage(COPYING, k, len(self.photos))
             try:
-                size, lens = self._copy(photo, side, k, groups)
+                size, lens = self._copy(photo, mask, side, k, groups)
             except UnreadableError as error:
                 self.damaged.append((photo.relative_to(self.images).as_posix(), str(error)))
                 continue
@@ -92,18 +96,21 @@ class Job:
             self.names.append(photo.relative_to(self.images).as_posix())
         if few := too_few(len(self.names)):
             raise UserError(f"{self.raw.source} has {few} that can be read ({self.damaged[0][1]})")
+        if masked := (self.work / "masks").exists():
+            self._complete_masks(copies)
         video = self.raw.video is not None
         task: dict[str, Any] = {
             "names": self.names, "sizes": sizes, "copies": copies, "side": side, "features": features, "octave": octave,
             "pairs": "all" if len(copies) <= ALL_PAIRS else "video" if video else "alike",
+            "masked": masked,
             "near": NEAR_IN_VIDEO if video else NEAR, "threads": max(1, os.cpu_count() or 1), "seed": SEED,
         }  # fmt: skip
         (self.work / "task.json").write_text(json.dumps(task), "utf-8")
 
     def _copy(
-        self, photo: Path, side: int, k: int, groups: dict[tuple[int | str, ...], int]
+        self, photo: Path, mask: Path | None, side: int, k: int, groups: dict[tuple[int | str, ...], int]
     ) -> tuple[tuple[int, int], str]:
-        """Write the copy of a photo. Returns the original's upright size and the copy's name below photos/."""
+        """Write the copies of a photo and its mask. Returns the upright size and the copy's name below photos/."""
         header = measure(photo)
         size = (header.width, header.height) if header.orientation < 5 else (header.height, header.width)
         scale = min(1.0, side / max(size))
@@ -118,7 +125,21 @@ class Job:
         if focal:  # the focal length that a camera writes is a better start than COLMAP's guess
             exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = focal
         Image.fromarray((pixels >> 8).astype(np.uint8)).save(file, quality=COPY_QUALITY, subsampling=0, exif=exif)
+        posed = Photo(photo.name, photo, Camera(*small, 1.0, 1.0, 0.0, 0.0, np.eye(4)[:3]), mask, upright=True)
+        if (kept := kept_pixels(posed, header, True, header.alpha)) is not None:
+            cut = self.work / "masks" / f"{name}.png"
+            cut.parent.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(np.where(kept, np.uint8(255), np.uint8(0))).save(cut)
         return size, name
+
+    def _complete_masks(self, copies: Sequence[str]) -> None:
+        """Write a white mask for each copy without one: where COLMAP misses a mask it finds no features at all."""
+        for name in copies:
+            cut = self.work / "masks" / f"{name}.png"
+            if not cut.exists():
+                cut.parent.mkdir(exist_ok=True)
+                with Image.open(self.work / "photos" / name) as copy:
+                    Image.new("L", copy.size, 255).save(cut)
 
     def _stage(self, stage: str, done: int, total: int) -> None:
         """Show how far a stage is, with the time that it needs if it goes on as it went."""

@@ -126,7 +126,7 @@ def other_values(data: bytes, chance: random.Random) -> bytes:
         elif kind == 3 and isinstance(holder, dict):
             holder[chance.choice(sorted(holder))] = holder[last]
         elif kind == 4:
-            for _ in range(chance.choice([1, 500])):
+            for _ in range(chance.choice([1, 200])):  # json writes no more than some 900
                 holder[last] = [holder[last]]
         else:
             holder[last] = chance.choice(VALUES)

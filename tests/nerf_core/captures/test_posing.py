@@ -169,6 +169,34 @@ def test_bad_captures_are_told_what_to_photograph(
     assert not (tmp_path / "out").exists()
 
 
+def test_a_masked_subject_has_no_features(tmp_path: Path) -> None:
+    """In front of a still scene a textured sheet moves with the camera: without masks the sheet is what fits."""
+    home = textured_photos.write(tmp_path / "some" / "images", textured_photos.arc()).parent
+    sheet = np.kron(np.random.default_rng(3).integers(0, 256, (22, 30, 3), np.uint8), np.ones((5, 5, 1), np.uint8))
+    (home / "masks").mkdir()
+    for k, photo in enumerate(sorted((home / "images").iterdir())):
+        with Image.open(photo) as image:
+            pixels = np.array(image)
+        top, left = 60 + 6 * (k % 2), 60
+        pixels[top : top + 110, left : left + 150] = sheet
+        mask = np.full(pixels.shape[:2], 255, np.uint8)
+        mask[top : top + 110, left : left + 150] = 0
+        Image.fromarray(pixels).save(photo)
+        if k != 7:  # one photo without a mask is used whole
+            Image.fromarray(mask).save(home / "masks" / f"{photo.stem}.png")
+    raw = of(home)
+    posed = find_poses(raw, tmp_path / "out", FAST, quiet)
+    assert posed.unplaced == ()
+    assert cameras_of(posed)[0].fx == pytest.approx(330, rel=0.05)  # with the sheet it is some 110
+    _, moved = poses.errors(
+        np.stack([camera.c2w for camera in cameras_of(posed)]), np.stack([c.c2w for c in textured_photos.arc()])
+    )
+    assert moved.max() < 3.0  # percent; with the sheet some 14
+    before = raw.key()
+    os.utime(home / "masks" / "photo 0.png", (1, 1))
+    assert raw.key() != before  # other masks give other poses
+
+
 def test_lost_and_damaged_photos_are_told_with_the_reason(tmp_path: Path) -> None:
     folder = textured_photos.write(tmp_path / "some", textured_photos.arc())
     Image.fromarray(textured_photos.picture(textured_photos.arc()[0], seed=9)).save(folder / "stranger.png")

@@ -315,8 +315,7 @@ def test_a_poses_json_that_is_none_says_nothing(folder: Path, kind: str) -> None
         file.mkdir()
     else:
         file.write_text("[" * 100_000)
-    photos = DATASETS.get("colmap").read(folder, LoadOptions()).photos
-    assert not any(photo.upright for photo in photos)
+    assert not colmap._of_upright_photos(folder)  # pyright: ignore[reportPrivateUsage]
     file.rmdir() if kind == "folder" else file.unlink()
     file.write_text('{"upright": true}')
     assert colmap._of_upright_photos(folder)  # pyright: ignore[reportPrivateUsage]
