@@ -18,7 +18,7 @@ CANDIDATES = 3  # photos that are compared in numbers
 def explain(model: NearestViewModel, rays: Rays) -> tuple[Stage, ...]:
     """Return the stages: the nearest photos with their distances, the ray's place in the first, and its colour."""
     looks = list(model.looks(rays))
-    _, view, found = looks[0 if looks[-1][2].masked[0] else -1]
+    _, view, found = looks[-1]
     name = model.scene.views[view].name
     inside, place = bool(found.inside[0]), found.places[0]
     small = model.scene.photos.small(view, SIDE)
@@ -31,7 +31,7 @@ def explain(model: NearestViewModel, rays: Rays) -> tuple[Stage, ...]:
         colour = marked("The photo's pixel is the colour, as it is.")
         where = phrase("It falls on column {column:,}, row {row:,}.", column=int(place[0]), row=int(place[1]))
     return (
-        _choice(model, name, len(looks) > 1 and not found.masked[0]),
+        _choice(model, *_shown(model, [view for _, view, _ in looks], bool(found.masked[0]))),
         Stage(
             marked("Place in the photo"),
             phrase(
@@ -48,6 +48,11 @@ def explain(model: NearestViewModel, rays: Rays) -> tuple[Stage, ...]:
             ((marked("colour"), triple(found.color[0])),),
         ),
     )
+
+
+def _shown(model: NearestViewModel, asked: list[int], hole: bool) -> tuple[str, bool]:
+    """The photo that counts as nearest, and whether nearer ones are masked: of a hole the first of those asked."""
+    return model.scene.views[asked[0 if hole else -1]].name, len(asked) > 1 and not hole
 
 
 def _choice(model: NearestViewModel, name: str, passed: bool) -> Stage:
