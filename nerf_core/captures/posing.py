@@ -15,7 +15,7 @@ from typing import Any
 from nerf_core.captures.advice import ALIKE, reason, summary, too_few
 from nerf_core.captures.raw_photos import RawPhotos
 from nerf_core.captures.records import PoseOptions, PoseProgress
-from nerf_core.captures.search import QUALITIES, Job
+from nerf_core.captures.search import LENSES, QUALITIES, Job
 from nerf_core.common import cache
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.files import write_atomically
@@ -130,7 +130,8 @@ def find_poses(raw: RawPhotos, out: Path | None, options: PoseOptions, progress:
 
 def _key(raw: RawPhotos, options: PoseOptions) -> str:
     """What a result depends on."""
-    return f"{raw.key()}-{options.quality}" + (f"-{options.frames}" if raw.video is not None else "")
+    frames = f"-{options.frames}" if raw.video is not None else ""
+    return f"{raw.key()}-{options.quality}{frames}" + ("-fisheye" if options.lens == "fisheye" else "")
 
 
 def _must_be_free(folder: Path, raw: RawPhotos) -> None:
@@ -147,6 +148,8 @@ def check(raw: RawPhotos, options: PoseOptions) -> None:
     """Raise UserError for options out of range, for too few photos, and where pycolmap is missing."""
     if options.quality not in QUALITIES:
         raise UserError(f"--quality is {shorten(options.quality)}: choose one of {', '.join(QUALITIES)}")
+    if options.lens not in LENSES:
+        raise UserError(f"--lens is {shorten(options.lens)}: choose {' or '.join(LENSES)}")
     if not (options.frames == 0 or 3 <= options.frames <= 5000):
         raise UserError(f"--frames is {shorten(options.frames)}: give 3 to 5000, or 0 to choose by the length")
     if not 0 < options.minutes <= 1e5:

@@ -19,6 +19,7 @@ import numpy as np
 from PIL import ExifTags, Image
 
 from nerf_core.captures.advice import too_few
+from nerf_core.captures.panoramas import is_panorama
 from nerf_core.captures.raw_photos import RawPhotos
 from nerf_core.captures.records import COPYING, STAGES, Growing, PoseOptions, PoseProgress
 from nerf_core.captures.video_frames import write_frames
@@ -49,6 +50,11 @@ QUALITIES: dict[str, tuple[int, int, int]] = {
 }
 
 
+# COLMAP's camera model, and the focal length that it begins with in longer sides of a photo, where EXIF has none. The
+# perspective one is COLMAP's own; of fisheye lenses, action cameras have some 0.45 and circles of 180° have 0.3.
+LENSES: dict[str, tuple[str, float]] = {"perspective": ("SIMPLE_RADIAL", 1.2), "fisheye": ("OPENCV_FISHEYE", 0.4)}
+
+
 @dataclass
 class Job:
     """One search for poses, in the folder `work`."""
@@ -60,6 +66,7 @@ class Job:
     photos: tuple[Path, ...] = ()  # the originals
     names: list[str] = field(default_factory=list)  # of the originals, below `images`
     damaged: list[tuple[str, str]] = field(default_factory=list)  # names, and what is wrong
+    panoramas: int = 0  # photos that show all around
     state: PoseProgress = field(default_factory=lambda: PoseProgress(""))
     begun: float = 0.0  # the time at which the stage began
     started: float = 0.0  # the time at which the search began
@@ -96,13 +103,18 @@ class Job:
             self.names.append(photo.relative_to(self.images).as_posix())
         if few := too_few(len(self.names)):
             raise UserError(f"{self.raw.source} has {few} that can be read ({self.damaged[0][1]})")
+        if self.panoramas > len(copies) / 2:
+            raise UserError(
+                f"{self.raw.source} holds 360° panoramas, whose poses are not searched for: cut perspective views out "
+                "of them (ffmpeg's filter v360), or add a file with their poses, as Metashape's cameras.xml"
+            )
         if masked := (self.work / "masks").exists():
             self._complete_masks(copies)
         video = self.raw.video is not None
         task: dict[str, Any] = {
             "names": self.names, "sizes": sizes, "copies": copies, "side": side, "features": features, "octave": octave,
             "pairs": "all" if len(copies) <= ALL_PAIRS else "video" if video else "alike",
-            "masked": masked,
+            "masked": masked, "lens": LENSES[self.options.lens],
             "near": NEAR_IN_VIDEO if video else NEAR, "threads": max(1, os.cpu_count() or 1), "seed": SEED,
         }  # fmt: skip
         (self.work / "task.json").write_text(json.dumps(task), "utf-8")
@@ -116,6 +128,8 @@ class Job:
         scale = min(1.0, side / max(size))
         small = max(1, round(size[0] * scale)), max(1, round(size[1] * scale))
         pixels = read_photo(photo, small, (0.0, 0.0, 0.0), upright=True)
+        levels = (pixels >> 8).astype(np.uint8)
+        self.panoramas += is_panorama(levels)
         made_by, focal = _camera_of(photo)
         group = groups.setdefault((*size, made_by, focal), len(groups))
         name = f"{group}/{k:06d}.jpg"
@@ -124,7 +138,7 @@ class Job:
         exif = Image.Exif()
         if focal:  # the focal length that a camera writes is a better start than COLMAP's guess
             exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = focal
-        Image.fromarray((pixels >> 8).astype(np.uint8)).save(file, quality=COPY_QUALITY, subsampling=0, exif=exif)
+        Image.fromarray(levels).save(file, quality=COPY_QUALITY, subsampling=0, exif=exif)
         posed = Photo(photo.name, photo, Camera(*small, 1.0, 1.0, 0.0, 0.0, np.eye(4)[:3]), mask, upright=True)
         if (kept := kept_pixels(posed, header, True, header.alpha)) is not None:
             cut = self.work / "masks" / f"{name}.png"

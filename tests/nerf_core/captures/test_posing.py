@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import imageio.v2 as imageio
@@ -16,6 +17,7 @@ from PIL import Image
 
 from nerf_core.captures import posing, records, search, video_frames
 from nerf_core.captures.opening import open_capture
+from nerf_core.captures.panoramas import is_panorama
 from nerf_core.captures.posing import Posed, find_poses
 from nerf_core.captures.raw_photos import RawPhotos, raw_photos
 from nerf_core.captures.records import PoseOptions, PoseProgress
@@ -23,6 +25,7 @@ from nerf_core.common.errors import UserError
 from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.datasets.capture import DATASETS
 from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.lens import FISHEYE, Lens
 
 FAST = PoseOptions("fast")
 
@@ -197,6 +200,55 @@ def test_a_masked_subject_has_no_features(tmp_path: Path) -> None:
     assert raw.key() != before  # other masks give other poses
 
 
+def test_fisheye_photos_get_their_poses(tmp_path: Path) -> None:
+    """83° to each side, through a lens that bends; taken for perspective, they are some 8° and 10 % wrong."""
+    lens = Lens(k1=0.03, k2=-0.01, kind=FISHEYE)
+    cameras = [replace(camera, fx=110.0, fy=110.0, lens=lens) for camera in textured_photos.arc()]
+    (tmp_path / "photos").mkdir()
+    for k, camera in enumerate(cameras):
+        Image.fromarray(textured_photos.picture(camera, cells=6)).save(tmp_path / "photos" / f"photo {k}.png")
+    options = replace(FAST, lens="fisheye")
+    posed = find_poses(of(tmp_path / "photos"), tmp_path / "out", options, quiet)
+    assert posed.unplaced == ()
+    found = cameras_of(posed)
+    assert found[0].lens.kind == FISHEYE
+    turned, moved = poses.errors(np.stack([c.c2w for c in found]), np.stack([c.c2w for c in cameras]))
+    assert turned.max() < 2.0
+    assert moved.max() < 2.0
+    raw = of(tmp_path / "photos")
+    assert posing.pose_folder(raw, options) != posing.pose_folder(raw, FAST)
+
+
+def panorama(seed: int) -> np.ndarray:
+    """All around a camera, (120, 240, 3) uint8: smooth waves over the sphere of directions."""
+    rng = np.random.default_rng(seed)
+    latitude, longitude = np.meshgrid((np.arange(120) + 0.5) / 120, (np.arange(240) + 0.5) / 240, indexing="ij")
+    a, b = np.pi * (latitude - 0.5), 2 * np.pi * longitude
+    directions = np.stack([np.cos(a) * np.sin(b), np.sin(a), np.cos(a) * np.cos(b)], -1)
+    waves = np.sin(directions @ rng.normal(0, 6, (3, 9)) + rng.uniform(0, 6, 9)).reshape(120, 240, 3, 3).mean(-1)
+    return np.rint(127 + 120 * waves).astype(np.uint8)
+
+
+def test_panoramas_are_recognised_and_refused(tmp_path: Path) -> None:
+    (tmp_path / "photos").mkdir()
+    for k in range(3):
+        Image.fromarray(panorama(k)).save(tmp_path / "photos" / f"{k}.jpg")
+    with pytest.raises(UserError, match=r"360° panoramas.*cut perspective views out"):
+        find_poses(of(tmp_path / "photos"), tmp_path / "out", FAST, quiet)
+    assert not (tmp_path / "out").exists()
+
+
+def test_other_photos_twice_as_wide_as_high_are_no_panoramas() -> None:
+    photo = textured_photos.picture(textured_photos.arc()[0])[:160]
+    assert not is_panorama(photo)
+    assert not is_panorama(np.full((100, 200, 3), 255, np.uint8))
+    on_white = np.full((160, 320, 3), 255, np.uint8)
+    on_white[40:120, 80:240] = photo[40:120, 80:240]
+    assert not is_panorama(on_white)
+    assert not is_panorama(np.roll(panorama(0), 60, 0))  # its poles are in the middle
+    assert is_panorama(panorama(0))
+
+
 def test_lost_and_damaged_photos_are_told_with_the_reason(tmp_path: Path) -> None:
     folder = textured_photos.write(tmp_path / "some", textured_photos.arc())
     Image.fromarray(textured_photos.picture(textured_photos.arc()[0], seed=9)).save(folder / "stranger.png")
@@ -258,6 +310,7 @@ def test_cancelling_leaves_nothing(stage: str, tmp_path: Path) -> None:
     ("options", "words"),
     [
         (PoseOptions("best"), "--quality"),  # pyright: ignore[reportArgumentType]
+        (PoseOptions(lens="round"), "--lens"),  # pyright: ignore[reportArgumentType]
         (PoseOptions(frames=2), "--frames"),
         (PoseOptions(minutes=0.0), "--minutes"),
         (PoseOptions(memory_gb=-1.0), "--memory-gb"),
