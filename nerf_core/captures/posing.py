@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import os
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +20,7 @@ from nerf_core.captures.records import PoseOptions, PoseProgress
 from nerf_core.captures.search import LENSES, QUALITIES, Job
 from nerf_core.common import cache
 from nerf_core.common.errors import UserError, shorten
-from nerf_core.common.files import write_atomically
+from nerf_core.common.files import locked_file, write_atomically
 from nerf_core.common.json_files import read_json
 from nerf_core.common.language import marked, phrase
 from nerf_core.common.text import counted
@@ -27,6 +29,7 @@ from nerf_core.common.user_paths import absolute
 FORMAT = 2  # of poses.json
 DONE = "poses.json"
 WORK = ".work-"  # of the folder of one search; two may go on at once
+WAIT_SECONDS = 600.0  # for another search to write: where a system has no links it copies all photos
 LEAST_PHOTOS, LEAST_POINTS = 3, 100  # of a model: COLMAP places a photo by 30 points; fewer are chance
 
 
@@ -115,9 +118,10 @@ def find_poses(raw: RawPhotos, out: Path | None, options: PoseOptions, progress:
             job.prepare()
             result = job.run()
             posed = _judged(job, result, folder, time.monotonic() - begun)
-            if (other := _known(folder, key)) is not None:
-                return other  # of a search that ended first
-            _keep(job, posed, folder, key)
+            with _alone(folder):
+                if (other := _known(folder, key)) is not None:
+                    return other  # of a search that ended first
+                _keep(job, posed, folder, key)
         if out is None:
             cache.make_room(cache.folder_bytes(folder), folder)
     except OSError as error:
@@ -184,25 +188,55 @@ def _judged(job: Job, result: dict[str, Any], folder: Path, seconds: float) -> P
     )  # fmt: skip
 
 
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Let no other search keep its result in this folder meanwhile. Raises UserError if one takes too long."""
+    lock, begun = folder / f"{WORK}lock", time.monotonic()
+    while True:
+        file = locked_file(lock)
+        if file is not None:
+            with suppress(OSError):
+                if os.path.samestat(os.fstat(file.fileno()), lock.stat()):
+                    break
+            file.close()  # the one before has removed it
+        elif time.monotonic() - begun > WAIT_SECONDS:
+            raise UserError(f"{folder}: another search has been writing its poses there for a while: try again later")
+        time.sleep(0.01)
+    try:
+        yield
+    finally:
+        with suppress(OSError):  # Windows removes no open file: it stays, and is locked again
+            lock.unlink()
+        file.close()
+
+
 def _keep(job: Job, posed: Posed, folder: Path, key: str) -> None:
-    """Move the result to its folder; poses.json, which says that it is complete, comes last."""
-    (folder / DONE).unlink(missing_ok=True)
-    for name in ("sparse", "images"):
-        place = folder / name
-        if place.is_symlink():
-            place.unlink()
-        elif place.exists():
-            shutil.rmtree(place)
-    (job.work / "sparse").rename(folder / "sparse")
-    if job.raw.video is not None:
-        (job.work / "images").rename(folder / "images")
-    else:
-        _link(folder / "images", job.raw.root, job.photos)
+    """Move the result to its folder. poses.json comes last: it says that all is there. After a fault nothing stays."""
     description = {
         "format": FORMAT, "key": key, "upright": True, "names": posed.names, "unplaced": posed.unplaced,
         "error": posed.error, "points": posed.points, "advice": posed.advice, "seconds": posed.seconds,
     }  # fmt: skip
-    write_atomically(folder / DONE, json.dumps(description))
+    _clear(folder)
+    try:
+        (job.work / "sparse").rename(folder / "sparse")
+        if job.raw.video is not None:
+            (job.work / "images").rename(folder / "images")
+        else:
+            _link(folder / "images", job.raw.root, job.photos)
+        write_atomically(folder / DONE, json.dumps(description))
+    except BaseException:
+        _clear(folder)
+        raise
+
+
+def _clear(folder: Path) -> None:
+    """Remove a result."""
+    (folder / DONE).unlink(missing_ok=True)
+    for place in (folder / "sparse", folder / "images"):
+        if place.is_symlink():
+            place.unlink()
+        elif place.exists():
+            shutil.rmtree(place)
 
 
 def _link(link: Path, root: Path, photos: Sequence[Path]) -> None:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-import selectors
+import shutil
 import sqlite3
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -19,6 +18,7 @@ import numpy as np
 from PIL import ExifTags, Image
 
 from nerf_core.captures.advice import too_few
+from nerf_core.captures.child import Child
 from nerf_core.captures.panoramas import is_panorama
 from nerf_core.captures.raw_photos import RawPhotos
 from nerf_core.captures.records import COPYING, STAGES, Growing, PoseOptions, PoseProgress
@@ -37,6 +37,7 @@ POLL_SECONDS = 0.1
 LOOK_SECONDS = 0.5  # between looks into the program's database
 TABLES = {"features": "descriptors", "matches": "two_view_geometries"}  # of COLMAP's database, a row each
 MEMORY_SHARE = 0.75  # of the memory that is free, for the program
+FULL = 20_000_000  # bytes: a disk with less is what a search failed for
 COPY_QUALITY = 95  # of JPEG: its artefacts are then below SIFT's noise
 ALL_PAIRS = 120  # photos: up to here every pair is matched, 7,140 of them
 NEAR = 20  # photos that each is matched with above that, and 10 in the order of a video
@@ -171,59 +172,35 @@ class Job:
     def run(self) -> dict[str, Any]:
         """Run the program on the task. Returns its result. Raises UserError if it fails or reaches a limit."""
         # -P: this package's files must not be imported as top-level modules
-        command = [sys.executable, "-P", str(PROGRAM), str(self.work.resolve())]
-        # its own session: a Ctrl-C in the terminal is ours to handle
-        child = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
-        )
+        child = Child([sys.executable, "-P", str(PROGRAM), str(self.work.resolve())])
         try:
-            errors = self._follow(child)
+            fault = self._follow(child)
         finally:
-            child.kill()
-            child.wait()
-            for stream in (child.stdin, child.stdout, child.stderr):
-                if stream is not None:
-                    stream.close()
+            child.end()
         result = self.work / "result.json"
-        if child.returncode or not result.exists():
-            said = errors.decode("utf-8", "replace").strip().splitlines()
-            why = said[-1] if child.returncode > 0 and said else f"crash {child.returncode}"
+        if fault or not result.exists():
+            where = f"{self.raw.source}: finding poses failed while {self.state.stage}"
+            if shutil.disk_usage(self.work).free < FULL:
+                raise UserError(f"{where}: the disk of {self.work.parent} is full: free some space there")
             raise UserError(
-                f"{self.raw.source}: finding poses failed while {self.state.stage} ({shorten(why, 200)}): look "
-                "less carefully (fast), or take fewer photos"
+                f"{where} ({shorten(fault or 'crash 0', 200)}): look less carefully (fast), or take fewer photos"
             )
         return json.loads(result.read_text("utf-8"))
 
-    def _follow(self, child: subprocess.Popen[bytes]) -> bytes:
-        """Read what the program says until it ends; returns its standard error."""
-        assert child.stdout is not None
-        assert child.stderr is not None
+    def _follow(self, child: Child) -> str:
+        """Hear what the program says until it ends; returns its fault."""
         heard = looked = time.monotonic()
         limit = self.options.memory_gb * 1e9 or MEMORY_SHARE * free_memory()
-        lines, errors = b"", b""
-        with selectors.DefaultSelector() as selector:
-            for stream in (child.stdout, child.stderr):
-                os.set_blocking(stream.fileno(), False)
-                selector.register(stream, selectors.EVENT_READ)
-            while selector.get_map():
-                for key, _ in selector.select(POLL_SECONDS):
-                    data = os.read(key.fd, 65536)
-                    if not data:
-                        selector.unregister(key.fileobj)
-                    elif key.fileobj is child.stderr:
-                        errors = (errors + data)[-65536:]
-                    else:
-                        heard = time.monotonic()
-                        *whole, lines = (lines + data).split(b"\n")
-                        for line in whole:
-                            self._hear(line)
-                if time.monotonic() - looked > LOOK_SECONDS:
-                    looked = time.monotonic()
-                    heard = looked if self._look() else heard
-                self.tell(self.state)
-                self._check_limits(child.pid, heard, limit)
-        child.wait()
-        return errors
+        while (line := child.line(POLL_SECONDS)) is not None:
+            if line:
+                heard = time.monotonic()
+                self._hear(line)
+            if time.monotonic() - looked > LOOK_SECONDS:
+                looked = time.monotonic()
+                heard = looked if self._look() else heard
+            self.tell(self.state)
+            self._check_limits(child.memory(), heard, limit)
+        return child.fault()
 
     def _hear(self, line: bytes) -> None:
         said = json.loads(line)
@@ -250,7 +227,7 @@ class Job:
             self._stage(self.state.stage, done, self.state.total)
         return more
 
-    def _check_limits(self, pid: int, heard: float, limit: float) -> None:
+    def _check_limits(self, used: float, heard: float, limit: float) -> None:
         now, where = time.monotonic(), f"{self.raw.source}: finding poses was stopped while {self.state.stage}"
         if now - self.started > 60 * self.options.minutes:
             raise UserError(
@@ -259,7 +236,6 @@ class Job:
             )
         if now - heard > STALLED and self.state.stage != STAGES["poses"]:
             raise UserError(f"{where}: nothing happened for {duration(STALLED)}: take fewer photos")
-        used = _memory_of(pid)
         if used > limit:
             raise UserError(
                 f"{where}: it took {used / 1e9:.1f} GB of memory, {limit / 1e9:.1f} are allowed: look less "
@@ -288,12 +264,3 @@ def _growing(file: Path) -> Growing | None:
             return Growing(arrays["poses"], arrays["points"], arrays["colors"])
     except (OSError, ValueError, KeyError):
         return None  # not there yet
-
-
-def _memory_of(pid: int) -> float:
-    """The resident bytes of a process; 0 where the system does not tell."""
-    try:
-        pages = int(Path(f"/proc/{pid}/statm").read_text("ascii").split()[1])
-        return float(pages * os.sysconf("SC_PAGE_SIZE"))
-    except (OSError, ValueError, IndexError):
-        return 0.0

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import subprocess
+import threading
 import time
-from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import imageio.v2 as imageio
+import imageio_ffmpeg
 import numpy as np
 import poses
 import pytest
@@ -291,6 +296,62 @@ def test_a_program_that_goes_wrong_harms_nothing(name: str, tmp_path: Path, monk
     assert not (tmp_path / "out").exists()
 
 
+def a_result(job: search.Job) -> dict[str, Any]:
+    """What the program leaves if it places all photos."""
+    (job.work / "sparse" / "0").mkdir(parents=True)
+    n = len(job.names)
+    return {"features": [900] * n, "best": [200] * n, "pairs": [2] * n, "turned": [0] * n, "folded": [False],
+            "points": 500, "error": 0.5, "placed": list(range(n)), "models": [n]}  # fmt: skip
+
+
+def test_two_searches_that_end_at_once_give_one_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Many times, because it is a race: none fails, one result stays, and nothing else."""
+    monkeypatch.setattr(search.Job, "run", a_result)
+    photos = of(textured_photos.write(tmp_path / "photos", textured_photos.arc(3)))
+    for attempt in range(10):
+        out, together = tmp_path / f"out{attempt}", threading.Barrier(3)
+        judged = posing._judged
+
+        def wait_and_judge(*args: Any, together: threading.Barrier = together, judged: Any = judged) -> Posed:
+            together.wait(20)
+            return judged(*args)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(posing, "_judged", wait_and_judge)
+            with ThreadPoolExecutor(3) as pool:
+                found = list(pool.map(lambda _, out=out: find_poses(photos, out, FAST, quiet), range(3)))
+        assert {posed.folder for posed in found} == {out}
+        assert sum(not posed.again for posed in found) == 1
+        assert sorted(f.name for f in out.iterdir()) == ["images", "poses.json", "sparse"]
+
+
+FULL_DISK = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@pytest.mark.parametrize("step", ["copies", "program", "result"])
+def test_a_full_disk_is_said_and_leaves_nothing(step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise FULL_DISK
+
+    folder = textured_photos.write(tmp_path / "photos", textured_photos.arc(3))
+    words = "No space left on device: check its rights and the space on its disk"
+    if step == "copies":
+        monkeypatch.setattr(Image.Image, "save", fails)
+    elif step == "program":
+        program = tmp_path / "program.py"
+        program.write_text("raise SystemExit('database or disk is full')")
+        monkeypatch.setattr(search, "PROGRAM", program)
+        monkeypatch.setattr(search, "FULL", 1e18)
+        words = "is full: free some space"
+    else:
+        monkeypatch.setattr(search.Job, "run", a_result)
+        monkeypatch.setattr(posing, "write_atomically", fails)
+    with pytest.raises(UserError, match=words) as found:
+        find_poses(of(folder), tmp_path / "out", FAST, quiet)
+    assert "\n" not in str(found.value)
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize("stage", [records.COPYING, records.STAGES["features"]])
 def test_cancelling_leaves_nothing(stage: str, tmp_path: Path) -> None:
     class Enough(BaseException):
@@ -396,8 +457,19 @@ class TestRawPhotos:
         with pytest.raises(UserError, match="2 videos"):
             raw_photos(tmp_path)
 
-    @pytest.mark.parametrize("write", [lambda f: f.write_bytes(b"no video"), lambda f: f.write_bytes(b"")])
-    def test_a_broken_video_is_named(self, write: Callable[[Path], None], tmp_path: Path) -> None:
-        write(tmp_path / "a.mp4")
-        with pytest.raises(UserError, match="cannot be read as a video"):
+    @pytest.mark.parametrize("kind", ["none", "empty", "without its index", "sound alone", "one frame"])
+    def test_a_broken_video_is_named(self, kind: str, tmp_path: Path) -> None:
+        video, words = tmp_path / "a.mp4", "a.mp4 cannot be read as a video: it is damaged or has no pictures"
+        source = "sine" if kind == "sound alone" else "testsrc2=size=64x48:rate=8"
+        frames = 1 if kind == "one frame" else 8
+        command = f"-v error -f lavfi -i {source} -t 1 -frames:v {frames} a.mp4"
+        subprocess.run([imageio_ffmpeg.get_ffmpeg_exe(), *command.split()], cwd=tmp_path, check=True)
+        if kind == "without its index":  # which comes last: as of a camera whose battery fell out
+            video.write_bytes(video.read_bytes().partition(b"moov")[0])
+        elif kind in ("none", "empty"):
+            video.write_bytes(b"no video" if kind == "none" else b"")
+        elif kind == "one frame":
+            words = "a.mp4 has 1 frame: photograph from many sides"
+        with pytest.raises(UserError, match=words) as found:
             find_poses(of(tmp_path), None, FAST, quiet)
+        assert "\n" not in str(found.value)
