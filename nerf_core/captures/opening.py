@@ -43,6 +43,6 @@ def open_capture(
         elif progress is not None and state.total:
             progress(state.stage, state.done, state.total)
 
-    posed = find_poses(raw, None, PoseOptions(quality=options.poses), tell)
+    posed = find_poses(raw, None, PoseOptions(quality=options.poses, lens=options.lens), tell)
     scene = load_scene(posed.folder, options, progress)
     return replace(scene, notes=(*posed.notes, *scene.notes))

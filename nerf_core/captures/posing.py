@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import os
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,10 +17,11 @@ from typing import Any
 from nerf_core.captures.advice import ALIKE, reason, summary, too_few
 from nerf_core.captures.raw_photos import RawPhotos
 from nerf_core.captures.records import PoseOptions, PoseProgress
-from nerf_core.captures.search import QUALITIES, Job
+from nerf_core.captures.search import LENSES, QUALITIES, Job
 from nerf_core.common import cache
 from nerf_core.common.errors import UserError, shorten
-from nerf_core.common.files import write_atomically
+from nerf_core.common.files import locked_file, write_atomically
+from nerf_core.common.json_files import read_json
 from nerf_core.common.language import marked, phrase
 from nerf_core.common.text import counted
 from nerf_core.common.user_paths import absolute
@@ -26,6 +29,7 @@ from nerf_core.common.user_paths import absolute
 FORMAT = 2  # of poses.json
 DONE = "poses.json"
 WORK = ".work-"  # of the folder of one search; two may go on at once
+WAIT_SECONDS = 600.0  # for another search to write: where a system has no links it copies all photos
 LEAST_PHOTOS, LEAST_POINTS = 3, 100  # of a model: COLMAP places a photo by 30 points; fewer are chance
 
 
@@ -114,9 +118,10 @@ def find_poses(raw: RawPhotos, out: Path | None, options: PoseOptions, progress:
             job.prepare()
             result = job.run()
             posed = _judged(job, result, folder, time.monotonic() - begun)
-            if (other := _known(folder, key)) is not None:
-                return other  # of a search that ended first
-            _keep(job, posed, folder, key)
+            with _alone(folder):
+                if (other := _known(folder, key)) is not None:
+                    return other  # of a search that ended first
+                _keep(job, posed, folder, key)
         if out is None:
             cache.make_room(cache.folder_bytes(folder), folder)
     except OSError as error:
@@ -129,7 +134,8 @@ def find_poses(raw: RawPhotos, out: Path | None, options: PoseOptions, progress:
 
 def _key(raw: RawPhotos, options: PoseOptions) -> str:
     """What a result depends on."""
-    return f"{raw.key()}-{options.quality}" + (f"-{options.frames}" if raw.video is not None else "")
+    frames = f"-{options.frames}" if raw.video is not None else ""
+    return f"{raw.key()}-{options.quality}{frames}" + ("-fisheye" if options.lens == "fisheye" else "")
 
 
 def _must_be_free(folder: Path, raw: RawPhotos) -> None:
@@ -146,6 +152,8 @@ def check(raw: RawPhotos, options: PoseOptions) -> None:
     """Raise UserError for options out of range, for too few photos, and where pycolmap is missing."""
     if options.quality not in QUALITIES:
         raise UserError(f"--quality is {shorten(options.quality)}: choose one of {', '.join(QUALITIES)}")
+    if options.lens not in LENSES:
+        raise UserError(f"--lens is {shorten(options.lens)}: choose {' or '.join(LENSES)}")
     if not (options.frames == 0 or 3 <= options.frames <= 5000):
         raise UserError(f"--frames is {shorten(options.frames)}: give 3 to 5000, or 0 to choose by the length")
     if not 0 < options.minutes <= 1e5:
@@ -180,25 +188,55 @@ def _judged(job: Job, result: dict[str, Any], folder: Path, seconds: float) -> P
     )  # fmt: skip
 
 
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Let no other search keep its result in this folder meanwhile. Raises UserError if one takes too long."""
+    lock, begun = folder / f"{WORK}lock", time.monotonic()
+    while True:
+        file = locked_file(lock)
+        if file is not None:
+            with suppress(OSError):
+                if os.path.samestat(os.fstat(file.fileno()), lock.stat()):
+                    break
+            file.close()  # the one before has removed it
+        elif time.monotonic() - begun > WAIT_SECONDS:
+            raise UserError(f"{folder}: another search has been writing its poses there for a while: try again later")
+        time.sleep(0.01)
+    try:
+        yield
+    finally:
+        with suppress(OSError):  # Windows removes no open file: it stays, and is locked again
+            lock.unlink()
+        file.close()
+
+
 def _keep(job: Job, posed: Posed, folder: Path, key: str) -> None:
-    """Move the result to its folder; poses.json, which says that it is complete, comes last."""
-    (folder / DONE).unlink(missing_ok=True)
-    for name in ("sparse", "images"):
-        place = folder / name
-        if place.is_symlink():
-            place.unlink()
-        elif place.exists():
-            shutil.rmtree(place)
-    (job.work / "sparse").rename(folder / "sparse")
-    if job.raw.video is not None:
-        (job.work / "images").rename(folder / "images")
-    else:
-        _link(folder / "images", job.raw.root, job.photos)
+    """Move the result to its folder. poses.json comes last: it says that all is there. After a fault nothing stays."""
     description = {
         "format": FORMAT, "key": key, "upright": True, "names": posed.names, "unplaced": posed.unplaced,
         "error": posed.error, "points": posed.points, "advice": posed.advice, "seconds": posed.seconds,
     }  # fmt: skip
-    write_atomically(folder / DONE, json.dumps(description))
+    _clear(folder)
+    try:
+        (job.work / "sparse").rename(folder / "sparse")
+        if job.raw.video is not None:
+            (job.work / "images").rename(folder / "images")
+        else:
+            _link(folder / "images", job.raw.root, job.photos)
+        write_atomically(folder / DONE, json.dumps(description))
+    except BaseException:
+        _clear(folder)
+        raise
+
+
+def _clear(folder: Path) -> None:
+    """Remove a result."""
+    (folder / DONE).unlink(missing_ok=True)
+    for place in (folder / "sparse", folder / "images"):
+        if place.is_symlink():
+            place.unlink()
+        elif place.exists():
+            shutil.rmtree(place)
 
 
 def _link(link: Path, root: Path, photos: Sequence[Path]) -> None:
@@ -215,7 +253,7 @@ def _link(link: Path, root: Path, photos: Sequence[Path]) -> None:
 def _known(folder: Path, key: str) -> Posed | None:
     """The result of an earlier time, if it is complete and of the same photos."""
     try:
-        said = json.loads((folder / DONE).read_text("utf-8"))
+        said = read_json(folder / DONE).values
         if said["format"] != FORMAT or said["key"] != key or not (folder / "sparse" / "0").is_dir():
             return None
         if not (folder / "images").is_dir():
@@ -223,7 +261,7 @@ def _known(folder: Path, key: str) -> Posed | None:
         lost = tuple((str(name), str(why)) for name, why in said["unplaced"])
         numbers = float(said["error"]), int(said["points"]), str(said["advice"]), float(said["seconds"])
         return Posed(folder, tuple(map(str, said["names"])), lost, *numbers, again=True)
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, UserError, ValueError, KeyError, TypeError, OverflowError):
         return None
 
 

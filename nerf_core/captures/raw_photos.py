@@ -12,6 +12,7 @@ from nerf_core.common.errors import UserError
 from nerf_core.common.user_paths import absolute
 from nerf_core.datasets.capture import DATASETS
 from nerf_core.datasets.images import SUFFIXES
+from nerf_core.datasets.masks import masks_beside
 from nerf_core.datasets.photo_folders import MASK_END, photo_folders
 
 VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".3gp")
@@ -37,9 +38,13 @@ class RawPhotos:
         """Return what to call the capture."""
         return self.source.resolve().stem if self.video is not None else self.source.resolve().name
 
+    def masks(self) -> list[Path | None]:
+        """Return the mask that lies beside each photo, if one does."""
+        return masks_beside(self.photos)
+
     def key(self) -> str:
-        """Return a digest of the files' places, sizes and times of change: other files give another."""
-        files = [self.video] if self.video is not None else self.photos
+        """Return a digest of the files' places, sizes and times of change: other files, or masks, give another."""
+        files = [self.video] if self.video is not None else [*self.photos, *filter(None, self.masks())]
         found = [(str(f.resolve()), (s := f.stat()).st_size, s.st_mtime_ns) for f in files]
         return hashlib.sha256(json.dumps(found).encode("utf-8", "surrogateescape")).hexdigest()[:16]
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nerf_core.common.language import marked
-from nerf_core.datasets.capture import Quality
+from nerf_core.datasets.capture import PoseLens, Quality
 
 STAGES = {  # of the program, in their order
     "features": marked("finding features"),
@@ -26,12 +26,14 @@ class PoseOptions:
     frames: how many frames of a video are taken; 0 chooses by its length.
     minutes: the time limit.
     memory_gb: the memory limit of the program; 0: three quarters of what is free.
+    lens: what took the photos: a perspective or a fisheye lens.
     """
 
     quality: Quality = "normal"
     frames: int = 0
     minutes: float = 120.0
     memory_gb: float = 0.0
+    lens: PoseLens = "perspective"
 
 
 class Growing(NamedTuple):

@@ -184,7 +184,8 @@ def neighbours(where: Layout, depth: np.ndarray, train: np.ndarray) -> Generator
         others = train[train != k]
         if len(others):
             differ, apart = separations(where, depth, k, others)
-            order = np.argsort(differ, kind="stable")[:most]
+            near = np.flatnonzero(differ <= np.partition(differ, most - 1)[most - 1])  # all that may be among the first
+            order = near[np.argsort(differ[near], kind="stable")][:most]
             similar[k, : len(order)] = others[order]
             separation[k], at = differ[order[0]], int(np.argmin(apart))
             by_place[k], place_distance[k] = others[at], apart[at]

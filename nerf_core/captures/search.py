@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 import os
-import selectors
+import shutil
 import sqlite3
-import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,13 +18,18 @@ import numpy as np
 from PIL import ExifTags, Image
 
 from nerf_core.captures.advice import too_few
+from nerf_core.captures.child import Child
+from nerf_core.captures.panoramas import is_panorama
 from nerf_core.captures.raw_photos import RawPhotos
 from nerf_core.captures.records import COPYING, STAGES, Growing, PoseOptions, PoseProgress
 from nerf_core.captures.video_frames import write_frames
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.memory import free_memory
 from nerf_core.common.text import duration
+from nerf_core.datasets.capture import Photo
 from nerf_core.datasets.images import BROKEN, UnreadableError, measure, read_photo
+from nerf_core.datasets.masks import kept_pixels
+from nerf_core.geometry.camera import Camera
 
 PROGRAM = Path(__file__).with_name("sfm_program.py")
 STALLED = 900.0  # seconds without a sign of life: one pair of photos, or one adjustment of a thousand, takes less
@@ -33,6 +37,7 @@ POLL_SECONDS = 0.1
 LOOK_SECONDS = 0.5  # between looks into the program's database
 TABLES = {"features": "descriptors", "matches": "two_view_geometries"}  # of COLMAP's database, a row each
 MEMORY_SHARE = 0.75  # of the memory that is free, for the program
+FULL = 20_000_000  # bytes: a disk with less is what a search failed for
 COPY_QUALITY = 95  # of JPEG: its artefacts are then below SIFT's noise
 ALL_PAIRS = 120  # photos: up to here every pair is matched, 7,140 of them
 NEAR = 20  # photos that each is matched with above that, and 10 in the order of a video
@@ -46,6 +51,11 @@ QUALITIES: dict[str, tuple[int, int, int]] = {
 }
 
 
+# COLMAP's camera model, and the focal length that it begins with in longer sides of a photo, where EXIF has none. The
+# perspective one is COLMAP's own; of fisheye lenses, action cameras have some 0.45 and circles of 180° have 0.3.
+LENSES: dict[str, tuple[str, float]] = {"perspective": ("SIMPLE_RADIAL", 1.2), "fisheye": ("OPENCV_FISHEYE", 0.4)}
+
+
 @dataclass
 class Job:
     """One search for poses, in the folder `work`."""
@@ -57,6 +67,7 @@ class Job:
     photos: tuple[Path, ...] = ()  # the originals
     names: list[str] = field(default_factory=list)  # of the originals, below `images`
     damaged: list[tuple[str, str]] = field(default_factory=list)  # names, and what is wrong
+    panoramas: int = 0  # photos that show all around
     state: PoseProgress = field(default_factory=lambda: PoseProgress(""))
     begun: float = 0.0  # the time at which the stage began
     started: float = 0.0  # the time at which the search began
@@ -80,10 +91,11 @@ class Job:
                 )
         side, features, octave = QUALITIES[self.options.quality]
         sizes, copies, groups = list[tuple[int, int]](), list[str](), dict[tuple[int | str, ...], int]()
-        for k, photo in enumerate(self.photos):
+        masks = self.raw.masks() or [None] * len(self.photos)
+        for k, (photo, mask) in enumerate(zip(self.photos, masks, strict=True)):
             self._stage(COPYING, k, len(self.photos))
             try:
-                size, lens = self._copy(photo, side, k, groups)
+                size, lens = self._copy(photo, mask, side, k, groups)
             except UnreadableError as error:
                 self.damaged.append((photo.relative_to(self.images).as_posix(), str(error)))
                 continue
@@ -92,23 +104,33 @@ class Job:
             self.names.append(photo.relative_to(self.images).as_posix())
         if few := too_few(len(self.names)):
             raise UserError(f"{self.raw.source} has {few} that can be read ({self.damaged[0][1]})")
+        if self.panoramas > len(copies) / 2:
+            raise UserError(
+                f"{self.raw.source} holds 360° panoramas, whose poses are not searched for: cut perspective views out "
+                "of them (ffmpeg's filter v360), or add a file with their poses, as Metashape's cameras.xml"
+            )
+        if masked := (self.work / "masks").exists():
+            self._complete_masks(copies)
         video = self.raw.video is not None
         task: dict[str, Any] = {
             "names": self.names, "sizes": sizes, "copies": copies, "side": side, "features": features, "octave": octave,
             "pairs": "all" if len(copies) <= ALL_PAIRS else "video" if video else "alike",
+            "masked": masked, "lens": LENSES[self.options.lens],
             "near": NEAR_IN_VIDEO if video else NEAR, "threads": max(1, os.cpu_count() or 1), "seed": SEED,
         }  # fmt: skip
         (self.work / "task.json").write_text(json.dumps(task), "utf-8")
 
     def _copy(
-        self, photo: Path, side: int, k: int, groups: dict[tuple[int | str, ...], int]
+        self, photo: Path, mask: Path | None, side: int, k: int, groups: dict[tuple[int | str, ...], int]
     ) -> tuple[tuple[int, int], str]:
-        """Write the copy of a photo. Returns the original's upright size and the copy's name below photos/."""
+        """Write the copies of a photo and its mask. Returns the upright size and the copy's name below photos/."""
         header = measure(photo)
         size = (header.width, header.height) if header.orientation < 5 else (header.height, header.width)
         scale = min(1.0, side / max(size))
         small = max(1, round(size[0] * scale)), max(1, round(size[1] * scale))
         pixels = read_photo(photo, small, (0.0, 0.0, 0.0), upright=True)
+        levels = (pixels >> 8).astype(np.uint8)
+        self.panoramas += is_panorama(levels)
         made_by, focal = _camera_of(photo)
         group = groups.setdefault((*size, made_by, focal), len(groups))
         name = f"{group}/{k:06d}.jpg"
@@ -117,8 +139,22 @@ class Job:
         exif = Image.Exif()
         if focal:  # the focal length that a camera writes is a better start than COLMAP's guess
             exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = focal
-        Image.fromarray((pixels >> 8).astype(np.uint8)).save(file, quality=COPY_QUALITY, subsampling=0, exif=exif)
+        Image.fromarray(levels).save(file, quality=COPY_QUALITY, subsampling=0, exif=exif)
+        posed = Photo(photo.name, photo, Camera(*small, 1.0, 1.0, 0.0, 0.0, np.eye(4)[:3]), mask, upright=True)
+        if (kept := kept_pixels(posed, header, True, header.alpha)) is not None:
+            cut = self.work / "masks" / f"{name}.png"
+            cut.parent.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(np.where(kept, np.uint8(255), np.uint8(0))).save(cut)
         return size, name
+
+    def _complete_masks(self, copies: Sequence[str]) -> None:
+        """Write a white mask for each copy without one: where COLMAP misses a mask it finds no features at all."""
+        for name in copies:
+            cut = self.work / "masks" / f"{name}.png"
+            if not cut.exists():
+                cut.parent.mkdir(exist_ok=True)
+                with Image.open(self.work / "photos" / name) as copy:
+                    Image.new("L", copy.size, 255).save(cut)
 
     def _stage(self, stage: str, done: int, total: int) -> None:
         """Show how far a stage is, with the time that it needs if it goes on as it went."""
@@ -136,59 +172,35 @@ class Job:
     def run(self) -> dict[str, Any]:
         """Run the program on the task. Returns its result. Raises UserError if it fails or reaches a limit."""
         # -P: this package's files must not be imported as top-level modules
-        command = [sys.executable, "-P", str(PROGRAM), str(self.work.resolve())]
-        # its own session: a Ctrl-C in the terminal is ours to handle
-        child = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
-        )
+        child = Child([sys.executable, "-P", str(PROGRAM), str(self.work.resolve())])
         try:
-            errors = self._follow(child)
+            fault = self._follow(child)
         finally:
-            child.kill()
-            child.wait()
-            for stream in (child.stdin, child.stdout, child.stderr):
-                if stream is not None:
-                    stream.close()
+            child.end()
         result = self.work / "result.json"
-        if child.returncode or not result.exists():
-            said = errors.decode("utf-8", "replace").strip().splitlines()
-            why = said[-1] if child.returncode > 0 and said else f"crash {child.returncode}"
+        if fault or not result.exists():
+            where = f"{self.raw.source}: finding poses failed while {self.state.stage}"
+            if shutil.disk_usage(self.work).free < FULL:
+                raise UserError(f"{where}: the disk of {self.work.parent} is full: free some space there")
             raise UserError(
-                f"{self.raw.source}: finding poses failed while {self.state.stage} ({shorten(why, 200)}): look "
-                "less carefully (fast), or take fewer photos"
+                f"{where} ({shorten(fault or 'crash 0', 200)}): look less carefully (fast), or take fewer photos"
             )
         return json.loads(result.read_text("utf-8"))
 
-    def _follow(self, child: subprocess.Popen[bytes]) -> bytes:
-        """Read what the program says until it ends; returns its standard error."""
-        assert child.stdout is not None
-        assert child.stderr is not None
+    def _follow(self, child: Child) -> str:
+        """Hear what the program says until it ends; returns its fault."""
         heard = looked = time.monotonic()
         limit = self.options.memory_gb * 1e9 or MEMORY_SHARE * free_memory()
-        lines, errors = b"", b""
-        with selectors.DefaultSelector() as selector:
-            for stream in (child.stdout, child.stderr):
-                os.set_blocking(stream.fileno(), False)
-                selector.register(stream, selectors.EVENT_READ)
-            while selector.get_map():
-                for key, _ in selector.select(POLL_SECONDS):
-                    data = os.read(key.fd, 65536)
-                    if not data:
-                        selector.unregister(key.fileobj)
-                    elif key.fileobj is child.stderr:
-                        errors = (errors + data)[-65536:]
-                    else:
-                        heard = time.monotonic()
-                        *whole, lines = (lines + data).split(b"\n")
-                        for line in whole:
-                            self._hear(line)
-                if time.monotonic() - looked > LOOK_SECONDS:
-                    looked = time.monotonic()
-                    heard = looked if self._look() else heard
-                self.tell(self.state)
-                self._check_limits(child.pid, heard, limit)
-        child.wait()
-        return errors
+        while (line := child.line(POLL_SECONDS)) is not None:
+            if line:
+                heard = time.monotonic()
+                self._hear(line)
+            if time.monotonic() - looked > LOOK_SECONDS:
+                looked = time.monotonic()
+                heard = looked if self._look() else heard
+            self.tell(self.state)
+            self._check_limits(child.memory(), heard, limit)
+        return child.fault()
 
     def _hear(self, line: bytes) -> None:
         said = json.loads(line)
@@ -215,7 +227,7 @@ class Job:
             self._stage(self.state.stage, done, self.state.total)
         return more
 
-    def _check_limits(self, pid: int, heard: float, limit: float) -> None:
+    def _check_limits(self, used: float, heard: float, limit: float) -> None:
         now, where = time.monotonic(), f"{self.raw.source}: finding poses was stopped while {self.state.stage}"
         if now - self.started > 60 * self.options.minutes:
             raise UserError(
@@ -224,7 +236,6 @@ class Job:
             )
         if now - heard > STALLED and self.state.stage != STAGES["poses"]:
             raise UserError(f"{where}: nothing happened for {duration(STALLED)}: take fewer photos")
-        used = _memory_of(pid)
         if used > limit:
             raise UserError(
                 f"{where}: it took {used / 1e9:.1f} GB of memory, {limit / 1e9:.1f} are allowed: look less "
@@ -253,12 +264,3 @@ def _growing(file: Path) -> Growing | None:
             return Growing(arrays["poses"], arrays["points"], arrays["colors"])
     except (OSError, ValueError, KeyError):
         return None  # not there yet
-
-
-def _memory_of(pid: int) -> float:
-    """The resident bytes of a process; 0 where the system does not tell."""
-    try:
-        pages = int(Path(f"/proc/{pid}/statm").read_text("ascii").split()[1])
-        return float(pages * os.sysconf("SC_PAGE_SIZE"))
-    except (OSError, ValueError, IndexError):
-        return 0.0

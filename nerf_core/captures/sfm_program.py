@@ -56,6 +56,8 @@ def main(folder: Path) -> None:
 
     names, sizes: of the original photos; (width, height) upright.
     copies: their files in photos/. Those in one folder were taken by one camera.
+    masked: whether masks/ has the mask of a copy, COPY.png, 0 where nothing is to be looked for.
+    lens: COLMAP's camera model, and the focal length to begin with, in longer sides.
     side, features, octave: the longer side of a copy, the most features of a photo, and the first octave of SIFT.
     pairs, near: "all", "video" or "alike", and how many others a photo is matched with then.
     threads, seed: for pycolmap.
@@ -95,11 +97,26 @@ def _features(pycolmap: Any, task: dict[str, Any]) -> None:
     options = pycolmap.FeatureExtractionOptions()
     options.num_threads, options.max_image_size = task["threads"], task["side"]
     options.sift.max_num_features, options.sift.first_octave = task["features"], task["octave"]
+    reading = pycolmap.ImageReaderOptions()
+    reading.camera_model, reading.default_focal_length_factor = task["lens"]
+    if task["masked"]:
+        reading.mask_path = "masks"
     say(stage="features", done=0, total=len(task["copies"]))
     pycolmap.extract_features(
         "database.db", "photos", image_names=task["copies"], camera_mode=pycolmap.CameraMode.PER_FOLDER,
-        extraction_options=options, device=pycolmap.Device.cpu,
+        reader_options=reading, extraction_options=options, device=pycolmap.Device.cpu,
     )  # fmt: skip
+    if task["lens"][0].endswith("FISHEYE"):
+        _trust_focal_lengths(pycolmap)
+
+
+def _trust_focal_lengths(pycolmap: Any) -> None:
+    """Let pairs be verified along rays: only then does COLMAP take the lens into account, which bends pixels too far
+    for a fundamental matrix."""
+    with pycolmap.Database.open("database.db") as base:
+        for camera in base.read_all_cameras():
+            camera.has_prior_focal_length = True
+            base.update_camera(camera)
 
 
 # ---- matches -----------------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from PIL import Image
 
 from nerf_core.common.errors import UserError
 from nerf_core.common.language import marked
+from nerf_core.common.text import counted
 
 SMALL = 192  # the longer side of the frames that are looked at: motion and blur show at this size
 PER_SECOND, FEWEST, MOST = 3.0, 30, 120  # frames that are taken: as many as fit the time, between these bounds
@@ -47,7 +48,9 @@ def write_frames(video: Path, folder: Path, count: int, progress: Callable[[str,
     """
     looked, seconds = _look(video, progress)
     if len(looked.path) < 2:
-        raise UserError(f"{video} has {len(looked.path)} frame: photograph from many sides, or film while walking")
+        raise UserError(
+            f"{video} has {counted(len(looked.path), 'frame')}: photograph from many sides, or film while walking"
+        )
     wanted = count or int(np.clip(round(PER_SECOND * seconds), FEWEST, MOST))
     chosen = choose(looked, wanted)
     files: list[Path] = []
@@ -130,7 +133,9 @@ def _length(video: Path) -> tuple[int, float]:
         frames, seconds = imageio_ffmpeg.count_frames_and_secs(f"file:{video.absolute()}")
         return int(frames or 0), float(seconds or 0.0)
     except (OSError, RuntimeError, ValueError, subprocess.SubprocessError) as error:
-        raise UserError(f"{video} cannot be read as a video: convert it to MP4") from error
+        raise UserError(
+            f"{video} cannot be read as a video: it is damaged or has no pictures: copy it again, or convert it to MP4"
+        ) from error
 
 
 def _frames(video: Path, color: bool, side: int | None) -> Iterator[np.ndarray]:

@@ -18,7 +18,7 @@ from nerf_core.common.output import complain, say
 from nerf_core.common.signals import Signals
 from nerf_core.common.text import duration
 from nerf_core.common.user_paths import own_path
-from nerf_core.datasets.capture import Quality
+from nerf_core.datasets.capture import PoseLens, Quality
 
 
 @COMMANDS.register("pose")
@@ -35,6 +35,8 @@ class Pose:
     """Where the result goes; by default into the cache, where the window and `nerf-core train` look for it."""
     quality: Quality = "normal"
     """fast takes a third of the time; high doubles the photos to find more points."""
+    lens: PoseLens = "perspective"
+    """fisheye: of action cameras and lenses that bend straight lines a lot; 360° panoramas are not placed."""
     frames: int = 0
     """How many frames of a video are taken; 0 chooses by its length."""
     minutes: float = 120.0
@@ -50,7 +52,7 @@ class Pose:
         if raw is None:
             raise UserError(f"{source} holds no photos without poses: name a folder of photos, or a video")
         signals.be_polite()
-        options = PoseOptions(self.quality, self.frames, self.minutes, self.memory_gb)
+        options = PoseOptions(self.quality, self.frames, self.minutes, self.memory_gb, self.lens)
         with Display("finding poses") as display:
 
             def show(state: PoseProgress) -> None:

@@ -149,7 +149,8 @@ def restored(kind: type[C], config: Mapping[str, Any], method: str) -> C:
     names = {f.name for f in fields(kind)}  # pyright: ignore[reportArgumentType]
     if set(config) != names:
         odd = sorted(set(config) ^ names)
-        raise UserError(f"the checkpoint's {method} configuration differs in {', '.join(odd)}: made by another version")
+        named = ", ".join(odd)[:200]
+        raise UserError(f"the checkpoint's {method} configuration differs in {named}: made by another version")
     for name, wanted in get_type_hints(kind).items():
         if not (type(config[name]) is wanted or (wanted is float and type(config[name]) is int)):
             raise UserError(

@@ -21,6 +21,7 @@ HOLD_OUT = 8  # every 8th photo, from the first, is held out if a capture names 
 
 
 Quality = Literal["fast", "normal", "high"]
+PoseLens = Literal["perspective", "fisheye"]
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,7 @@ class LoadOptions:
     memory_gb: the limit for all photos together, in memory or in the cache, in 10⁹ bytes; photos are downscaled further
         to fit.
     poses: how carefully the poses of photos are found that have none.
+    lens: what took these photos.
     """
 
     format: str = "auto"
@@ -44,6 +46,7 @@ class LoadOptions:
     background: Literal["auto", "white", "black"] = "auto"
     memory_gb: float = 8.0
     poses: Quality = "normal"
+    lens: PoseLens = "perspective"
 
 
 @dataclass(frozen=True)

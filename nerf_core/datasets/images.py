@@ -43,6 +43,7 @@ BROKEN = (
     KeyError,
     TypeError,
     OverflowError,
+    MemoryError,  # Pillow reads as many bytes as a PNG's part claims to have
     struct.error,
     zlib.error,
 )  # what decoders raise on damage
@@ -258,7 +259,7 @@ def _damage_named(path: Path) -> Iterator[None]:
     try:
         yield
     except BROKEN as error:
-        raise UnreadableError(f"{path}: {' '.join(str(error).split())}") from error
+        raise UnreadableError(f"{path}: {' '.join(str(error).split()) or 'it is damaged'}") from error
 
 
 def _refuse_special(path: Path) -> None:

@@ -18,7 +18,7 @@ from nerf_core.datasets.geometry import normalise
 from nerf_core.datasets.images import Header, UnreadableError, damage_notes, measure, read_photo
 from nerf_core.datasets.in_threads import Progress, in_threads
 from nerf_core.datasets.large import Reading, arriving, is_large
-from nerf_core.datasets.masks import alpha_mask, masked_by_alpha, notes_on_masks, read_mask, with_masks
+from nerf_core.datasets.masks import kept_pixels, masked_by_alpha, notes_on_masks, with_masks
 from nerf_core.datasets.recognise import recognise
 from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene, View
@@ -252,12 +252,8 @@ def _masked(
     masks: dict[int, np.ndarray] = {}
 
     def read(i: int) -> None:
-        photo, parts = capture.photos[i], []
-        if by_alpha and headers[i].alpha:
-            parts.append(alpha_mask(photo, upright[i]))
-        if photo.mask is not None:
-            parts.append(read_mask(photo, headers[i], upright[i]))
-        if parts and not (found := np.logical_and.reduce(parts)).all():
+        found = kept_pixels(capture.photos[i], headers[i], upright[i], by_alpha and headers[i].alpha)
+        if found is not None:
             masks[i] = found
 
     given = [i for i in kept if capture.photos[i].mask is not None or (by_alpha and headers[i].alpha)]

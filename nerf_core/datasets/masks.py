@@ -37,8 +37,20 @@ def with_masks(capture: Capture) -> Capture:
     """Return the capture with the mask files that lie beside its photos. An object on a plain background has none."""
     if capture.synthetic:
         return capture
+    found = masks_beside([photo.path for photo in capture.photos])
+    photos = tuple(
+        p if p.mask is not None else replace(p, mask=mask) for p, mask in zip(capture.photos, found, strict=True)
+    )
+    return replace(capture, photos=photos)
+
+
+def masks_beside(photos: Sequence[Path]) -> list[Path | None]:
+    """Return the mask of each photo: images/NAME.mask.png, or masks/NAME.jpg.png or masks/NAME.png beside `images`.
+
+    Of a link, also that of the photo that it leads to. None: there is none.
+    """
     known: dict[Path, bool] = {}
-    real = {folder: folder.resolve() for folder in {p.path.parent for p in capture.photos}}
+    real = {folder: folder.resolve() for folder in {photo.parent for photo in photos}}
 
     def found(path: Path) -> Path | None:
         mask, home = _beside(path, known), real[path.parent]
@@ -46,15 +58,11 @@ def with_masks(capture: Capture) -> Capture:
             return mask
         return _beside(path.resolve(), known)
 
-    photos = tuple(p if p.mask is not None else replace(p, mask=found(p.path)) for p in capture.photos)
-    return replace(capture, photos=photos)
+    return [found(photo) for photo in photos]
 
 
 def _beside(photo: Path, known: dict[Path, bool]) -> Path | None:
-    """The mask of a photo: images/NAME.mask.png, or masks/NAME.jpg.png or masks/NAME.png beside `images`, else None.
-
-    known: which folders exist, as far as it has been looked up.
-    """
+    """The mask beside a photo, or None. known: which folders exist, as far as it has been looked up."""
     candidates = [photo.with_name(photo.stem + MASK_END), photo.with_name(photo.name + MASK_END)]
     above = [photo.parent, *photo.parent.parents][:4]
     home = next((folder for folder in above if FOLDER.fullmatch(folder.name)), photo.parent)
@@ -65,6 +73,23 @@ def _beside(photo: Path, known: dict[Path, bool]) -> Path | None:
             if known.setdefault(folder, os.path.isdir(folder)):
                 candidates += [folder / f"{inside}.png", (folder / inside).with_suffix(".png")]
     return next((file for file in candidates if file != photo and os.path.isfile(file)), None)  # also of long names
+
+
+def kept_pixels(photo: Photo, header: Header, upright: bool, by_alpha: bool) -> np.ndarray | None:
+    """Return which pixels of a photo count by its mask and its alpha, (height, width) bool; None: all do.
+
+    Args:
+        photo, header, upright: as `read_mask` takes them; the photo need not have a mask.
+        by_alpha: whether the photo has an alpha that is a mask.
+
+    Raises:
+        UserError: as `read_mask` does.
+        UnreadableError: the alpha cannot be read.
+    """
+    parts = [alpha_mask(photo, upright)] if by_alpha else []
+    if photo.mask is not None:
+        parts.append(read_mask(photo, header, upright))
+    return found if parts and not (found := np.logical_and.reduce(parts)).all() else None
 
 
 def read_mask(photo: Photo, header: Header, upright: bool) -> np.ndarray:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.datasets import LoadOptions, check_options
-from nerf_core.datasets.capture import DATASETS, Quality
+from nerf_core.datasets.capture import DATASETS, PoseLens, Quality
 from nerf_core.methods import METHODS
 from nerf_core.training.settings import RunSettings
 
@@ -42,12 +42,21 @@ class LoadingOptions:
     poses: Quality = "normal"
     """How carefully the poses of photos and videos without poses are found: fast takes a third of the time, high
     doubles the photos to find more points."""
+    lens: PoseLens = "perspective"
+    """What took photos and videos without poses. Captures with poses say it themselves."""
 
     def loading(self) -> LoadOptions:
         """Check the options of loading and return them. Raises UserError, which names the wrong option."""
         _check_name("format", self.format, DATASETS.names)
         load = LoadOptions(
-            self.format, self.downscale, self.max_size, self.ndc, self.background, self.memory_gb, self.poses
+            self.format,
+            self.downscale,
+            self.max_size,
+            self.ndc,
+            self.background,
+            self.memory_gb,
+            self.poses,
+            self.lens,
         )
         check_options(load)
         return load

@@ -11,6 +11,7 @@ from nerf_core.datasets import LoadOptions
 T = TypeVar("T")
 ADDED = {
     "exposure": "off",
+    "lens": "perspective",
     "poses": "normal",
 }  # fields that files of earlier versions lack, and what those versions did
 

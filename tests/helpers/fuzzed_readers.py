@@ -1,10 +1,9 @@
-"""A valid file of every kind, and what reads it, for `fuzzing.py`."""
+"""A valid file of every kind, and what reads it, for `fuzzing.py`; the captures are in `fuzzed_captures.py`."""
 
 from __future__ import annotations
 
 import json
 import random
-import struct
 import subprocess
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -14,19 +13,18 @@ import imageio_ffmpeg
 import numpy as np
 import torch
 from captures import orbit_pose
-from exports import WRITERS
-from fuzzing import Reader, mutated
+from changes import mutated, other_values
+from fuzzed_captures import captures
+from fuzzing import Reader
 from PIL import Image
 from safetensors.torch import save
 from torch import Tensor
 
 from nerf_core.common.errors import UserError
-from nerf_core.common.json_files import read_json
-from nerf_core.datasets import DATASETS, LoadOptions, load_scene
-from nerf_core.datasets.colmap_files import check_model
-from nerf_core.datasets.formats.llff import read_table
+from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.datasets.images import measure, read_photo
-from nerf_core.geometry.camera_files import camera_of, camera_values
+from nerf_core.geometry.camera_files import camera_values, picked_camera
+from nerf_core.geometry.scene import Scene
 from nerf_core.live import pin_files
 from nerf_core.training import checkpoint
 from nerf_core.training.run_folder import RunFolder
@@ -35,7 +33,7 @@ from nerf_core.training.trainer import Trainer
 OLD_RUN = Path(__file__).parents[1] / "fixtures" / "before_packages" / "voxels"
 
 
-def readers(base: Path) -> dict[str, Reader]:  # noqa: PLR0915  a list of readers, one after the other
+def readers(base: Path) -> dict[str, Reader]:
     """Write one valid file of every kind into `base`. Returns {name: reader}."""
     found: dict[str, Reader] = {}
     pixels = np.random.default_rng(0).integers(0, 256, (16, 24, 3), dtype=np.uint8)
@@ -48,7 +46,8 @@ def readers(base: Path) -> dict[str, Reader]:  # noqa: PLR0915  a list of reader
             header = measure(file)
             read_photo(file, (min(8, header.width), min(8, header.height)), (0, 0, 0))
 
-        found[name] = Reader(file, work)
+        # a changed header may claim a larger picture, which is then decoded
+        found[name] = Reader(file, work, megabytes=1000)
 
     image = Image.fromarray(pixels)
     photo("PNG", "png", image)
@@ -61,53 +60,15 @@ def readers(base: Path) -> dict[str, Reader]:  # noqa: PLR0915  a list of reader
     photo("BMP", "bmp", image)
     found["EXR"] = _exr(base / "a.exr", pixels)
 
-    for kind in ("transforms", "blender"):
-        folder = base / kind
-        folder.mkdir()
-        image.save(folder / "a.png")
-        frames = [{"file_path": "a.png", "transform_matrix": orbit_pose(0.5 * i).tolist()} for i in range(3)]
-        document = {"camera_angle_x": 0.7, "frames": frames} | ({"w": 24, "h": 16} if kind == "transforms" else {})
-        files = ["transforms.json"] if kind == "transforms" else [f"transforms_{s}.json" for s in ("train", "test")]
-        for name in files:
-            (folder / name).write_text(json.dumps(document))
-        data_set = DATASETS.get(kind)
-        found[f"{kind} JSON"] = Reader(folder / files[0], lambda d=data_set, f=folder: d.read(f, LoadOptions()))
-
-    for kind, write in WRITERS.items():
-        (base / kind).mkdir()
-        data_set = DATASETS.get(kind)
-        found[f"{kind} file"] = Reader(write(base / kind), lambda d=data_set, f=base / kind: d.read(f, LoadOptions()))
-
-    table = base / "poses_bounds.npy"
-    np.save(table, np.random.default_rng(0).random((4, 17)))
-    found["LLFF table"] = Reader(table, lambda: read_table(table))
-
-    model = base / "model"
-    model.mkdir()
-    (model / "cameras.txt").write_text("1 PINHOLE 24 16 30 31 12 8\n")
-    (model / "images.txt").write_text("# Number of images: 1\n1 1 0 0 0 0 0 2 1 a.png\n1 2 1\n")
-    (model / "points3D.txt").write_text("1 0.5 0.5 0.5 9 9 9 0.5 1 0\n")
-    for name in ("cameras", "images", "points3D"):
-        found[f"COLMAP {name}.txt"] = Reader(model / f"{name}.txt", lambda: check_model(model))
-
-    binary = base / "binary"
-    binary.mkdir()
-    models = {
-        "cameras": struct.pack("<QiiQQ4d", 1, 1, 1, 24, 16, 30, 31, 12, 8),
-        "images": struct.pack("<QI7dI", 1, 1, 1, 0, 0, 0, 0, 0, 2, 1) + b"a.png\0" + struct.pack("<Qddq", 1, 1, 2, 1),
-        "points3D": struct.pack("<QQ3d3BdQII", 1, 1, 0.5, 0.5, 0.5, 9, 9, 9, 0.5, 1, 1, 0),
-    }
-    for name, data in models.items():
-        (binary / f"{name}.bin").write_bytes(data)
-        found[f"COLMAP {name}.bin"] = Reader(binary / f"{name}.bin", lambda: check_model(binary))
-
+    found |= captures(base)
     saved = base / "run.safetensors"
     described = {name: kind() for name, (kind, _) in checkpoint.REQUIRED.items()}
     checkpoint.save(saved, described, {"weights": torch.zeros(8, 8), "more": torch.zeros(3)})
     found["checkpoint"] = Reader(saved, lambda: checkpoint.load(saved))
 
-    found["model"] = _model(base / "model.safetensors")
-    found["camera file"] = _camera_file(base / "camera.json")
+    scene = load_scene(None, LoadOptions(max_size=16))
+    found["model"] = _model(base / "model.safetensors", scene)
+    found["camera file"] = _camera_file(base / "camera.json", scene)
     folder = base / "run"
     folder.mkdir()
     log = RunFolder(folder)
@@ -129,25 +90,17 @@ def _exr(file: Path, pixels: np.ndarray) -> Reader:
         header = measure(file)
         read_photo(file, (min(8, header.width), min(8, header.height)), (0, 0, 0))
 
-    return Reader(file, work)
+    return Reader(file, work, cost=4)
 
 
-def _camera_file(file: Path) -> Reader:
+def _camera_file(file: Path, scene: Scene) -> Reader:
     camera = {"width": 24, "height": 16, "fx": 30.0, "fy": 30.0, "cx": 12.0, "cy": 8.0}
     file.write_text(json.dumps({"c2w": orbit_pose(0.5)[:3].tolist()} | camera))
-
-    def work() -> None:
-        try:
-            camera_of(read_json(file).values)
-        except (TypeError, ValueError, OverflowError) as error:  # `picked_camera` names the file
-            raise UserError(" ".join(str(error).split())) from None
-
-    return Reader(file, work)
+    return Reader(file, lambda: picked_camera(scene, str(file)))
 
 
-def _model(file: Path) -> Reader:
+def _model(file: Path, scene: Scene) -> Reader:
     """A checkpoint with a pinned ray, whose changes carry the right checksum: a stranger's file, not a damaged one."""
-    scene = load_scene(None, LoadOptions(max_size=16))
     _, description, tensors, _ = checkpoint.newest(OLD_RUN)
     camera = camera_values(scene.views[0].camera)
     pin = {"name": "a", "color": 0, "hidden": False, "pixel": [5, 6], "camera": camera}
@@ -159,26 +112,26 @@ def _model(file: Path) -> Reader:
     tensors = tensors | {f"{pin_files.FIELD}.0.{name}": value for name, value in history.items()}
     file.write_bytes(_sealed(json.dumps(description), tensors))
 
-    def change(_: bytes, seed: int) -> bytes:
-        chance = random.Random(seed)
+    def change(_: bytes, chance: random.Random) -> bytes:
         changed: dict[str, Tensor | None] = dict(tensors)
         if chance.random() < 0.5:
             name = chance.choice(sorted(tensors))
             changed[name] = chance.choice(CHANGES)(tensors[name])
         text = json.dumps(description)
         if len(changed) == len(tensors) and chance.random() < 0.8:
-            text = mutated(text.encode(), seed).decode("utf-8", "replace")
+            text = chance.choice([mutated, other_values])(text.encode(), chance).decode("utf-8", "replace")
         return _sealed(text, {name: value for name, value in changed.items() if value is not None})
 
     def work() -> None:
         found, state = checkpoint.load(file)
-        if not scene.is_of(found):
-            raise UserError(scene.difference(found))
-        trainer = Trainer.resume(scene, found, state, "cpu")
-        pin_files.with_histories(pin_files.restored_pins(found), found, state)
+        with checkpoint.named(file):
+            if not scene.is_of(found):
+                raise UserError(scene.difference(found))
+            trainer = Trainer.resume(scene, found, state, "cpu")
+            pin_files.with_histories(pin_files.restored_pins(found), found, state)
         trainer.notes(found)
 
-    return Reader(file, work, change)
+    return Reader(file, work, change, cost=8)
 
 
 def _other_numbers(values: Tensor) -> Tensor:

@@ -31,8 +31,8 @@ def arc(count: int = 8, degrees: float = 70.0, around: bool = True) -> list[Came
     return cameras
 
 
-def picture(camera: Camera, seed: int = 0) -> np.ndarray:
-    """The photo of a camera, (H, W, 3) uint8. Another seed has other textures."""
+def picture(camera: Camera, seed: int = 0, cells: float = 14) -> np.ndarray:
+    """The photo of a camera, (H, W, 3) uint8. Another seed has other textures. cells: of a texture, on a unit."""
     rays = camera_rays(camera, 0.1, 20.0)
     o, d = rays.origins.double().numpy(), rays.directions.double().numpy()
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -48,7 +48,7 @@ def picture(camera: Camera, seed: int = 0) -> np.ndarray:
     for which in range(4):
         texture = rng.uniform(size=(64, 64))
         on = surface == which
-        u, v = np.delete(x[on], min(which, 2), 1).T * 14  # cells of 1/14
+        u, v = np.delete(x[on], min(which, 2), 1).T * cells
         i, j = np.floor(u).astype(int), np.floor(v).astype(int)
         shade[on] = texture[i % 64, j % 64]
     color = np.stack([shade, 0.2 + 0.6 * shade, 0.9 - 0.7 * shade], -1) * (1 - 0.12 * np.where(box, face, 0))[:, None]

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, TypeVar
 
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
@@ -12,17 +12,22 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from nerf_core.captures.records import COPYING, STAGES, PoseProgress
 from nerf_core.common.language import figure, marked, phrases, tr
 from nerf_core.common.text import duration
-from nerf_core.datasets.capture import Quality
+from nerf_core.datasets.capture import PoseLens, Quality
 from nerf_core.live.messages import CancelLoading
 
 from ..model.state import Action, AppState
 from ..ui.contract import PANELS, Ui
 from ..ui.widgets import button, field_width, hint
 
+T = TypeVar("T")
 CARE: dict[Quality, tuple[str, str]] = {  # what it is called, and what it is for
     "fast": (marked("fast"), marked("a third of the time; enough for most photos")),
     "normal": (marked("usual"), marked("photos of up to 1,600 pixels, 4,096 features each")),
     "high": (marked("thorough"), marked("photos of up to 3,200 pixels, 8,192 features each: for little texture")),
+}
+LENSES: dict[PoseLens, tuple[str, str]] = {
+    "perspective": (marked("perspective"), marked("phones and most cameras: straight things look straight")),
+    "fisheye": (marked("fisheye"), marked("action cameras and very wide lenses, which bend straight things")),
 }
 CANCEL = marked("Cancel")
 
@@ -84,15 +89,24 @@ def _idle(ui: Ui, state: AppState) -> None:
     )
     hint(ui, text)
     load = state.settings.load
-    label, (chosen_name, meaning) = tr("care"), CARE[load.poses]
+    poses = _choice(ui, "care", marked("care"), CARE, load.poses)
+    lens = _choice(ui, "lens", marked("lens"), LENSES, load.lens)
+    if (poses, lens) != (load.poses, load.lens):
+        state.settings = replace(state.settings, load=replace(load, poses=poses, lens=lens))
+
+
+def _choice(ui: Ui, mark: str, label: str, choices: Mapping[T, tuple[str, str]], now: T) -> T:
+    """Draw a box with choices and what the chosen one means. Returns the one that is chosen then."""
+    label, (name, meaning) = tr(label), choices[now]
+    chosen = now
     field_width(ui, label)
-    if imgui.begin_combo(f"{label}###care", tr(chosen_name)):
-        for quality, (name, words) in CARE.items():
-            chosen, _ = imgui.selectable(f"{tr(name)}##{quality}", quality == load.poses)
-            ui.mark(f"capture.care.{quality}")
+    if imgui.begin_combo(f"{label}###{mark}", tr(name)):
+        for choice, (other, words) in choices.items():
+            if imgui.selectable(f"{tr(other)}##{choice}", choice == now)[0]:
+                chosen = choice
+            ui.mark(f"capture.{mark}.{choice}")
             imgui.set_item_tooltip(tr(words))
-            if chosen:
-                state.settings = replace(state.settings, load=replace(load, poses=quality))
         imgui.end_combo()
-    ui.mark("capture.care")
+    ui.mark(f"capture.{mark}")
     hint(ui, tr(meaning))
+    return chosen

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 import subprocess
 import sys
 import tempfile
@@ -14,6 +13,7 @@ from typing import ClassVar
 import numpy as np
 
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.json_files import read_json
 from nerf_core.common.language import phrase
 from nerf_core.common.subprograms import run_limited
 from nerf_core.datasets.capture import DATASETS, Capture, LoadOptions, Photo
@@ -23,7 +23,6 @@ from nerf_core.datasets.photo_paths import find_photos, photo_name
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.lens import FISHEYE, PERSPECTIVE, Lens
 
-MOST_TEXT = 50_000_000  # of poses.json, with the names of a hundred thousand photos
 READ_SECONDS = 60.0  # a model of ten thousand photos takes about twenty
 LENSES = {  # {camera model: its parameters in COLMAP's order}; f stands for both focal lengths
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
@@ -80,10 +79,10 @@ class Colmap:
 
 def _of_upright_photos(root: Path) -> bool:
     """Whether the model is of photos turned by their EXIF orientation: `nerf-core pose` says so in poses.json."""
+    file = root / "poses.json"
     try:
-        text = (root / "poses.json").read_text("utf-8")
-        return len(text) < MOST_TEXT and json.loads(text).get("upright") is True
-    except (OSError, ValueError, AttributeError, RecursionError):
+        return file.exists() and read_json(file).values.get("upright") is True
+    except (OSError, UserError):
         return False
 
 

@@ -25,10 +25,15 @@ LEAST = 1e-4  # smaller opacities become 0: 1/40 of a step of 8 bits, and their 
 ROWS = 32  # of texels whose probabilities are computed at once: about 5 ms
 
 
+WHOLE = 1 - 1e-3  # of the pixels that a texel mixes, so many count: a masked one would have more than rounding
+
+
 class Photo:
     """A photo as colours (1, 3, h, w) with its camera, ready to be projected onto the planes of a stack.
 
     A photo with more pixels than the planes have texels is averaged over blocks first, so that it is not undersampled.
+
+    kept: (1, 1, h, w) 1 where pixels count, and 0 where one in the block is masked; None: all count.
     """
 
     def __init__(self, scene: Scene, view: int, stack: Stack, points: Tensor) -> None:
@@ -40,6 +45,11 @@ class Photo:
         blocks = scene.images[view][: height * side, : width * side].reshape(height, side, width, side, 3)
         pixels = torch.from_numpy(blocks.mean((1, 3), dtype=np.float32) / 65535)
         self.pixels = pixels.to(points.device).permute(2, 0, 1)[None].contiguous()
+        self.kept: Tensor | None = None
+        if (mask := scene.photos.mask(view)) is not None:
+            inside = mask[: height * side, : width * side].reshape(height, side, width, side).all((1, 3))
+            self.kept = torch.from_numpy(inside).to(self.pixels)[None, None]
+            self.pixels *= self.kept  # a texel may still mix 1 − WHOLE of a masked pixel
         axes = torch.from_numpy(np.array(self.camera.c2w, np.float64)).to(points.device)
         self.turned = (points.double() @ (stack.rotation.T @ axes[:, :3])).float()
         self.moved = ((stack.position - axes[:, 3]) @ axes[:, :3]).float()
@@ -51,27 +61,31 @@ class Photo:
         along A q + b / z with A = R′ᵀ R and b = R′ᵀ (p − p′): the plane's homography.
 
         Returns:
-            The photo's colours (3, H + 2, W + 2), and which texels it shows, (H + 2, W + 2) as 0 or 1.
+            The photo's colours (3, H + 2, W + 2), and their weights (H + 2, W + 2): 1 + UNSEEN for texels that it
+            shows, UNSEEN for others, 0 where the pixel is masked.
         """
         local = self.turned + self.moved / depth
         if self.camera.lens.wide:
-            return self._around(local)
-        ahead = local[..., 2] < -1e-6  # the texel lies in front of the camera, and the division is safe
-        plane = local[..., :2] / torch.where(ahead, -local[..., 2], 1.0)[..., None]
-        place = _in_photo(plane, self.camera)
-        shown = ahead & (place.abs() <= 1).all(-1)
+            place, shown = self._around(local)
+        else:
+            ahead = local[..., 2] < -1e-6  # the texel lies in front of the camera, and the division is safe
+            plane = local[..., :2] / torch.where(ahead, -local[..., 2], 1.0)[..., None]
+            place = _in_photo(plane, self.camera)
+            shown = ahead & (place.abs() <= 1).all(-1)
         found = functional.grid_sample(self.pixels, place[None], padding_mode="border", align_corners=False)[0]
-        return found, shown.float()
+        weight = shown.float() + UNSEEN
+        if self.kept is not None:
+            kept = functional.grid_sample(self.kept, place[None], padding_mode="border", align_corners=False)[0, 0]
+            weight = torch.where(kept > WHOLE, weight, 0)
+        return found, weight
 
     def _around(self, local: Tensor) -> tuple[Tensor, Tensor]:
-        """What `onto` returns, for texels (H + 2, W + 2, 3) in the axes of a camera with a wide lens."""
+        """Where texels (H + 2, W + 2, 3) in the axes of a camera with a wide lens lie in its photo; which it shows."""
         camera, points = self.camera, local.reshape(-1, 3).double().cpu().numpy()
         done = project(points, np.array(camera.intrinsics(), np.float64))
         place = torch.from_numpy(2 * done.pixels / (camera.width, camera.height) - 1).to(local)
-        found = functional.grid_sample(
-            self.pixels, place.reshape(1, *local.shape[:2], 2), padding_mode="border", align_corners=False
-        )[0]
-        return found, torch.from_numpy(done.framed & done.shown).to(local).reshape(local.shape[:2])
+        shown = torch.from_numpy(done.framed & done.shown).to(local.device)
+        return place.reshape(*local.shape[:2], 2), shown.reshape(local.shape[:2])
 
 
 def _in_photo(plane: Tensor, camera: Camera) -> Tensor:
@@ -114,12 +128,12 @@ def sweep(
         total = torch.zeros(3, *points.shape[:2], device=points.device)
         squares = torch.zeros_like(total)
         for photo in photos:
-            found, shown = photo.onto(depth)
-            weight = shown + UNSEEN
+            found, weight = photo.onto(depth)
             count += weight
             total.addcmul_(found, weight)
             squares.addcmul_(found.square(), weight)
             yield_callback()
+        count.clamp_(min=LEAST * UNSEEN)  # 0 where all photos are masked: the texel is black, and far from any good fit
         mean = total / count
         spread = (squares / count - mean.square()).sum(0).clamp(min=0).sqrt()
         spreads.append(_averaged(torch.where(count > 1.5, spread, ALONE), window))

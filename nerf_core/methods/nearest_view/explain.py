@@ -17,18 +17,21 @@ CANDIDATES = 3  # photos that are compared in numbers
 
 def explain(model: NearestViewModel, rays: Rays) -> tuple[Stage, ...]:
     """Return the stages: the nearest photos with their distances, the ray's place in the first, and its colour."""
-    ((_, view, local),) = model.looks(rays)
-    found = model.look_up(view, local)
+    looks = list(model.looks(rays))
+    _, view, found = looks[-1]
     name = model.scene.views[view].name
     inside, place = bool(found.inside[0]), found.places[0]
     small = model.scene.photos.small(view, SIDE)
     scale = small.shape[1] / model.scene.views[view].camera.width
     mark = place * scale if inside else np.full(2, np.nan)
-    where = phrase("It misses the photo.")
-    if inside:
+    where, colour = phrase("It misses the photo."), marked("Beside the photo there is only background.")
+    if found.masked[0]:
+        where, colour = phrase("It is masked there."), marked("The near photos are all masked here: a hole stays.")
+    elif inside:
+        colour = marked("The photo's pixel is the colour, as it is.")
         where = phrase("It falls on column {column:,}, row {row:,}.", column=int(place[0]), row=int(place[1]))
     return (
-        _choice(model, name),
+        _choice(model, *_shown(model, [view for _, view, _ in looks], bool(found.masked[0]))),
         Stage(
             marked("Place in the photo"),
             phrase(
@@ -40,17 +43,28 @@ def explain(model: NearestViewModel, rays: Rays) -> tuple[Stage, ...]:
         ),
         Stage(
             marked("Colour"),
-            marked("The photo's pixel is the colour, as it is.")
-            if inside
-            else marked("Beside the photo there is only background."),
+            colour,
             (Colors((marked("photo's pixel") if inside else marked("background"),), found.color),),
             ((marked("colour"), triple(found.color[0])),),
         ),
     )
 
 
-def _choice(model: NearestViewModel, name: str) -> Stage:
+def _shown(model: NearestViewModel, asked: list[int], hole: bool) -> tuple[str, bool]:
+    """The photo that counts as nearest, and whether nearer ones are masked: of a hole the first of those asked."""
+    return model.scene.views[asked[0 if hole else -1]].name, len(asked) > 1 and not hole
+
+
+def _choice(model: NearestViewModel, name: str, passed: bool) -> Stage:
+    """passed: whether nearer photos are masked where the ray falls."""
     photos = phrases("{n:,} training photo", "{n:,} training photos", len(model.views))
+    if passed:
+        return Stage(
+            marked("Nearest photo"),
+            phrase(
+                "Of {photos}, {name} is the nearest that is not masked where the ray falls.", photos=photos, name=name
+            ),
+        )
     if model.faced is None:
         return Stage(
             marked("Nearest photo"),

@@ -23,6 +23,7 @@ ROUNDING = 1e-5  # of the scene's radius: origins that differ by less are one pl
 TIE = 9  # decimals of D: photos at equal distances differ by rounding, which must not choose between them
 HERE = 1e-6  # of D: a camera this near to a photo's is that camera, but for rounding
 RAYS = 1024  # pixels whose error `train` measures
+FILLING = 8  # photos that are asked for a pixel that is masked; farther ones show something else there
 
 
 class Ranking(NamedTuple):
@@ -45,12 +46,14 @@ class Pixels(NamedTuple):
 
     places: (R, 2) float64 position in the photo, in pixels.
     inside: (R,) whether the photo shows something there.
-    color: (R, 3) float32, the photo's pixel; the background outside.
+    color: (R, 3) float32, the photo's pixel; the background outside, and where it is masked.
+    masked: (R,) whether they meet a pixel that is masked.
     """
 
     places: np.ndarray
     inside: np.ndarray
     color: np.ndarray
+    masked: np.ndarray
 
 
 class NearestViewModel(Defaults):
@@ -66,7 +69,8 @@ class NearestViewModel(Defaults):
 
     A ray's direction in the asked camera's frame is drawn into the photo with the photo's own focal length and lens.
     The pixel there is taken as it is, without interpolation. So the picture of a training camera is its photo. Outside
-    of the photo there is only background. A photo has no depth.
+    of the photo there is only background. A masked pixel is a hole, which the next nearest of FILLING photos fills that
+    shows something there. A photo has no depth.
 
     faced: the camera whose pictures it draws; None: `render` takes a photo for each ray.
     """
@@ -81,6 +85,7 @@ class NearestViewModel(Defaults):
         self.background = np.array(scene.background, np.float32)
         self.faced: Camera | None = None
         self.photo = -1  # the view that `faced` sees
+        self._order = self.views[:0]  # the views that `faced` sees, the nearest first
 
     # ---- which photo ---------------------------------------------------------------------------------------------
 
@@ -95,7 +100,8 @@ class NearestViewModel(Defaults):
 
     def facing(self, camera: Camera) -> Self:
         other = copy(self)
-        other.faced, other.photo = camera, int(self.ranking(camera).views[0])
+        other.faced, other._order = camera, self.ranking(camera).views
+        other.photo = int(other._order[0])
         return other
 
     def caption(self, camera: Camera) -> str:
@@ -119,11 +125,15 @@ class NearestViewModel(Defaults):
         """Return what a photo shows in directions (R, 3), given in its camera's axes."""
         camera = self.scene.views[view].camera
         done = project(local, np.array(camera.intrinsics(), np.float64))
-        inside = done.framed & done.shown
+        inside, masked = done.framed & done.shown, np.zeros(len(local), bool)
+        if (mask := self.scene.photos.mask(view)) is not None:
+            column, row = np.floor(done.pixels[inside]).astype(np.int64).T
+            masked[inside] = ~mask[row, column]
+            inside &= ~masked
         color = np.broadcast_to(self.background, (len(local), 3)).copy()
         column, row = np.floor(done.pixels[inside]).astype(np.int64).T
         color[inside] = self.scene.photos.part(view, row, column) / np.float32(65535)
-        return Pixels(done.pixels, inside, color)
+        return Pixels(done.pixels, inside, color, masked)
 
     def render(self, rays: Rays, quality: str = "fine") -> Rendering:
         """Render rays: those of the faced camera, else any.
@@ -133,19 +143,35 @@ class NearestViewModel(Defaults):
         world, so that a ray of a training photo finds its own pixel too.
         """
         color, opacity = np.empty((len(rays), 3), np.float32), np.empty(len(rays), np.float32)
-        for index, view, local in self.looks(rays):
-            found = self.look_up(view, local)
+        for index, _, found in self.looks(rays):
             color[index], opacity[index] = found.color, found.inside
         return Rendering(torch.from_numpy(color), torch.from_numpy(opacity), torch.full((len(rays),), torch.nan))
 
-    def looks(self, rays: Rays) -> Iterator[tuple[np.ndarray, int, np.ndarray]]:
-        """Yield for each photo that rays look into: the indices (K,) of these rays, the view, and their directions.
+    def looks(self, rays: Rays) -> Iterator[tuple[np.ndarray, int, Pixels]]:
+        """Yield for each photo that rays show: the indices (K,) of these rays, the view, and what they show of it.
 
-        The directions (K, 3) are given in the axes of the photo's camera.
+        A ray that meets a masked pixel goes on to the next photo, and after the last shows none.
+        """
+        for group, order, local in self._groups(rays):
+            index = group
+            for view in order.tolist():
+                found = self.look_up(view, local(view)[index])
+                last = view == order[-1]
+                done = ~found.masked | last
+                yield index[done], view, Pixels(*(values[done] for values in found))
+                index = index[~done]
+                if not len(index):
+                    break
+
+    def _groups(self, rays: Rays) -> Iterator[tuple[np.ndarray, np.ndarray, Callable[[int], np.ndarray]]]:
+        """Yield for rays that begin with the same photo: their indices (K,), and the views to ask, one after the other.
+
+        The third value gives the directions (R, 3) of all rays in the axes of a view's camera.
         """
         origins, directions = (v.double().cpu().numpy() for v in (rays.origins, rays.directions))
         if self.faced is not None:
-            yield np.arange(len(origins)), self.photo, directions @ self.faced.c2w[:, :3]
+            turned = directions @ self.faced.c2w[:, :3]
+            yield np.arange(len(origins)), self._asked(self._order), lambda _: turned
             return
         places, place_of = np.unique(origins, axis=0, return_inverse=True)
         chosen = np.zeros(len(origins), np.int64)
@@ -155,9 +181,15 @@ class NearestViewModel(Defaults):
             nearest = np.flatnonzero(apart <= apart.min() + ROUNDING * self.scene.radius)
             aside = directions[index] @ self.poses[nearest, :, 2].T  # the cosine to the backward axis: small is near
             chosen[index] = nearest[aside.argmin(1)]
-        for k in np.unique(chosen).tolist():
-            index = np.flatnonzero(chosen == k)
-            yield index, int(self.views[k]), directions[index] @ self.poses[k, :, :3]
+        for view in self.views[np.unique(chosen)].tolist():
+            index = np.flatnonzero(self.views[chosen] == view)
+            order = self.ranking(self.scene.views[view].camera).views if self.scene.photos.masked_photos else self.views
+            order = self._asked(np.concatenate([[view], order[order != view]]))
+            yield index, order, lambda view: directions @ self.scene.views[view].camera.c2w[:, :3]
+
+    def _asked(self, order: np.ndarray) -> np.ndarray:
+        """The views of an order that are asked: one alone where nothing is masked."""
+        return order[: FILLING if self.scene.photos.masked_photos else 1]
 
     # ---- training, of which there is none ------------------------------------------------------------------------
 

@@ -303,6 +303,24 @@ def misses(a: Camera, b: Camera, pixels: np.ndarray) -> np.ndarray:
     return np.linalg.norm(seen - pixels - 0.5, axis=1)
 
 
+@pytest.mark.parametrize("kind", ["device", "pipe", "folder", "damaged"])
+def test_a_poses_json_that_is_none_says_nothing(folder: Path, kind: str) -> None:
+    """It comes with the capture: a link to a device without end must not be read."""
+    file = folder / "poses.json"
+    if kind == "device":
+        file.symlink_to("/dev/zero")
+    elif kind == "pipe":
+        os.mkfifo(file)
+    elif kind == "folder":
+        file.mkdir()
+    else:
+        file.write_text("[" * 100_000)
+    assert not colmap._of_upright_photos(folder)  # pyright: ignore[reportPrivateUsage]
+    file.rmdir() if kind == "folder" else file.unlink()
+    file.write_text('{"upright": true}')
+    assert colmap._of_upright_photos(folder)  # pyright: ignore[reportPrivateUsage]
+
+
 def test_can_as_llff_and_as_colmap(scenes: Path) -> None:
     """Poses agree to rounding, and so do rays in the centre. Towards the border they differ by the calibration.
 

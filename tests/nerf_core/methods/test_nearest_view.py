@@ -161,5 +161,43 @@ def test_a_pixel_says_which_photo_it_is_of(scene: Scene) -> None:
     assert beside.ray.opacity == 0
 
 
+def masked(scene: Scene, *holes: int) -> Scene:
+    """The scene, of whose views `holes` the upper left quarter is masked."""
+    mask = np.ones((16, 16), bool)
+    mask[:8, :8] = False
+    return replace(scene, photos=scene.photos.masked(dict.fromkeys(holes, mask)))
+
+
+@pytest.mark.parametrize("faced", [True, False])
+def test_a_masked_pixel_is_filled_from_the_next_nearest_photo(scene: Scene, faced: bool) -> None:
+    """Photos along an arc, as seen from the first: the nearest two are masked in a corner, the third is not."""
+    cameras = [at(4 * np.cos(a), 4 * np.sin(a), 0) for a in (0.0, 0.2, 0.5, 0.9)]
+    plain = standing(scene, *cameras)
+    method = method_of(masked(plain, 0, 1))
+    drawn = method.facing(cameras[0]) if faced else method
+    seen = drawn.render(camera_rays(cameras[0], 2.0, 6.0))
+    color = np.rint(seen.color.numpy().reshape(16, 16, 3)[..., 0] * 65535 / 6553)
+    assert (color[8:] == 1).all()
+    assert (color[:, 8:] == 1).all()
+    assert (color[:8, :8] != 1).all()
+    if faced:  # one direction in all cameras: the corner of the third photo
+        assert (color[:8, :8] == 3).all()
+    opened = open_pixel(method, masked(plain, 0, 1), cameras[0], (3, 3), 0)
+    stages = {stage.title: stage for stage in opened.walk}
+    assert "2.png is the nearest that is not masked" in stages["Nearest photo"].sentence
+    assert stages["Colour"].sentence == "The photo's pixel is the colour, as it is."
+
+
+def test_a_pixel_that_is_masked_in_all_photos_is_a_hole(scene: Scene) -> None:
+    cameras = [at(4 * np.cos(a), 4 * np.sin(a), 0) for a in (0.0, 0.2)]
+    hidden = masked(standing(scene, *cameras), 0, 1)
+    method = method_of(hidden)
+    opacity = method.facing(cameras[0]).render(camera_rays(cameras[0], 2.0, 6.0)).opacity.numpy().reshape(16, 16)
+    assert opacity[:8, :8].max() == 0
+    assert opacity[8:].min() == 1
+    stages = {stage.title: stage for stage in open_pixel(method, hidden, cameras[0], (3, 3), 0).walk}
+    assert stages["Colour"].sentence == "The near photos are all masked here: a hole stays."
+
+
 def test_a_copy_shares_the_photos(scene: Scene) -> None:
     assert method_of(scene).frozen().scene.photos is scene.photos
