@@ -20,7 +20,7 @@ from nerf_core.training.evaluate import evaluate, select
 from nerf_core.training.metrics import Lpips
 from nerf_core.training.run_folder import RunFolder
 
-MOST_ROWS = 12  # of the table of exposures
+MOST_ROWS = 12  # of the tables of exposures and of poses
 
 
 @COMMANDS.register("eval")
@@ -59,6 +59,7 @@ class Eval:
         write_atomically(file, json.dumps(metrics, indent=2, allow_nan=False) + "\n")
         _print_metrics(metrics, count)
         _print_exposures(metrics.get("exposure", []))
+        _print_poses(metrics.get("poses", []))
         tell([trainer.method.stage] if trainer.method.stage else [])
         say(f"wrote {file} and {run.path / 'eval'}")
         return 0
@@ -71,6 +72,19 @@ def _print_metrics(metrics: dict[str, Any], count: int) -> None:
     say(f"{of} at step {metrics['step']:,}: PSNR {mean['psnr']:.2f} dB, SSIM {mean['ssim']:.4f}, LPIPS {lpips}")
     if mean.get("psnr_matched") is not None:
         say(f"right halves, with the exposure of the left ones: PSNR {mean['psnr_matched']:.2f} dB")
+    if mean.get("psnr_posed") is not None:
+        say(f"right halves, from poses fitted to the left ones: PSNR {mean['psnr_posed']:.2f} dB")
+
+
+def _print_poses(poses: list[dict[str, Any]]) -> None:
+    """Print the corrections of training photos, of many only the largest."""
+    if not poses:
+        return
+    rows = sorted(poses, key=lambda row: -row["degrees"])
+    say(f"corrected poses of {counted(len(rows), 'training photo')}, the largest first (metrics.json has all):")
+    say("    turned   shifted (of the radius)   last round   photo")
+    for row in rows[:MOST_ROWS]:
+        say(f"  {row['degrees']:7.3f}°   {row['percent']:7.3f} %                 {row['outcome']:10}   {row['name']}")
 
 
 def _print_exposures(exposures: list[dict[str, Any]]) -> None:

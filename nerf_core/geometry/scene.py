@@ -123,6 +123,13 @@ class Scene:
         """Return whether a camera stands where one of the capture's cameras stood, and looks the same way."""
         return bool((self.poses == camera.c2w).all((1, 2)).any())
 
+    def reposed(self, poses: Mapping[int, np.ndarray]) -> Scene:
+        """Return the scene with other poses (3, 4) of some views."""
+        views = list(self.views)
+        for i, c2w in poses.items():
+            views[i] = replace(views[i], camera=views[i].camera.moved(c2w))
+        return replace(self, views=tuple(views))
+
     def summary(self) -> str:
         """Describe in words what the loading options decide."""
         sizes = self.photo_sizes

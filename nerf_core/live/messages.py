@@ -26,6 +26,7 @@ from nerf_core.probe.directions import Around
 from nerf_core.rendering.export.requests import Export, ExportRequest
 from nerf_core.rendering.modes import COLOR
 from nerf_core.training.loss_history import History
+from nerf_core.training.pose_records import PoseCorrections
 from nerf_core.training.settings import RunSettings
 
 FIRST_RUN = 1  # the run that exists from the beginning: a window that shows one model never names another
@@ -420,6 +421,7 @@ Status = Literal["empty", "loading", "ready", "training", "paused", "finished", 
 class Snapshot:
     """Everything the window shows of one run at one moment.
 
+    scene: with the poses as they are corrected now.
     loaded: grows with every scene that was opened; reset or loaded models keep it.
     method_reason: why this method was chosen.
     config: the method's constants by name, as a checkpoint stores them.
@@ -439,6 +441,7 @@ class Snapshot:
     preview_rays_per_second: at full quality, while drawing; 0: not measured yet.
     study: the newest study of the worker, whatever run it is about; None: there was none.
     report: the newest check of a capture's photos, likewise.
+    corrections: by how much cameras of training photos were moved; None: poses are not corrected.
     """
 
     run: int = FIRST_RUN
@@ -475,6 +478,7 @@ class Snapshot:
     preview_rays_per_second: float = 0.0
     study: StudyState | None = None
     report: ReportState | None = None
+    corrections: PoseCorrections | None = None
 
     @property
     def ray(self) -> RayProbe | None:

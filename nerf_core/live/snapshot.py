@@ -8,6 +8,8 @@ from nerf_core.common.device import describe, memory_held
 from nerf_core.live.messages import Snapshot, Status
 from nerf_core.live.run import Run
 from nerf_core.live.scheduler import Scheduler
+from nerf_core.training.pose_records import PoseCorrections
+from nerf_core.training.trainer import Trainer
 
 
 def snapshot_of(run: Run, before: Snapshot, scheduler: Scheduler) -> Snapshot:
@@ -17,7 +19,7 @@ def snapshot_of(run: Run, before: Snapshot, scheduler: Scheduler) -> Snapshot:
     status, trainer, budget = status_of(run), run.trainer, scheduler.budget
     shown = replace(
         before, run=run.number, status=status, loading=run.loading, posing=run.posing, loaded=run.loaded,
-        scene=run.scene, wanted_share=scheduler.wanted, share_rule=scheduler.rule,
+        scene=run.scene, corrections=None, wanted_share=scheduler.wanted, share_rule=scheduler.rule,
         frame_share=budget.frame_share(), export=run.exports.newest,
     )  # fmt: skip
     if trainer is None:
@@ -26,6 +28,8 @@ def snapshot_of(run: Run, before: Snapshot, scheduler: Scheduler) -> Snapshot:
     rate = scheduler.rays_per_second(run.number) if status == "training" else 0.0
     return replace(
         shown,
+        scene=trainer.scene,
+        corrections=_corrections(trainer, before),
         method=trainer.method_name,
         coarse=trainer.method.coarse,
         stage=trainer.method.stage,
@@ -49,6 +53,13 @@ def snapshot_of(run: Run, before: Snapshot, scheduler: Scheduler) -> Snapshot:
         pins=tuple(run.artist.pins),
         preview_rays_per_second=run.artist.rays_per_second("fine"),
     )
+
+
+def _corrections(trainer: Trainer, before: Snapshot) -> PoseCorrections | None:
+    """Those of the trainer, or of the snapshot before if nothing changed since."""
+    if trainer.scene is before.scene and before.corrections is not None:
+        return before.corrections
+    return trainer.corrections
 
 
 def status_of(run: Run) -> Status:

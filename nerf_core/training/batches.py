@@ -112,6 +112,13 @@ class PixelSampler:
         self.generator = torch.Generator().manual_seed(seed)
         self._photos: dict[int, _Level] = {}
 
+    def repose(self, scene: Scene) -> None:
+        """Take the cameras' poses from another scene of the same photos."""
+        self.scene = scene
+        poses = torch.from_numpy(scene.poses[self.views])
+        for level in self._photos.values():
+            level.cameras.c2w = poses
+
     def draw(self, wanted: Draw, part: range | None = None) -> tuple[Rays, Tensor]:
         """Return the rays and colours of `batch`."""
         return self.batch(wanted, part)[:2]

@@ -15,6 +15,8 @@ from nerf_core.geometry.scene import SPLITS, Scene
 from nerf_core.rendering.images import rendering, to_bytes
 from nerf_core.rendering.video import write_png
 from nerf_core.training.metrics import Lpips, psnr, psnr_matched, ssim
+from nerf_core.training.pose_records import OUTCOMES
+from nerf_core.training.pose_refinement import fitted
 from nerf_core.training.trainer import Trainer
 
 EVERY = 8  # a capture without held-out photos is measured on every 8th training photo
@@ -89,7 +91,9 @@ def evaluate(
         What `nerf-core eval` writes to metrics.json, as finite JSON values: "mean" and "images" with psnr (dB), ssim
         and lpips, and "split", "method", "step", "seconds" and "subset". An image
         with a mask has its masked share, "masked". If exposures are learnt, "exposure" has those of the training
-        photos, and images have "psnr_matched"; see `psnr_matched`.
+        photos, and images have "psnr_matched"; see `psnr_matched`. If poses are corrected, "poses" has by how much each
+        training photo was turned (degrees) and shifted (percent of the scene's radius), and images have "psnr_posed":
+        of the right half, from the pose that the left half is seen from best.
 
     Raises:
         UserError: the images are too small for a metric, or the folder cannot be written.
@@ -138,9 +142,12 @@ def evaluating(
             }
             | ({} if mask is None else {"masked": float(1 - mask.mean())})
             | _matched(trainer, color, truth, mask)
+            | (yield from _posed(trainer, index, (len(images) + 1) / count))
         )
         keep(view.name, color, truth)
-    names = ("psnr", "ssim", "lpips", *(() if trainer.exposure is None else ("psnr_matched",)))
+    names = ["psnr", "ssim", "lpips"]
+    names += [] if trainer.exposure is None else ["psnr_matched"]
+    names += [] if trainer.refinement is None else ["psnr_posed"]
     result: dict[str, Any] = {
         "mean": {name: _mean([image[name] for image in images]) for name in names},
         "images": images,
@@ -153,7 +160,38 @@ def evaluating(
         result["subset"] = selection.subset
     if trainer.exposure is not None:
         result["exposure"] = exposures(trainer)
+    if trainer.refinement is not None:
+        result["poses"] = poses(trainer)
     return result
+
+
+def _posed(trainer: Trainer, index: int, share: float) -> Generator[tuple[int, float], None, dict[str, Any]]:
+    """The PSNR of the right half from a pose that was fitted to the left half, if poses are corrected."""
+    if trainer.refinement is None:
+        return {}
+    there = trainer.scene
+    if index not in trainer.refinement.views:  # those have a pose already
+        there = there.reposed({index: fitted(trainer.method, there, index)})
+    work = rendering(trainer.method, there.views[index].camera, there)
+    color, _ = yield from mapped(work, lambda done: (0, share))
+    truth, mask = trainer.scene.images[index].astype(np.float32) / 65535, trainer.scene.photos.mask(index)
+    half = color.shape[1] // 2
+    right = None if mask is None else mask[:, half:]
+    if right is not None and not right.any():
+        return {"psnr_posed": None}
+    return {"psnr_posed": min(psnr(color[:, half:], truth[:, half:], right), PERFECT_PSNR)}
+
+
+def poses(trainer: Trainer) -> list[dict[str, Any]]:
+    """Return name, turn, shift and last outcome of each training photo; empty if poses are not corrected."""
+    found = trainer.corrections
+    if found is None:
+        return []
+    rows = zip(found.views.tolist(), found.turned.tolist(), found.shifted.tolist(), found.outcome.tolist(), strict=True)
+    return [
+        {"name": trainer.scene.views[i].name, "degrees": turn, "percent": 100 * shift, "outcome": OUTCOMES[outcome]}
+        for i, turn, shift, outcome in rows
+    ]
 
 
 def _matched(trainer: Trainer, color: np.ndarray, truth: np.ndarray, mask: np.ndarray | None) -> dict[str, Any]:

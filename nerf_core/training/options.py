@@ -85,6 +85,8 @@ class TrainOptions(LoadingOptions):
     """Of a CPU, fixed for the whole run; 0: all usable cores."""
     exposure: Literal["auto", "on", "off"] = "auto"
     """Learn a gain and an offset per channel for each training photo; auto: off."""
+    refine_poses: bool = False
+    """Correct the poses of training photos while the model learns, where left-out pixels agree."""
 
     def settings(self) -> RunSettings:
         """Check the options and return the settings of the run. Raises UserError, which names the wrong option."""
@@ -110,6 +112,7 @@ class TrainOptions(LoadingOptions):
             device=self.device,
             threads=self.threads,
             exposure=self.exposure,
+            refine_poses=self.refine_poses,
         )
 
     def goal(self, total_steps: int) -> Goal:

@@ -9,10 +9,11 @@ from nerf_core.common.json_files import Fields
 from nerf_core.datasets import LoadOptions
 
 T = TypeVar("T")
-ADDED = {
+ADDED: dict[str, str | bool] = {
     "exposure": "off",
     "lens": "perspective",
     "poses": "normal",
+    "refine_poses": False,
 }  # fields that files of earlier versions lack, and what those versions did
 
 
@@ -31,6 +32,7 @@ class RunSettings:
         because the rounding of sums depends on them.
     exposure: "on", "off" or "auto": whether each training photo has an exposure of its own that is learnt; see
         `nerf_core.training.exposure`.
+    refine_poses: whether the poses of training photos are corrected; see `nerf_core.training.pose_refinement`.
     """
 
     load: LoadOptions = field(default_factory=LoadOptions)
@@ -42,6 +44,7 @@ class RunSettings:
     device: str = "auto"
     threads: int = 0
     exposure: str = "auto"
+    refine_poses: bool = False
 
 
 def filled(kind: type[T], values: Fields) -> T:

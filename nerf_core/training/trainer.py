@@ -18,11 +18,13 @@ from nerf_core.common.device import pick_device, usable_cores
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.language import marked, phrase
 from nerf_core.geometry.scene import Scene
-from nerf_core.methods import METHODS, Config, Distributed, Method, Posed
+from nerf_core.methods import METHODS, Config, Distributed, Draw, Method, Posed
 from nerf_core.methods.group import ALONE, Group
 from nerf_core.training.batches import Batch, PixelSampler
 from nerf_core.training.exposure import SHARE, Exposure
 from nerf_core.training.loss_history import HistoryLog
+from nerf_core.training.pose_records import PoseCorrections
+from nerf_core.training.pose_refinement import Corrections, PoseRefinement
 from nerf_core.training.settings import RunSettings
 
 EXPOSURES = "auto", "on", "off"
@@ -63,7 +65,8 @@ class Trainer:
     Everything that decides the weights (configuration, seed, thread count, chunk size, schedule) is fixed here and is
     in `describe()`. So a run is bit-identical on one CPU, whether it is watched or not, resumed or not.
 
-    scene: the scene.
+    capture: the scene as it was loaded.
+    scene: the same with poses as they are corrected now.
     method: the model with its optimiser.
     method_name: its name in `METHODS`.
     device: where the method really runs.
@@ -75,6 +78,7 @@ class Trainer:
     seconds: seconds of training steps, without yield callbacks.
     history: the loss so far. With `exposure`, it is that of the photos as they would be with the mean exposure.
     exposure: the exposures of the training photos; None: all photos are taken as they are.
+    refinement: corrects the poses of the training photos; None: they stay as they are.
     """
 
     def __init__(self, scene: Scene, settings: RunSettings, group: Group = ALONE) -> None:
@@ -98,6 +102,8 @@ class Trainer:
             raise UserError(f"--exposure {shorten(settings.exposure)}: choose from {', '.join(EXPOSURES)}")
         if settings.exposure == "on":
             self._learn_exposure()
+        if settings.refine_poses:
+            self._refine_poses()
 
     @classmethod
     def resume(
@@ -125,6 +131,8 @@ class Trainer:
         trainer._build(scene, description["method"], config, description["steps"], description["seed"], threads)
         if description.get("exposure", False):  # checkpoints of earlier versions do not say
             trainer._learn_exposure()
+        if description.get("refine_poses", False):
+            trainer._refine_poses()
         try:
             trainer.go_to(description, state)
         except torch.OutOfMemoryError:  # a RuntimeError that says nothing about the checkpoint
@@ -140,9 +148,11 @@ class Trainer:
         """Return a new trainer of the same run, at step 0."""
         trainer = Trainer.__new__(Trainer)
         trainer.device, trainer.reason, trainer.group = self.device, self.reason, self.group
-        trainer._build(self.scene, self.method_name, self.config, self.steps, self.seed, self.threads)
+        trainer._build(self.capture, self.method_name, self.config, self.steps, self.seed, self.threads)
         if self.exposure is not None:
             trainer._learn_exposure()
+        if self.refinement is not None:
+            trainer._refine_poses()
         return trainer
 
     def _cores(self) -> int:
@@ -151,7 +161,8 @@ class Trainer:
 
     def _build(self, scene: Scene, name: str, config: Config, steps: int, seed: int, threads: int) -> None:
         torch.set_num_threads(max(threads, 1))  # some methods use the CPU on any device
-        self.scene, self.method_name = scene, name
+        self.capture = self.scene = scene
+        self.method_name = name
         self.steps, self.seed, self.threads = steps, seed, max(threads, 1)
         self.total_steps: int = config.total_steps and (steps or config.total_steps)
         self.method: Method = METHODS.get(name)(scene, config, self.device, seed)
@@ -163,6 +174,7 @@ class Trainer:
         self.batches = PixelSampler(scene, config.train_images, self.device, seed)
         self.history = HistoryLog()
         self.exposure: Exposure | None = None
+        self.refinement: PoseRefinement | None = None
         self.step_count = 0
         self.seconds = 0.0
 
@@ -172,6 +184,24 @@ class Trainer:
             raise UserError(f"--exposure on: method {self.method_name} learns no colours: take --exposure off")
         views = self.batches.views
         self.exposure = Exposure(views, np.array([-self.scene.views[i].camera.c2w[:, 2] for i in views]))
+
+    def _refine_poses(self) -> None:
+        """Correct poses from now on. Raises UserError if the method or the capture does not allow it."""
+        if isinstance(self.method, Posed) or not self.total_steps:
+            raise UserError(f"--refine-poses: method {self.method_name} cannot compare poses: choose another")
+        if self.scene.photos.filling is not None:
+            raise UserError(
+                f"--refine-poses: {self.scene.name} has too many photos to compare all at once: leave the option out, "
+                "or open a part of them"
+            )
+        self.refinement = PoseRefinement(self.scene, self.batches.views, self.seed)
+
+    def _pose(self) -> None:
+        """Take the corrected poses into the scene and the batches."""
+        if self.refinement is not None:
+            poses = dict(zip(self.refinement.views, self.refinement.poses, strict=True))
+            self.scene = self.capture.reposed(poses)
+            self.batches.repose(self.scene)
 
     @property
     def config(self) -> Config:
@@ -185,6 +215,11 @@ class Trainer:
             return {}
         rows = zip(self.exposure.gains.numpy(), self.exposure.offsets.numpy(), strict=True)
         return dict(zip(self.exposure.views, rows, strict=True))
+
+    @property
+    def corrections(self) -> PoseCorrections | None:
+        """By how much the cameras of the training photos were moved; None if poses are not corrected."""
+        return None if self.refinement is None else self.refinement.corrections()
 
     @property
     def advice(self) -> str:
@@ -229,6 +264,7 @@ class Trainer:
             try:
                 with self.transaction():
                     wanted = self.method.draw(self.step_count)
+                    corrected = self._corrected(wanted, timed_yield)
                     part = self.group.part(wanted.rays)
                     loss = self._train(self.batches.batch(wanted, part, self.step_count), timed_yield)
                 break
@@ -237,6 +273,11 @@ class Trainer:
                 if yielded or self.group.size > 1 or not self.method.halve():
                     raise
             torch.cuda.empty_cache()  # not in the handler, where the traceback keeps the tensors alive
+        if self.refinement is not None:
+            self.refinement.trained(wanted.rays)
+            if corrected is not None:
+                self.refinement.take(corrected, self.group)
+                self._pose()
         seconds = time.perf_counter() - start - waited
         self.seconds += seconds
         self.step_count += 1
@@ -249,6 +290,22 @@ class Trainer:
                 "out of device memory at step {step:,}: going on in chunks of half the size", step=self.step_count
             )
         return Report(self.step_count, loss, psnr_of(loss), wanted.rays, seconds, note)
+
+    def _corrected(self, wanted: Draw, yield_callback: Callable[[], None]) -> Corrections | None:
+        """Return the poses after a round of corrections if one is due, with the model before the step."""
+        refinement = self.refinement
+        if refinement is None or not refinement.due(wanted.rays):
+            return None
+        if self.group.rank:  # the first process does it for all
+            return refinement.poses, refinement.outcome
+        return refinement.round(self.method, self._exposed, yield_callback)
+
+    def _exposed(self, photo: int, colors: np.ndarray) -> np.ndarray:
+        """Undo the exposure of a photo, a position in `batches.views`: colours (…, 3)."""
+        if self.exposure is None:
+            return colors
+        gain, offset = (v[photo].numpy() for v in (self.exposure.gains, self.exposure.offsets))
+        return ((colors - offset) / gain).clip(0, 1)
 
     def _train(self, batch: Batch, yield_callback: Callable[[], None]) -> float:
         """Let the method learn from a batch, and learn the exposures. Returns the loss."""
@@ -303,12 +360,13 @@ class Trainer:
             "threads": self.threads,
             "processes": self.group.size,
             "exposure": self.exposure is not None,
+            "refine_poses": self.refinement is not None,
             "step": self.step_count,
             "seconds": self.seconds,
-            "scene": self.scene.identity(),
-            "scene_identity": self.scene.identity_kind,
-            "scene_name": self.scene.name,
-            "scene_summary": self.scene.summary(),
+            "scene": self.capture.identity(),
+            "scene_identity": self.capture.identity_kind,
+            "scene_name": self.capture.name,
+            "scene_summary": self.capture.summary(),
         }
 
     def state(self) -> dict[str, Tensor]:
@@ -317,11 +375,13 @@ class Trainer:
         parts = {"method": self.method.state(), "batches": self.batches.state(), "history": history}
         if self.exposure is not None:
             parts["exposure"] = self.exposure.state()
+        if self.refinement is not None:
+            parts["poses"] = self.refinement.state()
         return {f"{part}.{key}": value for part, tensors in parts.items() for key, value in tensors.items()}
 
     def notes(self, description: Mapping[str, Any]) -> tuple[str, ...]:
         """Return warnings about a run that was resumed from a description, a line each."""
-        notes = [self.scene.doubt(description)]
+        notes = [self.capture.doubt(description)]
         if self.threads != description["threads"] and self.device.type == "cpu":
             notes.append(
                 phrase(
@@ -355,13 +415,16 @@ class Trainer:
         """
         parts = {
             part: {key.removeprefix(part): v for key, v in state.items() if key.startswith(part)}
-            for part in ("method.", "batches.", "history.", "exposure.")
+            for part in ("method.", "batches.", "history.", "exposure.", "poses.")
         }
         self.method.load_state(parts["method."])
         self.batches.load_state(parts["batches."])
         self.history.load_state({k: v.cpu().numpy() for k, v in parts["history."].items()}, description["step"])
         if self.exposure is not None:
             self.exposure.load_state(parts["exposure."])
+        if self.refinement is not None:
+            self.refinement.load_state(parts["poses."])
+            self._pose()
         self.step_count, self.seconds = description["step"], description["seconds"]
 
 

@@ -16,6 +16,7 @@ from nerf_core.live.messages import Snapshot
 from nerf_core.methods import lacking
 from nerf_core.probe import RayProbe
 from nerf_core.rendering.modes import COLOR, MODES, Mode
+from nerf_core.training.pose_records import PoseCorrections
 
 from ..commands.pointer import ViewportInput
 from ..commands.registry import USER_COMMANDS, with_keys
@@ -131,6 +132,8 @@ class ViewportPanel:
                 if cameras:
                     shade = faded(SHADE, 0.5), 2.5 * thin  # so that lines show on a white background
                     overlay.lines(*frusta(cameras, depth), shade, (faded(color, 0.55), thin))
+            if state.snapshot.corrections is not None:
+                _draw_corrections(ui, scene, state.snapshot.corrections, overlay)
         if not state.show_samples:
             return
         pinned = [(pin, pin.ray) for pin in state.snapshot.pins if pin.ray is not None and not pin.hidden]
@@ -201,6 +204,18 @@ class ViewportPanel:
 
     def release(self) -> None:
         self._picture.release()
+
+
+def _draw_corrections(ui: PanelUi, scene: Scene, found: PoseCorrections, overlay: Overlay) -> None:
+    """Draw where moved cameras stood in the capture, and lines from there to where they stand now."""
+    gone = np.flatnonzero((found.turned > 0) | (found.shifted > 0))
+    if not len(gone):
+        return
+    thin, shade = max(1.0, ui.em / 14), (faded(SHADE, 0.3), max(1.0, ui.em / 14))
+    before = [scene.views[found.views[n]].camera.moved(found.given[n]) for n in gone]
+    overlay.lines(*frusta(before, FRUSTUM_DEPTH * scene.radius), shade, (faded(ui.theme.accent, 0.25), thin))
+    now = scene.poses[found.views[gone], :, 3]
+    overlay.lines(found.given[gone, :, 3], now, shade, (faded(ui.theme.accent, 0.9), 2 * thin))
 
 
 def _point_at(ui: PanelUi, state: AppState, overlay: Overlay, ray: RayProbe) -> None:

@@ -161,4 +161,7 @@ def _progress(ui: Ui, s: Snapshot) -> tuple[str, ImVec4]:
 
 def _rows(s: Snapshot) -> list[Row]:
     speed = phrase("{rate} rays/s", rate=rate(s.rays_per_second))
-    return [(tr("speed"), speed), (tr("trained"), duration(s.seconds))]
+    rows: list[Row] = [(tr("speed"), speed), (tr("trained"), duration(s.seconds))]
+    if s.corrections is not None:
+        rows.append((tr("poses"), s.corrections.summary() if s.corrections.rounds else marked("not corrected yet")))
+    return rows

@@ -1,0 +1,207 @@
+"""Correct the poses of training photos while a model learns from them.
+
+In every round, each photo is compared with the model at some pixels, and a step of its camera follows (`pose_fit`). A
+part of the pixels is left out of the step. It is kept only where they agree better than before, and else the camera
+stays as it was. Rounds begin with small photos, in which a wrong pose is off by a pixel or two, and go on with larger
+ones.
+
+A turn, shift and scaling of all cameras together changes nothing that photos show. So what such a motion has in common
+with the corrections is taken out of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nerf_core.geometry.scene import Scene
+from nerf_core.methods import Method
+from nerf_core.methods.group import ALONE, Group
+from nerf_core.training.batches import shrunk
+from nerf_core.training.pose_fit import Target, agrees_better, between, compared, moved, rotation, solved, turn_of
+from nerf_core.training.pose_records import MOVED, REFUSED, UNTRIED, PoseCorrections
+
+FITTED, LEFT_OUT = 512, 512  # pixels of a photo in a round
+SHARE = 0.5  # of the rays of training: so many are drawn for the poses, which takes some 20 % of the time
+MOST = 64  # photos in a round; rounds of fewer are as far apart, because the model must follow its cameras
+SMALLEST, ROUNDS = 64, 6  # longest side of the photos in the first rounds, in pixels; it doubles after so many
+Corrections = tuple[np.ndarray, np.ndarray]  # poses (N, 3, 4) and outcomes (N,)
+
+
+def shrink_of(longest: int, rounds: int) -> int:
+    """Return by which factor photos are shrunk after so many rounds. longest: their longest side in pixels."""
+    return max(1, round(longest / (SMALLEST << min(rounds // ROUNDS, 30))))
+
+
+def targets(scene: Scene, views: Sequence[int], shrink: int) -> list[Target]:
+    """Return photos to compare with, averaged over blocks of shrink × shrink pixels."""
+    photos, cameras = scene.photos.at(views), [scene.views[i].camera for i in views]
+    if shrink > 1:
+        cameras = [camera.shrunk(shrink) for camera in cameras]
+        photos = shrunk(photos, [(camera.width, camera.height) for camera in cameras], shrink)
+    return [Target(photos, n, camera) for n, camera in enumerate(cameras)]
+
+
+def fitted(method: Method, scene: Scene, view: int) -> np.ndarray:
+    """Return the pose (3, 4) of a held-out photo that is fitted to its left half; the model stays as it is.
+
+    The rounds, the sizes and the gate are those of training photos, without the gauge.
+
+    Args:
+        method: the model.
+        scene: the scene, with the pose to begin with.
+        view: the photo.
+    """
+    given = pose = scene.poses[view]
+    rng, rounds, shrink = np.random.default_rng(view), 0, 0
+    longest = max(scene.views[view].camera.width, scene.views[view].camera.height)
+    target = targets(scene, [view], 1)[0]
+    while shrink != 1 or rounds % ROUNDS:  # all rounds of the full size, too
+        if shrink_of(longest, rounds) != shrink:
+            shrink = shrink_of(longest, rounds)
+            target = targets(scene, [view], shrink)[0]
+        rounds += 1
+        pixels = target.pixels(rng, FITTED + LEFT_OUT, left_half=True)
+        out = _left_out(pixels)
+        if out.all() or not out.any():
+            continue
+        step = solved(compared(method, scene, target, pose, pixels[~out]), between(given, pose))
+        wanted = moved(pose, step)
+        before, after = (compared(method, scene, target, p, pixels[out]) for p in (pose, wanted))
+        pose = wanted if agrees_better(before, after) else pose
+    return pose
+
+
+def _left_out(pixels: np.ndarray) -> np.ndarray:
+    """Which pixels (P, 2) are left out: half, as on a chessboard. One that is drawn twice is never on both sides."""
+    return pixels.sum(-1) % 2 == 0
+
+
+class PoseRefinement:
+    """The poses of N training photos.
+
+    views: the photos as indices into `Scene.views`.
+    given: (N, 3, 4) float64, the poses of the capture.
+    poses: (N, 3, 4) float64, the poses as they are corrected.
+    outcome: (N,) int64, of the last round of each photo: UNTRIED, MOVED or REFUSED by the left-out pixels.
+    """
+
+    def __init__(self, scene: Scene, views: Sequence[int], seed: int) -> None:
+        """Begin with the capture's poses.
+
+        Args:
+            scene: the capture.
+            views: the photos as indices into `Scene.views`.
+            seed: of the pixels that are drawn.
+        """
+        self.scene, self.views, self.seed = scene, tuple(views), seed
+        self.given = scene.poses[list(views)]
+        self.poses = self.given.copy()
+        self.outcome = np.full(len(self.views), UNTRIED)
+        self.rounds, self._rays = 0, 0.0
+        self._targets: tuple[int, list[Target]] = 0, []
+
+    def due(self, rays: int) -> bool:
+        """Return whether a round is due before a training step of so many rays. It changes nothing."""
+        return self._rays + SHARE * rays >= MOST * (FITTED + 2 * LEFT_OUT)
+
+    def trained(self, rays: int) -> None:
+        """Count the rays of a training step, which pay for a round."""
+        self._rays += SHARE * rays
+
+    def round(
+        self, method: Method, correct: Callable[[int, np.ndarray], np.ndarray], yield_callback: Callable[[], None]
+    ) -> Corrections:
+        """Return poses (N, 3, 4) and outcomes (N,) after a round. Nothing changes before `take`.
+
+        Args:
+            method: the model.
+            correct: takes a position in `views` and the photo's colours (…, 3), and undoes the photo's exposure.
+            yield_callback: called between photos; it may raise.
+        """
+        rng = np.random.default_rng([self.seed, self.rounds])
+        chosen = np.sort(rng.permutation(len(self.views))[:MOST])
+        shown = self._shown()
+        wanted, left_out = self.poses.copy(), {}
+        for n in chosen.tolist():
+            target = shown[n].corrected(lambda colors, n=n: correct(n, colors))
+            pixels = target.pixels(rng, FITTED + LEFT_OUT)
+            out = _left_out(pixels)
+            yield_callback()
+            if out.any() and not out.all():
+                found = compared(method, self.scene, target, self.poses[n], pixels[~out])
+                wanted[n] = moved(self.poses[n], solved(found, between(self.given[n], self.poses[n])))
+                left_out[n] = target, pixels[out]
+        wanted = self._without_gauge(wanted)
+        poses, outcome = self.poses.copy(), self.outcome.copy()
+        for n, (target, pixels) in left_out.items():
+            yield_callback()
+            before, after = (compared(method, self.scene, target, p[n], pixels) for p in (self.poses, wanted))
+            better = agrees_better(before, after)
+            outcome[n] = MOVED if better else REFUSED
+            poses[n] = wanted[n] if better else poses[n]
+        return poses, outcome
+
+    def take(self, found: Corrections, group: Group = ALONE) -> None:
+        """Make what `round` returned the poses of all processes: those of the first one count."""
+        first = [torch.from_numpy(v.astype(np.float64) * (group.rank == 0)) for v in found]
+        group.add(first)
+        self.poses, self.outcome = first[0].numpy(), first[1].long().numpy()
+        self.rounds, self._rays = self.rounds + 1, 0.0
+
+    def corrections(self) -> PoseCorrections:
+        """Return by how much each camera was moved."""
+        turned = np.linalg.norm(turn_of(np.swapaxes(self.given[:, :, :3], 1, 2) @ self.poses[:, :, :3]), axis=-1)
+        still = (self.poses == self.given).all((1, 2))  # a product of a rotation and its inverse is rounded
+        away = np.linalg.norm(self.poses[:, :, 3] - self.given[:, :, 3], axis=-1) / self.scene.radius
+        return PoseCorrections(
+            np.array(self.views), self.given, np.where(still, 0, np.degrees(turned)), away, self.outcome, self.rounds
+        )
+
+    def _shown(self) -> list[Target]:
+        """The photos at the size of this round."""
+        cameras = [self.scene.views[i].camera for i in self.views]
+        shrink = shrink_of(max(max(c.width, c.height) for c in cameras), self.rounds)
+        if self._targets[0] != shrink:
+            self._targets = shrink, targets(self.scene, self.views, shrink)
+        return self._targets[1]
+
+    def _without_gauge(self, poses: np.ndarray) -> np.ndarray:
+        """Take out of poses (N, 3, 4) the turn, shift and scaling about the middle that is common to all corrections.
+
+        Least squares over the corrections: a turn counts with the cameras' distance from the scene's centre.
+        """
+        places, middle = self.given[:, :, 3], self.given[:, :, 3].mean(0)
+        arms = places - middle
+        unit = float(np.linalg.norm(places - self.scene.center, axis=-1).mean()) or self.scene.radius
+        turns = turn_of(poses[:, :, :3] @ np.swapaxes(self.given[:, :, :3], 1, 2))
+        count, zero = len(poses), np.zeros
+        system = zero((2, count, 3, 7))  # of turn, shift and scaling
+        system[0, :, :, :3] = unit * np.eye(3)
+        system[1, :, :, :3] = np.cross(np.eye(3), arms[:, None]).transpose(0, 2, 1)
+        system[1, :, :, 3:6] = np.eye(3)
+        system[1, :, :, 6] = arms
+        wanted = np.stack([unit * turns, poses[:, :, 3] - places])
+        common = np.linalg.lstsq(system.reshape(-1, 7), wanted.ravel(), rcond=None)[0]
+        shifts = (system[1] @ common).reshape(count, 3)
+        back = rotation(-common[:3])
+        return np.concatenate([back @ poses[:, :, :3], (poses[:, :, 3] - shifts)[:, :, None]], -1)
+
+    def state(self) -> dict[str, Tensor]:
+        """Return poses, outcomes and counts by name, for a checkpoint."""
+        return {
+            "poses": torch.from_numpy(self.poses), "outcome": torch.from_numpy(self.outcome),
+            "counts": torch.tensor([self.rounds, self._rays], dtype=torch.float64),
+        }  # fmt: skip
+
+    def load_state(self, state: Mapping[str, Tensor]) -> None:
+        """Continue from `state`. Raises KeyError or ValueError if it is of other photos."""
+        for name, value in self.state().items():
+            if state[name].shape != value.shape:
+                raise ValueError(f"{name} of {len(state[name])} photos, not {len(value)}")
+        self.poses = state["poses"].cpu().double().numpy().copy()
+        self.outcome = state["outcome"].cpu().long().numpy().copy()
+        self.rounds, self._rays = int(state["counts"][0]), float(state["counts"][1])

@@ -1,0 +1,224 @@
+"""Poses of training photos: wrong ones come back, right ones stay, and a photo that does not fit moves no camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from nerf_core.common.errors import UserError
+from nerf_core.datasets import LoadOptions, load_scene
+from nerf_core.geometry.photos import Photos
+from nerf_core.geometry.scene import Scene
+from nerf_core.training import checkpoint
+from nerf_core.training.evaluate import Selection, evaluate
+from nerf_core.training.pose_fit import Comparison, agrees_better, between, moved, rotation, turn_of
+from nerf_core.training.pose_records import REFUSED
+from nerf_core.training.pose_refinement import PoseRefinement, fitted
+from nerf_core.training.settings import RunSettings
+from nerf_core.training.trainer import Trainer
+
+SMALL = {"rays": "4096", "resolution": "64", "level_steps": "20"}
+FEW = {"rays": "16384", "first_rays": "16384", "resolution": "24", "train_images": "6"}
+
+
+@pytest.fixture(scope="module")
+def demo() -> Scene:
+    return load_scene(None, LoadOptions(downscale=3))
+
+
+@pytest.fixture(scope="module")
+def good(demo: Scene) -> Trainer:
+    """A model of the demo scene from right poses."""
+    return trained(demo, 60, refine=False)
+
+
+def trained(scene: Scene, steps: int, refine: bool = True, changes: dict[str, str] = SMALL) -> Trainer:
+    trainer = Trainer(scene, RunSettings(method="voxels", refine_poses=refine, changes=changes))
+    for _ in range(steps):
+        trainer.step()
+    return trainer
+
+
+def disturbed(c2w: np.ndarray, seed: int) -> np.ndarray:
+    """A pose turned by 1° and shifted by 1 % of the demo's distance, 4, about and along random axes."""
+    axis, way = (v / np.linalg.norm(v) for v in np.random.default_rng(seed).normal(size=(2, 3)))
+    return moved(c2w, np.concatenate([np.radians(1) * axis, 0.04 * way]))
+
+
+def degrees(poses: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    return np.degrees(np.linalg.norm(turn_of(np.swapaxes(truth[..., :3], -1, -2) @ poses[..., :3]), axis=-1))
+
+
+def misplaced(scene: Scene, views: Sequence[int], poses: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """How far from its true place each camera sees a cube in the scene's middle: RMS in pixels, (N,).
+
+    What a turn undoes of a shift does not count: photos of a small object hardly tell one from the other.
+    """
+    cube = np.array(list(product((-0.5, 0.5), repeat=3)))
+    found = []
+    for i, pose, true in zip(views, poses, truth, strict=True):
+        camera = scene.views[i].camera
+        off = camera.moved(pose).project(cube)[0] - camera.moved(true).project(cube)[0]
+        found.append(np.sqrt((off**2).sum(-1).mean()))
+    return np.array(found)
+
+
+def unexposed(photo: int, colors: np.ndarray) -> np.ndarray:
+    return colors
+
+
+def nothing() -> None:
+    pass
+
+
+def rounds(refinement: PoseRefinement, trainer: Trainer, count: int) -> None:
+    for _ in range(count):
+        refinement.take(refinement.round(trainer.method, unexposed, nothing))
+
+
+def test_a_few_disturbed_cameras_come_back(demo: Scene, good: Trainer) -> None:
+    views = demo.split("train")[::9]
+    wrong = demo.reposed({i: disturbed(demo.poses[i], i) for i in views[:4]})
+    refinement, truth = PoseRefinement(wrong, views, 0), demo.poses[list(views)]
+    refinement.rounds = 6  # whole photos from the beginning: they have 67 pixels a side
+    rounds(refinement, good, 12)
+    before, after = (misplaced(demo, views, p, truth) for p in (refinement.given, refinement.poses))
+    assert before[:4].mean() > 1
+    assert after[:4].mean() < 0.4 * before[:4].mean()
+    assert after[4:].max() < 0.4
+    found = refinement.corrections()
+    assert found.turned[:4].min() > 0.2
+    assert np.median(found.turned[4:]) < 0.1
+
+
+def test_all_disturbed_cameras_come_closer_while_the_model_learns(demo: Scene) -> None:
+    wrong = demo.reposed({i: disturbed(demo.poses[i], i) for i in demo.split("train")})
+    views = list(demo.split("train"))
+    trainer = trained(wrong, 60, changes=SMALL | {"rays": "12288", "first_rays": "12288"})
+    before, after = (misplaced(demo, views, s.poses[views], demo.poses[views]) for s in (wrong, trainer.scene))
+    assert np.median(after) < 0.8 * np.median(before)
+    assert trainer.capture is wrong
+    index = torch.arange(len(views))
+    rays = trainer.batches._at(1).cameras.rays(index, torch.zeros(len(views), 2))
+    np.testing.assert_allclose(rays.origins, trainer.scene.poses[views, :, 3], rtol=1e-6)  # batches see them, too
+
+
+def test_a_photo_of_something_else_moves_no_camera(demo: Scene, good: Trainer) -> None:
+    views = demo.split("train")[::12]
+    rng = np.random.default_rng(0)
+    images = list(demo.images)
+    images[views[0]] = rng.integers(0, 65536, images[views[0]].shape).astype(np.uint16)
+    images[views[1]] = np.full_like(images[views[1]], 30000)
+    scene = replace(demo, photos=Photos.of(images))
+    refinement = PoseRefinement(scene, views, 0)
+    rounds(refinement, good, 6)
+    assert (refinement.poses[:2] == refinement.given[:2]).all()
+    assert refinement.outcome[0] == REFUSED
+    assert refinement.corrections().stayed >= 2
+
+
+def test_the_gate_asks_for_more_than_chance_and_for_a_model_that_explains_the_photo() -> None:
+    rng = np.random.default_rng(0)
+    colors, noise = rng.uniform(size=(400, 3)), rng.normal(size=(400, 3))
+
+    def off(size: float) -> Comparison:
+        return Comparison(colors, size * noise, np.zeros((400, 3, 6)), 1.0)
+
+    assert agrees_better(off(0.1), off(0.05))
+    assert not agrees_better(off(0.1), off(0.1))
+    assert not agrees_better(off(0.05), off(0.1))
+    other = replace(off(0.1), off=0.1 * rng.permutation(noise))
+    assert not agrees_better(off(0.1), other)
+    assert not agrees_better(off(0.5), off(0.25))  # a variance of 0.25, of 1/12
+
+
+def test_a_held_out_photo_is_fitted_by_its_left_half_alone(demo: Scene, good: Trainer) -> None:
+    view = demo.split("test")[0]
+    wrong = demo.reposed({view: disturbed(demo.poses[view], 3)})
+    found = fitted(good.method, wrong, view)
+    before, after = (misplaced(demo, [view], p[None], demo.poses[[view]]) for p in (wrong.poses[view], found))
+    assert after < 0.5 * before
+    images = list(demo.images)
+    images[view] = images[view].copy()
+    images[view][:, images[view].shape[1] // 2 :] = 0
+    blind = replace(wrong, photos=Photos.of(images))
+    assert (fitted(good.method, blind, view) == found).all()
+
+
+def test_what_all_cameras_could_share_is_taken_out(demo: Scene) -> None:
+    refinement = PoseRefinement(demo, demo.split("train"), 0)
+    turn, shift, scale = rotation(np.array([0.01, -0.02, 0.005])), np.array([0.1, 0.0, -0.2]), 1.01
+    middle = refinement.given[:, :, 3].mean(0)
+    poses = refinement.given.copy()
+    poses[:, :, :3] = turn @ poses[:, :, :3]
+    poses[:, :, 3] = middle + scale * (poses[:, :, 3] - middle) @ turn.T + shift
+    back = refinement._without_gauge(poses)
+    assert np.abs(poses - refinement.given).max() > 0.1
+    assert degrees(back, refinement.given).max() < 0.01  # of 1.3°: the turn's second order
+    assert np.abs(back[:, :, 3] - refinement.given[:, :, 3]).max() < 0.01
+    one = refinement.given.copy()
+    one[0] = disturbed(one[0], 0)
+    assert degrees(refinement._without_gauge(one)[0], one[0]) < 0.1  # of a single camera's, hardly anything is common
+
+
+def test_steps_and_their_inverse() -> None:
+    rng = np.random.default_rng(0)
+    c2w = np.column_stack([rotation(rng.normal(size=3)), rng.normal(size=3)])
+    step = rng.normal(size=6)
+    np.testing.assert_allclose(between(c2w, moved(c2w, step)), step, atol=1e-9)
+    np.testing.assert_allclose(between(c2w, moved(c2w, np.zeros(6))), 0, atol=1e-9)
+
+
+def test_a_resumed_run_goes_on_bit_for_bit(demo: Scene, tmp_path: Path) -> None:
+    through, begun = trained(demo, 30, changes=FEW), trained(demo, 17, changes=FEW)
+    assert begun.refinement is not None
+    assert begun.refinement.rounds >= 1
+    checkpoint.save(tmp_path / "a.safetensors", begun.describe(), begun.state())
+    resumed = Trainer.resume(demo, *checkpoint.load(tmp_path / "a.safetensors"))
+    assert (resumed.scene.poses == begun.scene.poses).all()
+    for _ in range(13):
+        resumed.step()
+    assert through.refinement is not None
+    assert through.refinement.rounds > begun.refinement.rounds
+    for name, value in through.state().items():
+        assert torch.equal(value, resumed.state()[name]), name
+    again = resumed.restarted()
+    assert again.refinement is not None
+    assert again.scene is demo
+    older = {k: v for k, v in begun.describe().items() if k != "refine_poses"}  # of a version without corrections
+    assert Trainer.resume(demo, older, begun.state()).refinement is None
+
+
+def test_an_abandoned_round_leaves_all_as_it_was(demo: Scene) -> None:
+    trainer = trained(demo, 1, changes=FEW)
+    assert trainer.refinement is not None
+    while not trainer.refinement.due(16384):
+        trainer.step()
+    before = {name: value.clone() for name, value in trainer.state().items()}
+
+    def stop() -> None:
+        raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        trainer.step(stop)
+    assert all(torch.equal(value, before[name]) for name, value in trainer.state().items())
+
+
+def test_methods_that_compare_no_poses_are_named(scene: Scene) -> None:
+    with pytest.raises(UserError, match="--refine-poses: method nearest-view"):
+        Trainer(scene, RunSettings(method="nearest-view", refine_poses=True))
+    assert Trainer(scene, RunSettings(method="voxels", changes=FEW)).corrections is None
+
+
+def test_evaluation_reports_the_corrections(demo: Scene) -> None:
+    trainer = trained(demo, 13, changes=FEW)
+    found = evaluate(trainer, Selection("test", demo.split("test")[:1]))
+    assert [row["name"] for row in found["poses"]] == [demo.views[i].name for i in demo.trained(6)]
+    assert found["mean"]["psnr_posed"] == found["images"][0]["psnr_posed"]
+    assert "refused" in {row["outcome"] for row in found["poses"]} or trainer.scene is not demo
