@@ -16,7 +16,7 @@ import numpy as np
 from nerf_core.common.errors import UserError
 from nerf_core.datasets.images import UnreadableError
 from nerf_core.datasets.photo_store import FLUSH, Store
-from nerf_core.geometry.photos import DAMAGED, THERE, WAITING
+from nerf_core.geometry.photos import DAMAGED, THERE, WAITING, PhotosLost
 
 NICENESS = 10  # of the threads: the window's goes first
 NEW = 16  # photos read before the time for the rest is told
@@ -85,9 +85,9 @@ class _Work:
             self._changed.notify_all()
 
     def check(self) -> None:
-        """Raises UserError if reading had to end."""
+        """Raises PhotosLost if reading had to end."""
         if self._failure:
-            raise UserError(self._failure)
+            raise PhotosLost(self._failure)
 
     def go_on(self) -> None:
         """Read photo after photo, in a thread."""
@@ -99,7 +99,7 @@ class _Work:
             self._do(k)
 
     def need(self, k: int) -> None:
-        """Read photo k in this thread, or wait for the thread that reads it. Raises UserError if reading had to end."""
+        """Read photo k in this thread, or wait for the one that reads it. Raises PhotosLost if reading had to end."""
         if self.state[k] != WAITING:
             return
         with self._changed:

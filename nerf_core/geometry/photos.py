@@ -9,6 +9,8 @@ from typing import Any, Protocol, overload
 
 import numpy as np
 
+from nerf_core.common.errors import UserError
+
 DIMMED = 4  # how many times darker masked pixels are shown
 WIDEN = 257  # 255 · 257 = 65535: the 16-bit value of an 8-bit one
 
@@ -28,6 +30,10 @@ def first_photos(step: int) -> int:
     return FIRST_PHOTOS + PHOTOS_A_STEP * step
 
 
+class PhotosLost(UserError):
+    """The photos of a large capture cannot be read any more."""
+
+
 class Filling(Protocol):
     """Reads the N photos of a large capture while those that are there are used. Threads may share it.
 
@@ -41,7 +47,7 @@ class Filling(Protocol):
     bytes: np.ndarray
 
     def need(self, k: int) -> None:
-        """Read photo k now, unless that is done. Raises UserError if reading had to end."""
+        """Read photo k now, unless that is done. Raises PhotosLost if reading had to end."""
         ...
 
     def prefer(self, k: int) -> None:
@@ -49,7 +55,7 @@ class Filling(Protocol):
         ...
 
     def check(self) -> None:
-        """Raises UserError if reading had to end."""
+        """Raises PhotosLost if reading had to end."""
         ...
 
     def seconds_left(self) -> float | None:

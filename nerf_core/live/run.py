@@ -21,6 +21,7 @@ from nerf_core.common.language import marked, phrase, phrases
 from nerf_core.common.names import printable
 from nerf_core.common.user_paths import absolute
 from nerf_core.datasets.images import damage_notes
+from nerf_core.geometry.photos import PhotosLost
 from nerf_core.geometry.scene import Scene
 from nerf_core.kernels import choice as kernels
 from nerf_core.live import messages, pin_files
@@ -353,7 +354,8 @@ class Run:
     def step(self, yield_callback: Callable[[], None]) -> Report | None:
         """Do one training step; return None if the loss diverged, after the last good weights were restored.
 
-        Raises UserError when the device has no memory left. What `yield_callback` raises abandons the step.
+        Raises UserError when the device has no memory left, and PhotosLost. What `yield_callback` raises abandons the
+        step.
         """
         trainer = self.need_trainer()
         try:
@@ -365,7 +367,7 @@ class Run:
         except Diverged as error:
             self._recover(trainer, error)
             return None
-        except UserError:  # the photos of a large capture cannot be read any more
+        except PhotosLost:
             self.until, self.failed = None, True
             raise
         except torch.OutOfMemoryError as error:

@@ -15,7 +15,7 @@ from nerf_core.common.errors import UserError
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.cameras import Cameras
 from nerf_core.geometry.fast_rays import photo_colors
-from nerf_core.geometry.photos import DAMAGED, WAITING, WIDEN, Photos, first_photos
+from nerf_core.geometry.photos import DAMAGED, WAITING, WIDEN, Photos, PhotosLost, first_photos
 from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Draw
@@ -171,7 +171,7 @@ class PixelSampler:
         assert whole.ids is not None
         sound = whole.filling.state[whole.ids[:first]] != DAMAGED
         if not sound.any():
-            raise UserError(f"{self.scene.name}: {whole.filling.damaged()[0]}: no photo can be read: check the files")
+            raise PhotosLost(f"{self.scene.name}: {whole.filling.damaged()[0]}: no photo can be read: check the files")
         before = np.maximum.accumulate(np.where(sound, np.arange(first), -1))
         return torch.from_numpy(np.where(before < 0, sound.argmax(), before))
 

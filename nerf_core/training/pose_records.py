@@ -39,9 +39,9 @@ class PoseCorrections:
     def summary(self) -> str:
         """Describe them in a line: medians, and how many cameras never moved."""
         return phrase(
-            "{degrees:.2f}° and {percent:.2f} % of the radius (median), {stayed:,} of {count:,} not moved",
+            "{degrees:.2f}° and {percent:.2%} of the radius (median), {stayed:,} of {count:,} not moved",
             degrees=float(np.median(self.turned)),
-            percent=100 * float(np.median(self.shifted)),
+            percent=float(np.median(self.shifted)),
             stayed=self.stayed,
             count=len(self.views),
         )

@@ -245,7 +245,7 @@ class Trainer:
 
         Raises:
             Diverged: the loss is not finite.
-            UserError: the photos of a large capture cannot be read any more.
+            PhotosLost: the photos of a large capture cannot be read any more.
             torch.OutOfMemoryError: memory runs out and chunks cannot be smaller.
         """
         waited, yielded = 0.0, False  # yielded: whether the callback runs or has raised
