@@ -59,6 +59,7 @@ class Photo:
     mask: the file that says which pixels count, 0 where they do not. None: one of the usual places is looked up.
     upright: whether the camera is certainly that of the photo as its EXIF orientation turns it.
     orientation: the EXIF orientation that the camera's pixels still have; 1: they are upright, as far as is known.
+    sighted: (K, 3) sparse points in the input's world frame that the photo certainly sees; None: none are known.
     """
 
     name: str
@@ -67,6 +68,7 @@ class Photo:
     mask: Path | None = None
     upright: bool = False
     orientation: int = 1
+    sighted: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

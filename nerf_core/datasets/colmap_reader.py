@@ -9,16 +9,21 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 PARAMETERS = 16  # the largest number of parameters of a camera model
+LONG_TRACK = 3  # photos that see a point: if only two do, its depth is often wrong
+LARGE_ERROR = 2.0  # pixels, the mean of a point's track; COLMAP drops single observations of more than 4
+MOST_SIGHTINGS = 200_000  # by photos, of points evenly chosen: a second to read, and more than a loss needs
 
 
 def main(model: str, out: str) -> None:
     """Write the id, camera model, size, parameters and world-to-camera pose (3, 4) of each registered image.
 
-    The file also holds the sparse points (P, 3) and the lengths of their tracks (P,).
+    The file also holds the sparse points (P, 3), the lengths of their tracks (P,), and sightings (S,) of those points
+    that are reliable: the ids of the images, and the indices of the points that they see.
     """
     import pycolmap
 
@@ -30,6 +35,7 @@ def main(model: str, out: str) -> None:
     for row, camera in zip(parameters, cameras, strict=True):
         row[: len(camera.params)] = camera.params
     points = list(reconstruction.points3D.values())
+    by, seen = _sightings(points)
     np.savez(
         Path(out),
         ids=np.array([image.image_id for image in images], dtype=np.int64),
@@ -39,7 +45,17 @@ def main(model: str, out: str) -> None:
         poses=np.array([image.cam_from_world().matrix() for image in images]).reshape(-1, 3, 4),
         points=np.array([point.xyz for point in points]).reshape(-1, 3),
         tracks=np.array([point.track.length() for point in points], dtype=np.int64),
+        sighting_images=by,
+        sighting_points=seen,
     )
+
+
+def _sightings(points: list[Any]) -> tuple[np.ndarray, np.ndarray]:
+    good = [k for k, p in enumerate(points) if p.track.length() >= LONG_TRACK and p.error <= LARGE_ERROR]
+    apart = 1 + sum(points[k].track.length() for k in good) // MOST_SIGHTINGS
+    found = [(element.image_id, k) for k in good[::apart] for element in points[k].track.elements]
+    by, seen = np.array(found, dtype=np.int64).reshape(-1, 2).T
+    return by, seen
 
 
 if __name__ == "__main__":

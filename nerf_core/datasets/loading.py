@@ -73,7 +73,7 @@ def load_scene(path: Path | None, options: LoadOptions, progress: Progress | Non
     return Scene(
         name="demo" if path is None else printable(folder.resolve().name),
         format=capture.format,
-        views=tuple(map(View, _names(capture), cameras)),
+        views=tuple(map(View, _names(capture), cameras, _sighted(capture, normalised.to_input))),
         photos=photos.at(kept),
         splits=capture.splits or {},
         near=normalised.near,
@@ -96,9 +96,17 @@ def _some_points(points: np.ndarray | None, to_input: np.ndarray) -> np.ndarray 
     """At most MOST_POINTS sparse points, evenly chosen, in scene units."""
     if points is None or not len(points):
         return None
-    chosen = points[:: -(-len(points) // MOST_POINTS)]
+    return _to_scene(points[:: -(-len(points) // MOST_POINTS)], to_input)
+
+
+def _sighted(capture: Capture, to_input: np.ndarray) -> list[np.ndarray | None]:
+    """For each photo the points that it sees, in scene units."""
+    return [None if photo.sighted is None else _to_scene(photo.sighted, to_input) for photo in capture.photos]
+
+
+def _to_scene(points: np.ndarray, to_input: np.ndarray) -> np.ndarray:
     inverse = np.linalg.inv(to_input)
-    return (chosen @ inverse[:3, :3].T + inverse[:3, 3]).astype(np.float32)
+    return (points @ inverse[:3, :3].T + inverse[:3, 3]).astype(np.float32)
 
 
 def check_options(options: LoadOptions) -> None:

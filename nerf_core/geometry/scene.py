@@ -28,10 +28,13 @@ class View:
     """One posed photo.
 
     name: unique in the scene: the path relative to its folder as `printable` shows it, as metrics report it.
+    sighted: (K, 3) float32 sparse points in scene units that the photo certainly sees; None: none are known. They are
+        no part of the scene's identity.
     """
 
     name: str
     camera: Camera
+    sighted: np.ndarray | None = None
 
 
 @dataclass(frozen=True, repr=False)

@@ -97,6 +97,10 @@ class Space:
         """Convert t (R, S) along the rays of `rays()` to world distance (R, S)."""
         return t if self.ndc is None else self.ndc.world_t(rays.origins, rays.directions, t)
 
+    def box_t(self, rays: Rays, t: Tensor) -> Tensor:
+        """Convert world distance (R,) to t along the rays of `rays()`: the inverse of `world_t`."""
+        return t if self.ndc is None else 1 + self.ndc.near / (rays.origins[:, 2] + t * rays.directions[:, 2])
+
     def rendering(self, rays: Rays, pixel: Tensor) -> Rendering:
         """Turn the kernels' pixels (R, 5), which are colour, opacity and Σ w t, into a rendering with world depth."""
         opacity = pixel[:, 3]

@@ -20,6 +20,7 @@ from nerf_core.kernels import numba_cells as cells
 from nerf_core.kernels import numba_march as note
 from nerf_core.kernels import numba_voxels as loops
 from nerf_core.kernels.cpu_rays import ray_arrays
+from nerf_core.kernels.numba_depths import depth_gradients
 from nerf_core.kernels.voxel_kernels import Adam, March, Traced
 from nerf_core.volume.voxel_grid import ROWS, WIDTH, VoxelGrid
 
@@ -129,6 +130,21 @@ class CpuVoxels:
         each_shard(self.shards, work)
         return sum(error for error, _ in sums), sum(samples for _, samples in sums)
 
+    def accumulate_depths(self, grid: VoxelGrid, rays: BoxRays, t: Tensor, how: March) -> None:
+        arrays, given, scratch = grid.arrays(), ray_arrays(rays, how.offsets), self._buffers(grid, how)
+        self._fit(grid)
+        rows, background, places = grid.rows.numpy().ravel(), how.background.numpy(), t.numpy()
+        pixel = np.empty((len(rays), 5), np.float32)
+
+        def work(s: int) -> None:
+            depth_gradients(
+                arrays, given, places, *split(len(rays), self.shards, s), np.float32(how.step), np.float32(how.bias),
+                rows, background, scratch[s], pixel, self._gradient[s], self._touched[s], np.float32(how.depth),
+                np.float32(how.unit), how.folded,
+            )  # fmt: skip
+
+        each_shard(self.shards, work)
+
     def forget(self) -> None:
         self._gradient[:] = 0
         self._touched[:] = 0
@@ -216,6 +232,7 @@ def _compile() -> None:
     kernels.render(grid, rays, march)
     kernels.trace(grid, rays, march)
     kernels.accumulate(grid, rays, torch.zeros(1, 3), march)
+    kernels.accumulate_depths(grid, rays, torch.zeros(1), march)
     kernels.mark(grid, rays, march, 0.5)
     kernels.resample(grid, grid, 0, grid.bricks)
     spare = torch.zeros_like(grid.rows), torch.zeros_like(grid.rows)

@@ -166,7 +166,7 @@ def trace(
 
 
 @jit
-def _place_in_ray(t: Any, unit: Any, folded: Any) -> Any:
+def place_in_ray(t: Any, unit: Any, folded: Any) -> Any:
     """s in units of `unit`; folded: t/(t + 1) of it, so that all of space has a finite length."""
     t = t / unit
     return t / (F(1) + t) if folded else t
@@ -206,14 +206,14 @@ def gradients(
                 at = q * 8
                 w = notes[at + TRANSMITTANCE] * notes[at + ALPHA]
                 w_front += w
-                s_front += w * _place_in_ray(notes[at + DISTANCE], unit, folded)
+                s_front += w * place_in_ray(notes[at + DISTANCE], unit, folded)
         for q in range(n):
             at = (n - 1 - q) * 8
             r1, g1, b1 = notes[at + RED], notes[at + GREEN], notes[at + BLUE]
             transmittance, alpha = notes[at + TRANSMITTANCE], notes[at + ALPHA]
             w, along = transmittance * alpha, r1 * er + g1 * eg + b1 * eb
             if distortion > 0:
-                along_ray = _place_in_ray(notes[at + DISTANCE], unit, folded)
+                along_ray = place_in_ray(notes[at + DISTANCE], unit, folded)
                 width = notes[at + WIDTH] / unit
                 if folded:
                     width *= (F(1) - along_ray) * (F(1) - along_ray)

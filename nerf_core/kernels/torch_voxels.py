@@ -13,7 +13,7 @@ from torch.nn import functional
 
 from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels.torch_march import march
-from nerf_core.kernels.voxel_kernels import HALVINGS, Adam, March, Traced
+from nerf_core.kernels.voxel_kernels import HALVINGS, OUTLIER, Adam, March, Traced
 from nerf_core.volume.compositing import STOP
 from nerf_core.volume.voxel_grid import DENSITY, ROWS, WIDTH, VoxelGrid, view_basis
 
@@ -77,11 +77,16 @@ def composite(
     return Composited(pixel, used, raw, alpha, transmittance, rgb)
 
 
+def _place_in_ray(t: Tensor, how: March) -> Tensor:
+    """s; see `March`."""
+    s = t / how.unit
+    return s / (1 + s) if how.folded else s
+
+
 def _distortion(samples: VoxelSamples, done: Composited, how: March, count: int) -> Tensor:
     """The distortion of all rays; see `March`. Each ray on its own, all pairs of its samples."""
-    s, width = samples.t / how.unit, samples.width / how.unit
+    s, width = _place_in_ray(samples.t, how), samples.width / how.unit
     if how.folded:
-        s = s / (1 + s)
         width = width * (1 - s).square()
     w = done.alpha * done.transmittance
     total = (w.square() * width)[done.used].sum() / 3
@@ -163,10 +168,22 @@ class TorchVoxels:
         loss = (squared + how.smoothness * rough[DENSITY] + how.smoothness_color * rough[:DENSITY].sum()) / 2
         if how.distortion > 0:
             loss = loss + how.distortion * _distortion(samples, done, how, len(rays))
+        self._add(loss, rows, corner)
+        return float(squared.detach()), int(done.used.sum())
+
+    def accumulate_depths(self, grid: VoxelGrid, rays: BoxRays, t: Tensor, how: March) -> None:
+        self._fit(grid)
+        rows = grid.rows.detach().requires_grad_()
+        samples, done = self._composited(rows, grid, rays, how)
+        placed = done.alpha * done.transmittance * _place_in_ray(samples.t, how)
+        mean = torch.zeros(len(rays), device=t.device).index_add(0, samples.ray[done.used], placed[done.used])
+        loss = functional.huber_loss(mean, _place_in_ray(t, how), reduction="sum", delta=OUTLIER)
+        self._add(2 * how.depth * loss, rows, samples.rows[done.used])
+
+    def _add(self, loss: Tensor, rows: Tensor, corner: Tensor) -> None:
         (gradient,) = torch.autograd.grad(loss, rows)
         self._gradient += gradient
         self._touched[corner.flatten()] = True
-        return float(squared.detach()), int(done.used.sum())
 
     def forget(self) -> None:
         self._gradient.zero_()

@@ -11,6 +11,9 @@ from nerf_core.geometry.spaces import BoxRays
 from nerf_core.volume.packed import Packed
 from nerf_core.volume.voxel_grid import VoxelGrid
 
+# From this error of the place s on, a ray's depth counts in proportion only (Huber): some sparse points are wrong, and
+# squares would let those few decide. Folded, at a distance of one unit, where ds = dt / 4, it is 8 % of the distance.
+OUTLIER = 0.02
 HALVINGS = 24  # float32 tells weights down to 2⁻²⁴ from 0 beside 1
 
 
@@ -25,6 +28,7 @@ class March:
     smoothness_color: the same for each coefficient of colour.
     distortion: weight λ of λ (Σ_ij w_i w_j |s_i − s_j| + ⅓ Σ_i w_i² Δs_i) for each ray, which draws its weights
         together (mip-NeRF 360, Eq. 15, arXiv:2111.12077). s = t / unit, or s/(1 + s) of it if `folded`.
+    depth: weight of the loss of `VoxelKernels.accumulate_depths`.
     """
 
     step: float
@@ -36,6 +40,7 @@ class March:
     distortion: float = 0.0
     unit: float = 1.0
     folded: bool = False
+    depth: float = 0.0
 
 
 class Adam(NamedTuple):
@@ -100,6 +105,16 @@ class VoxelKernels(Protocol):
         """Add the gradient of ½ Σ squared error, and of smoothness and distortion.
 
         truth: the colours of the photos (R, 3). Returns the sum of squared errors, and the number of samples.
+        """
+        ...
+
+    def accumulate_depths(self, grid: VoxelGrid, rays: BoxRays, t: Tensor, how: March) -> None:
+        """Add the gradient of λ Σ H(Σ_i w_i s_i − s*) over rays whose surface is known, λ = how.depth, s as in `March`.
+
+        H(e) = e², beyond OUTLIER = o: o (2|e| − o). The mean place of a ray's light shall be that of a sparse point
+        that lies on it; DS-NeRF (arXiv:2107.02791, Eq. 6–8) asks the same of the distribution of w.
+
+        t: (R,) where the surfaces are, in the rays' t. Colours, smoothness and distortion do not count.
         """
         ...
 

@@ -38,6 +38,7 @@ LENSES = {  # {camera model: its parameters in COLMAP's order}; f stands for bot
 LIMIT = 1e12  # beyond any unit of length
 GOOD_TRACK = 3  # photos that see a point: if only two do, its depth is often wrong
 ENOUGH_POINTS = 100
+NOT_OF_PHOTOS = ("points", "tracks", "sighting_images", "sighting_points")
 Model = dict[str, np.ndarray]
 
 
@@ -67,8 +68,8 @@ class Colmap:
         return Capture(
             format="colmap",
             photos=tuple(
-                Photo(photo_name(home, file), file, camera, upright=upright)
-                for file, camera in zip(found.paths, cameras, strict=True)
+                Photo(photo_name(home, file), file, camera, upright=upright, sighted=sighted)
+                for file, camera, sighted in zip(found.paths, cameras, _sighted(model), strict=True)
                 if file is not None
             ),
             points=_good_points(model),
@@ -139,7 +140,7 @@ def _by_name(model: Model, folder: Path) -> Model:
     names = photo_names(folder)
     model["names"] = np.array([names[image] for image in model["ids"].tolist()])
     order = np.argsort(model["names"], kind="stable")
-    return {name: v if name in ("points", "tracks") else v[order] for name, v in model.items()}
+    return {name: v if name in NOT_OF_PHOTOS else v[order] for name, v in model.items()}
 
 
 def _camera(model: Model, index: int, folder: Path) -> Camera:
@@ -203,3 +204,13 @@ def _good_points(model: Model) -> np.ndarray | None:
     good = sane & (tracks >= GOOD_TRACK)
     chosen = points[good if good.sum() >= ENOUGH_POINTS else sane]
     return chosen if len(chosen) else None
+
+
+def _sighted(model: Model) -> list[np.ndarray | None]:
+    """For each photo the reliable points (K, 3) that it sees; None if it sees none."""
+    points, by, seen = model["points"], model["sighting_images"], model["sighting_points"]
+    sane = (np.abs(points[seen]) <= LIMIT).all(axis=1)
+    order = np.argsort(by[sane], kind="stable")
+    by, seen = by[sane][order], seen[sane][order]
+    first, last = (np.searchsorted(by, model["ids"], side) for side in ("left", "right"))
+    return [points[seen[a:b]] if b > a else None for a, b in zip(first.tolist(), last.tolist(), strict=True)]

@@ -12,6 +12,7 @@ from nerf_core.common.configs import LARGEST, changed, check_ranges, constant, r
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.language import marked
 from nerf_core.geometry.scene import Scene
+from nerf_core.methods.voxels.sparse_depths import SparseDepths
 
 
 @dataclass(frozen=True)
@@ -82,6 +83,9 @@ class VoxelConfig:
         400, marked("steps of the last level until cells are first dropped; each time twice as many as before"),
         least=1, most=10**6,
     )  # fmt: skip
+    depth_weight: float = constant(
+        0.0, marked("weight of depth in the loss: it draws rays' light to the sparse points that photos see; 0: off")
+    )
     total_steps: int = constant(
         30_000, marked("steps of the schedule, unless --steps says otherwise"), least=1, most=10**9
     )
@@ -102,7 +106,10 @@ class VoxelConfig:
                 config, rate_view=0.06, rate_density=0.2, keep_square=0.999, smoothness=3e-5, distortion=0.01,
                 smoothness_color=0, distortion_before=0.3, spare_error=0.5, beside=1e-7, step=1.0,
             )  # fmt: skip
-        return changed(config, changes, "voxels")
+        config = changed(config, changes, "voxels")
+        if config.depth_weight > 0:
+            SparseDepths.of(scene, config.train_images)
+        return config
 
     @staticmethod
     def restore(config: Mapping[str, Any]) -> VoxelConfig:
@@ -114,7 +121,7 @@ class VoxelConfig:
 
 def _of_today(config: Mapping[str, Any]) -> Mapping[str, Any]:
     """A configuration that an earlier version may have written, without what there was and with what there was not."""
-    config = {"distortion_before": 1.0, "smoothness_color": 0.0, **config}
+    config = {"distortion_before": 1.0, "smoothness_color": 0.0, "depth_weight": 0.0, **config}
     if "prune" not in config:
         return config
     known = {name: value for name, value in config.items() if name not in ("prune", "growth")}

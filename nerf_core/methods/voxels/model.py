@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -43,6 +44,7 @@ from nerf_core.methods.voxels.coarse_to_fine import (
     resampled_moments,
 )
 from nerf_core.methods.voxels.config import VoxelConfig
+from nerf_core.methods.voxels.sparse_depths import SparseDepths
 from nerf_core.volume.packed import to_trace
 from nerf_core.volume.voxel_grid import DENSITY, MOST_CELLS, MOST_SIZES, VoxelGrid, view_basis
 
@@ -51,6 +53,7 @@ TILE = 8192
 SMALLEST = 1e-5  # a cell's side as a share of the box: no configuration allows smaller ones
 ENOUGH = 400_000  # training pixels that are asked which cells they need: a second on two cores
 MEMORY = 0.95  # decay of the mean error, per step
+DEPTH_SHARE = 16  # so many times fewer rays than a step's go to sparse points: few know more than thousands of pixels
 YOUNG = 4.0  # early on, at step k, average only the last k/YOUNG steps: older rows are outdated
 
 
@@ -120,6 +123,10 @@ class VoxelModel(Defaults):
             boxed = self.space.rays(rays[part])
             error += self.kernels.accumulate(self.grid, boxed, truth[part], march)[0]
             yield_callback()
+        if c.depth_weight > 0:
+            known = self.sparse_depths.some(max(1, len(rays) // DEPTH_SHARE), self.generator)
+            march = self._training_march(torch.rand(len(known.t), generator=self.generator))
+            self.kernels.accumulate_depths(self.grid, self.space.rays(known.rays), known.t, march)
         self.updates += 1
         slower = 1 / (1 + step / c.slowdown)
         correction1, correction2 = (1 / (1 - beta**self.updates) for beta in (c.keep, c.keep_square))
@@ -134,6 +141,11 @@ class VoxelModel(Defaults):
         mean = error / (3 * len(rays))
         self.mean_error += max(1 - MEMORY, 1 / (step + 1)) * (mean - self.mean_error)
         return mean
+
+    @cached_property
+    def sparse_depths(self) -> SparseDepths:
+        """Raises UserError if there are none, as for a checkpoint that goes on without its COLMAP model."""
+        return SparseDepths.of(self.scene, self.config.train_images)
 
     @property
     def ema_grid(self) -> VoxelGrid:
@@ -150,7 +162,7 @@ class VoxelModel(Defaults):
         return replace(
             self._march(offsets), smoothness=c.smoothness, smoothness_color=c.smoothness_color,
             distortion=c.distortion * c.distortion_before ** (len(self.schedule.levels) - 1 - self.level), unit=unit,
-            folded=kind == "contracted",
+            folded=kind == "contracted", depth=c.depth_weight,
         )  # fmt: skip
 
     # ---- coarse to fine ---------------------------------------------------------------------------------------------
