@@ -35,7 +35,7 @@ def main(model: str, out: str) -> None:
     for row, camera in zip(parameters, cameras, strict=True):
         row[: len(camera.params)] = camera.params
     points = list(reconstruction.points3D.values())
-    by, seen = _sightings(points)
+    by, seen = _sightings(points, list(reconstruction.points3D.keys()))
     np.savez(
         Path(out),
         ids=np.array([image.image_id for image in images], dtype=np.int64),
@@ -50,8 +50,10 @@ def main(model: str, out: str) -> None:
     )
 
 
-def _sightings(points: list[Any]) -> tuple[np.ndarray, np.ndarray]:
-    good = [k for k, p in enumerate(points) if p.track.length() >= LONG_TRACK and p.error <= LARGE_ERROR]
+def _sightings(points: list[Any], ids: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """The image ids and point indices (S,) of reliable points, by the points' ids: pycolmap lists them in any order."""
+    order = sorted(range(len(ids)), key=ids.__getitem__)
+    good = [k for k in order if points[k].track.length() >= LONG_TRACK and points[k].error <= LARGE_ERROR]
     apart = 1 + sum(points[k].track.length() for k in good) // MOST_SIGHTINGS
     found = [(element.image_id, k) for k in good[::apart] for element in points[k].track.elements]
     by, seen = np.array(found, dtype=np.int64).reshape(-1, 2).T

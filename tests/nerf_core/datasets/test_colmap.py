@@ -140,6 +140,27 @@ def test_text_models_of_several_lenses_and_orientations(folder: Path) -> None:
     assert {image.shape for image in scene.images} == {(8, 12, 3), (12, 8, 3)}
 
 
+def test_photos_know_the_reliable_points_that_they_see(folder: Path) -> None:
+    """Not those that two photos see, nor those with large errors."""
+    file = folder / "sparse/0/points3D.txt"
+    lines = file.read_text().splitlines()
+    lines[0] = lines[0].replace(" 9 9 9 0.5 ", " 9 9 9 2.5 ")
+    lines[1] = lines[1].rsplit(" ", 2)[0]
+    file.write_text("\n".join(lines) + "\n")
+    photos = {int(Path(photo.name).stem): photo.sighted for photo in read(folder).photos}
+    for i, seen in photos.items():
+        if i >= 3:
+            assert seen is None
+        else:
+            assert seen is not None
+            np.testing.assert_allclose(seen, POINTS[2:], atol=1e-12)
+    scene = load_scene(folder, LoadOptions())
+    sighted = scene.views[0].sighted
+    assert sighted is not None
+    inputs = sighted @ scene.to_input[:3, :3].T + scene.to_input[:3, 3]
+    np.testing.assert_allclose(inputs, POINTS[2:], atol=1e-5)
+
+
 def test_binary_models_with_and_without_rigs(folder: Path, binary: Path) -> None:
     model = folder / "sparse/0"
     shutil.copytree(binary, model, dirs_exist_ok=True)

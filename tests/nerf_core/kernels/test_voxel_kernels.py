@@ -14,7 +14,7 @@ from torch import Tensor
 from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels.cpu_voxels import CpuVoxels
 from nerf_core.kernels.torch_voxels import TorchVoxels
-from nerf_core.kernels.voxel_kernels import Adam, March, VoxelKernels
+from nerf_core.kernels.voxel_kernels import OUTLIER, Adam, March, VoxelKernels
 from nerf_core.volume.compositing import STOP
 from nerf_core.volume.voxel_grid import DENSITY, VoxelGrid, spread
 
@@ -166,6 +166,62 @@ def test_distortion_has_the_gradient_of_its_formula(folded: bool) -> None:
         high, grid = loss(), below
         low, grid = loss(), keep
         assert (high - low) / 6e-3 == pytest.approx(float((gradient * direction).sum()), rel=2e-2, abs=2e-4)
+
+
+@pytest.mark.parametrize("folded", [False, True])
+@each
+def test_depths_have_the_gradient_of_their_formula(folded: bool, make: Make) -> None:
+    """λ Σ H(Σ w s − s*), where some depths are nearly right and some are outliers, against finite differences."""
+    grid, rays = some_grid(folded, size=(4, 5, 4), dense=1.0), some_rays(40)
+    grid.rows[:, DENSITY] -= 1.5
+    march, kernels = how(40, depth=3.0, unit=1.3, folded=folded, distortion=9.0, smoothness=9.0), make()
+
+    def place(t: Tensor) -> Tensor:
+        return t / 1.3 / (1 + t / 1.3) if folded else t / 1.3
+
+    def mean() -> Tensor:
+        found = kernels.trace(grid, rays, march)
+        ray = torch.repeat_interleave(torch.arange(40), found.row_offsets.diff())
+        return torch.zeros(40, dtype=torch.float64).index_add(
+            0, ray, (found.alpha * found.transmittance * place(found.t)).double()
+        )
+
+    near = mean() + torch.linspace(-0.015, 0.015, 40)
+    near = torch.where(torch.arange(40) % 3 == 0, near + 0.2, near).clamp(0, 0.9)
+    t = (1.3 * (near / (1 - near) if folded else near)).float()
+
+    def loss() -> float:
+        e = (mean() - place(t)).abs()
+        return 3 * float(torch.where(e < OUTLIER, e**2, OUTLIER * (2 * e - OUTLIER)).sum())
+
+    kernels.accumulate_depths(grid, rays, t, march)
+    gradient = kernels.gradient(grid).clone()
+    assert float(gradient[:, DENSITY].norm()) > 0.01
+    assert not gradient[:, :DENSITY].any()
+    for seed in range(4):
+        direction = torch.zeros_like(grid.rows)
+        direction[:, DENSITY] = torch.randn(len(grid.rows), generator=torch.Generator().manual_seed(seed))
+        grid.rows.add_(3e-3 * direction)
+        above = loss()
+        grid.rows.sub_(6e-3 * direction)
+        below = loss()
+        grid.rows.add_(3e-3 * direction)
+        assert (above - below) / 6e-3 == pytest.approx(float((gradient * direction).sum()), rel=2e-2, abs=2e-4)
+
+
+@pytest.mark.parametrize("contracted", [False, True])
+@each_fast
+def test_gradients_of_depths_agree_with_the_reference(contracted: bool, make: Make) -> None:
+    """Also on grids with holes and of several sizes, where rays end early, miss, or are opaque."""
+    grid, rays = mixed_grid(contracted), some_rays()
+    march = how(len(rays), depth=0.4, unit=1.7, folded=contracted)
+    t = 4 * torch.rand(len(rays), generator=torch.Generator().manual_seed(2))
+    gradients = []
+    for kernels in (make(), TorchVoxels()):
+        kernels.accumulate_depths(grid, rays, t, march)
+        gradients.append(kernels.gradient(grid))
+    a, b = gradients
+    assert float((a - b).norm()) <= 2e-3 * float(b.norm())
 
 
 @pytest.mark.parametrize("contracted", [False, True])
