@@ -31,7 +31,7 @@ class SparseDepths(NamedTuple):
         Raises:
             UserError: no training photo is known to see a point.
         """
-        parts = [part for view in scene.trained(train_images) if len((part := _of_view(scene, view)).t)]
+        parts = _parts(scene, train_images)
         if not parts:
             raise UserError(
                 "depth_weight needs sparse points that training photos see, as a COLMAP model has them; "
@@ -41,10 +41,20 @@ class SparseDepths(NamedTuple):
         rays = Rays(*(torch.cat([getattr(part.rays, name) for part in parts]) for name in names))
         return SparseDepths(rays, torch.cat([part.t for part in parts]))
 
+    @staticmethod
+    def known(scene: Scene, train_images: int) -> bool:
+        """Return whether a training photo is known to see a point, so that `of` raises nothing."""
+        return bool(_parts(scene, train_images))
+
     def some(self, count: int, generator: torch.Generator) -> SparseDepths:
         """Draw rays, with replacement."""
         chosen = torch.randint(len(self.t), (count,), generator=generator)
         return SparseDepths(self.rays[chosen], self.t[chosen])
+
+
+def _parts(scene: Scene, train_images: int) -> list[SparseDepths]:
+    """The rays of each training photo that has any."""
+    return [part for view in scene.trained(train_images) if len((part := _of_view(scene, view)).t)]
 
 
 def _of_view(scene: Scene, index: int) -> SparseDepths:
