@@ -75,9 +75,14 @@ def test_one_click_continues_where_one_left_off(home: Path, monkeypatch: pytest.
         state = app.state
         assert state.snapshot.scene is None
         turn(app, state, "left_off.0")
-        left, top, right, bottom = app.widgets["left_off.0"]
-        app.injector.click((left + right) / 2, (top + bottom) / 2)
         limit = time.monotonic() + PATIENCE
+        place, still = app.widgets["left_off.0"], 0
+        while still < 5 and time.monotonic() < limit:  # it moves until the layout and the small picture are there
+            app.window.poll(0.02)
+            app.frame(force=True)
+            place, still = app.widgets["left_off.0"], still + 1 if app.widgets["left_off.0"] == place else 0
+        left, top, right, bottom = place
+        app.injector.click((left + right) / 2, (top + bottom) / 2)
         while state.snapshot.scene is None and time.monotonic() < limit:
             app.window.poll(0.02)
             app.frame(force=True)
