@@ -88,7 +88,9 @@ def test_rays_meet_the_points_in_every_space(scene: Scene, facing: Scene) -> Non
         known, space = method.sparse_depths, method.space
         distance = space.world_t(known.rays, known.t[:, None])
         met = known.rays.origins + distance * known.rays.directions
-        every = torch.from_numpy(np.concatenate([p for i in case.split("train") if (p := case.views[i].sighted) is not None]))
+        every = torch.from_numpy(
+            np.concatenate([p for i in case.split("train") if (p := case.views[i].sighted) is not None])
+        )
         assert len(met) > 100
         assert float((met[:, None] - every).norm(dim=-1).amin(1).max()) < 1e-4
         boxed = space.rays(known.rays)
