@@ -28,7 +28,7 @@ from nerf_core.common.user_paths import absolute
 
 FORMAT = 2  # of poses.json
 DONE = "poses.json"
-WORK = ".work-"  # of the folder of one search; two may go on at once
+WORK = cache.WORK  # of the folder of one search; two may go on at once
 WAIT_SECONDS = 600.0  # for another search to write: where a system has no links it copies all photos
 LEAST_PHOTOS, LEAST_POINTS = 3, 100  # of a model: COLMAP places a photo by 30 points; fewer are chance
 

@@ -12,9 +12,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from nerf_core.common.files import PREFIX
 from nerf_core.common.names import printable
 
 KINDS = {"poses": "poses that were found", "photos": "photos of large captures, at the size that was asked for"}
+FIRST = {"poses": "poses.json", "photos": "there"}  # the file that says what else is there
+OTHERS = {"poses": ("sparse", "images"), "photos": ("pixels",)}
+WORK = ".work-"  # begins the names of what is being made, or was when a process was killed
 MOST_BYTES = 20e9  # of all entries together, unless the one in use is larger alone
 
 
@@ -49,16 +53,21 @@ def entry_folder(kind: str, key: str, name: str) -> Path:
 
 
 def entries() -> list[Entry]:
-    """Return all entries, the one that was used last first. What cannot be read is left out."""
+    """Return all entries, the one that was used last first.
+
+    What cannot be read is left out, and so is what was not made here: the folder may be a link to a shared disk.
+    """
     found = []
     for kind in KINDS:
         for folder in _folders(cache_folder() / kind):
-            inside = _folders(folder)
             try:
                 used = folder.stat().st_mtime
-            except OSError:
+                (inside,) = folder.iterdir()
+                if not inside.is_dir() or inside.is_symlink() or not _is_ours(kind, inside):
+                    continue
+            except (OSError, ValueError):
                 continue
-            found.append(Entry(kind, folder, inside[0].name if inside else "", folder_bytes(folder), used))
+            found.append(Entry(kind, folder, inside.name, folder_bytes(folder), used))
     return sorted(found, key=lambda entry: -entry.used)
 
 
@@ -87,9 +96,18 @@ def clear(found: Sequence[Entry]) -> list[Entry]:
 
 
 def delete(entry: Entry) -> bool:
-    """Delete an entry and return whether it has gone."""
+    """Delete an entry and return whether it has gone. The file that says what else is there goes first."""
+    with suppress(OSError):
+        (entry.folder / entry.name / FIRST[entry.kind]).unlink()
     shutil.rmtree(entry.folder, ignore_errors=True)
     return not entry.folder.exists()
+
+
+def _is_ours(kind: str, folder: Path) -> bool:
+    """Return whether a folder KIND/KEY/NAME holds what is kept there, and nothing else."""
+    inside = list(folder.iterdir())
+    made = [f for f in inside if (f.name == FIRST[kind] and f.is_file()) or f.name.startswith((WORK, PREFIX))]
+    return bool(made) and all(f in made or f.name in OTHERS[kind] for f in inside)
 
 
 def _folders(place: Path) -> list[Path]:

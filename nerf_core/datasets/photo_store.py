@@ -96,6 +96,8 @@ class _Mapped(Store):
         self._pixels = -1
         try:
             self._pixels = os.open(folder / "pixels", os.O_RDWR | os.O_CREAT, 0o644)
+            if os.fstat(self._pixels).st_size < length:  # marks of pixels that another process deleted, or never wrote
+                os.ftruncate(self._marks, 0)
             _reserve(self._pixels, length, folder)
             _reserve(self._marks, count, folder)
             mapped = mmap.mmap(self._pixels, length)

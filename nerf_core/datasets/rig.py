@@ -116,6 +116,9 @@ def _rolled_up(poses: np.ndarray) -> np.ndarray | None:
     # Cameras above each other that face one way look the same as cameras beside each other on their sides.
     if chosen.mean() > 0.5 and np.linalg.norm(tops.mean(0)) > SCATTERED:
         return None
+    # Rows of some photos and columns of others span the pictures themselves: the direction of view is not up.
+    if np.linalg.norm(tops.mean(0)) > SCATTERED and abs(normal @ tops.mean(0)) < AGREED:
+        return None
     vote = float(np.where(chosen == 0, tops @ normal, 0).mean())
     return normal * (np.sign(vote if abs(vote) > AGREED else back @ normal) or 1.0)
 

@@ -67,7 +67,8 @@ class Target:
         off = (found + 0.5 - (self.camera.cx, self.camera.cy)) / (self.camera.fx, self.camera.fy)
         good = np.linalg.norm(off, axis=-1) < self.camera.lens.reach()
         if (mask := self.photos.mask(self.index)) is not None:
-            good &= mask[found[:, 1], found[:, 0]]
+            x, y = found.T  # the gradient at the edge of a mask is not one of the photo
+            good &= mask[y, x] & mask[y, x - 1] & mask[y, x + 1] & mask[y - 1, x] & mask[y + 1, x]
         steep = np.linalg.norm(self.colors(found)[1], axis=(1, 2)) * good
         # the smallest of exponential variables with these rates; a rate of 0 is never drawn
         order = np.argsort(rng.exponential(size=len(found)) / np.maximum(steep, 1e-9), kind="stable")[:count]

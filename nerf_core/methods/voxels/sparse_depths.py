@@ -65,7 +65,8 @@ def _of_view(scene: Scene, index: int) -> SparseDepths:
     offset = points - camera.c2w[:, 3]
     # a point before the near bound is an outlier, and what lies before it is not drawn
     seen = (depth > scene.near) & (pixels >= 0).all(-1) & (pixels < (camera.width, camera.height)).all(-1)
-    if (mask := scene.photos.mask(index)) is not None:
+    # of a large capture, it depends on the clock which photos are already known to be damaged
+    if not scene.photos.damaged(index) and (mask := scene.photos.mask(index)) is not None:
         column, row = np.where(seen[:, None], pixels, 0).astype(int).T
         seen &= mask[row, column]
     offset, depth = offset[seen], depth[seen]

@@ -19,7 +19,7 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def entry(kind: str, key: str, bytes_: int, used: float) -> Path:
     folder = cache.entry_folder(kind, key, "garden")
     folder.mkdir(parents=True)
-    (folder / "data").write_bytes(b"x" * bytes_)
+    (folder / cache.FIRST[kind]).write_bytes(b"x" * bytes_)
     os.utime(folder.parent, (used, used))
     return folder
 
@@ -46,6 +46,24 @@ def test_a_link_to_the_photos_is_neither_counted_nor_followed(tmp_path: Path) ->
     assert found.bytes < 20_000
     assert cache.clear([found]) == []
     assert (photos / "a.jpg").stat().st_size == 50_000
+
+
+@pytest.mark.parametrize("theirs", ["holiday/x.jpg", "holiday/album/x.jpg", "holiday/images/x.jpg", "a/b/there/x.jpg"])
+def test_what_was_not_made_here_is_never_deleted(theirs: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The folder of a kind may be a link to a disk with other things on it."""
+    file = tmp_path / "disk" / theirs
+    file.parent.mkdir(parents=True)
+    file.write_bytes(b"mine")
+    (file.parent / "notes.txt").write_bytes(b"mine, too")
+    (tmp_path / "cache").mkdir()
+    for kind in cache.KINDS:
+        (tmp_path / "cache" / kind).symlink_to(tmp_path / "disk", target_is_directory=True)
+    monkeypatch.setattr(cache, "MOST_BYTES", 0)
+    own = entry("photos", "k1", 100, 1)
+    cache.make_room(10**9, cache.entry_folder("photos", "k2", "other"))
+    assert not own.exists()
+    assert main(["cache", "--clear", "all"]) == 0
+    assert file.read_bytes() == b"mine"
 
 
 @pytest.mark.parametrize(("kind", "left"), [("poses", ["photos"]), ("photos", ["poses"]), ("all", [])])

@@ -164,6 +164,27 @@ def test_a_killed_process_leaves_no_photo_in_name_only(large: Path, held: thread
     held.set()
 
 
+@pytest.mark.parametrize("left", [None, 100])
+def test_marks_without_their_pixels_count_for_nothing(large: Path, left: int | None) -> None:
+    """As after a deletion that was killed midway: no photo may be black, then or at the next opening."""
+    scene = opened(large)
+    all_read(scene)
+    images = [np.array(image) for image in scene.images]
+    (entry,) = cache.entries()
+    files = entry.folder / entry.name
+    end = time.monotonic() + 20
+    while (files / "there").read_bytes() != b"\1" * 10:  # marks come after the pixels
+        assert time.monotonic() < end
+        time.sleep(0.005)
+    (files / "pixels").unlink()
+    if left is not None:
+        (files / "pixels").write_bytes(bytes(left))
+    again = opened(large)
+    for image, wanted in zip(again.images, images, strict=True):
+        np.testing.assert_array_equal(image, wanted)
+    assert (files / "pixels").read_bytes() != bytes(10 * 24 * 16 * 3)
+
+
 def test_two_openings_at_once_do_no_harm(large: Path, held: threading.Event) -> None:
     one, other = opened(large), opened(large)
     held.set()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import torch
 from nerf_core.common.errors import UserError
 from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.geometry.ndc import Ndc
+from nerf_core.geometry.photos import DAMAGED, WAITING
 from nerf_core.geometry.scene import Scene
 from nerf_core.kernels import numba_depths, voxel_kernels
 from nerf_core.methods.voxels.config import DEPTH_WEIGHT, VoxelConfig
@@ -131,3 +133,13 @@ def test_configurations_of_earlier_versions_have_no_loss_of_depth() -> None:
     earlier = asdict(VoxelConfig())
     del earlier["depth_weight"]
     assert VoxelConfig.restore(earlier).depth_weight == 0
+
+
+def test_points_do_not_depend_on_which_photos_are_known_to_be_damaged(scene: Scene) -> None:
+    """Photos of a large capture are found to be damaged while training goes on."""
+    counts = []
+    for state in (WAITING, DAMAGED):
+        filling = SimpleNamespace(state=np.full(len(scene.views), state))
+        photos = replace(scene.photos, filling=filling, ids=np.arange(len(scene.views)))
+        counts.append(len(SparseDepths.of(replace(with_points(scene), photos=photos), 0).t))
+    assert counts[0] == counts[1] > 0

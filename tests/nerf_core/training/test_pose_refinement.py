@@ -17,7 +17,7 @@ from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene
 from nerf_core.training import checkpoint
 from nerf_core.training.evaluate import Selection, evaluate
-from nerf_core.training.pose_fit import Comparison, agrees_better, between, moved, rotation, turn_of
+from nerf_core.training.pose_fit import Comparison, Target, agrees_better, between, moved, rotation, turn_of
 from nerf_core.training.pose_records import REFUSED
 from nerf_core.training.pose_refinement import PoseRefinement, fitted
 from nerf_core.training.settings import RunSettings
@@ -222,3 +222,15 @@ def test_evaluation_reports_the_corrections(demo: Scene) -> None:
     assert [row["name"] for row in found["poses"]] == [demo.views[i].name for i in demo.trained(6)]
     assert found["mean"]["psnr_posed"] == found["images"][0]["psnr_posed"]
     assert "refused" in {row["outcome"] for row in found["poses"]} or trainer.scene is not demo
+
+
+def test_no_pixel_beside_a_masked_one_is_compared(demo: Scene) -> None:
+    """Its gradient would be that of the mask's edge."""
+    height, width = demo.images[0].shape[:2]
+    mask = np.random.default_rng(0).random((height, width)) > 0.05
+    mask[height // 4 : height // 2, width // 4 : width // 2] = False
+    target = Target(demo.photos.masked({0: mask}), 0, demo.views[0].camera)
+    x, y = target.pixels(np.random.default_rng(1), 400).T
+    assert len(x) > 100
+    for dx, dy in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):
+        assert mask[y + dy, x + dx].all()

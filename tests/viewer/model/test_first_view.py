@@ -11,6 +11,7 @@ from arrangements import OBJECT, ROOM, SIZE, UP, Arrangement, arrangements, draw
 
 from nerf_core.datasets.capture import LoadOptions
 from nerf_core.datasets.geometry import normalise
+from nerf_core.datasets.rig import up_direction
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene, View
@@ -141,6 +142,20 @@ TURNED = {
 def test_up_is_found_however_the_camera_was_held(name: str) -> None:
     scene = scene_of(TURNED[name], points=False)
     assert degrees(up_of(TURNED[name], scene), UP) < 3
+
+
+def test_photos_of_a_shaking_hand_are_upright() -> None:
+    """Rows of some and columns of others would span the pictures, whose normal is the direction of view."""
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        poses = np.zeros((20, 3, 4))
+        for pose in poses:
+            yaw, pitch, roll = np.radians(5) * rng.normal(size=3)
+            cz, sz, cx, sx, cy, sy = (f(v) for v in (yaw, pitch, roll) for f in (np.cos, np.sin))
+            turn = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]]) @ np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+            pose[:, :3] = turn @ np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+            pose[:, 3] = rng.uniform(-0.3, 0.3, 3)
+        assert degrees(up_direction(poses), np.array([0.0, 1.0, 0.0])) < 10
 
 
 def test_what_nothing_tells_apart_is_left_as_the_photos_show_it() -> None:
