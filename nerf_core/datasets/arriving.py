@@ -97,6 +97,7 @@ class _Work:
                 os.setpriority(os.PRIO_PROCESS, thread, max(NICENESS, os.getpriority(os.PRIO_PROCESS, thread)))
         while (k := self._next()) is not None:
             self._do(k)
+        self._mark(1)
 
     def need(self, k: int) -> None:
         """Read photo k in this thread, or wait for the one that reads it. Raises PhotosLost if reading had to end."""
@@ -154,7 +155,6 @@ class _Work:
         self._failure = self._failure or text
 
     def _end_of(self, k: int, state: int, problem: str) -> None:
-        marked: list[int] = []
         with self._changed:
             self._reading.discard(k)
             self.state[k] = state
@@ -163,9 +163,15 @@ class _Work:
                 self.damaged.append(problem)
             if state == THERE:
                 self._unmarked.append(k)
-            if len(self._unmarked) >= FLUSH or not (self._queue or self._reading):
-                marked, self._unmarked = self._unmarked, []
             self._changed.notify_all()
+        self._mark(FLUSH if (self.state == WAITING).any() else 1)
+
+    def _mark(self, least: int) -> None:
+        """Note in the cache which photos were read, if there are so many."""
+        marked: list[int] = []
+        with self._changed:
+            if len(self._unmarked) >= least:
+                marked, self._unmarked = self._unmarked, []
         if marked:
             try:
                 self._store.mark(marked)  # without the lock: a flush may take a second

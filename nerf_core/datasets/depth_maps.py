@@ -28,7 +28,7 @@ ENOUGH = 0.01  # of a map's pixels that must have a depth
 class DepthMap:
     """The map of a photo.
 
-    file: a 16-bit PNG in millimetres, or an EXR of one channel in metres. 0: unknown.
+    file: a 16-bit PNG in millimetres, or an EXR of one channel in metres. 0, and a PNG's largest value: unknown.
     size: width and height of the photo.
     confidence: an 8-bit PNG, 255 where the depth is certain; None: there is none.
     """
@@ -80,7 +80,7 @@ def _pixels(one: DepthMap) -> tuple[np.ndarray, np.ndarray]:
         )
     certain = np.ones(depth.shape, bool)
     if one.confidence is not None:
-        confidence = _plane(one.confidence)
+        confidence = _plane(one.confidence, "L")
         if confidence.shape != depth.shape:
             raise UnreadableError(f"{one.confidence} has another size than {one.file}")
         certain = confidence >= LOW * 255
@@ -100,14 +100,15 @@ def _metres(file: Path) -> np.ndarray:
             return exr_plane(file)
         except OSError as error:
             raise UnreadableError(f"{file} {error}") from error
-    return _plane(file).astype(np.float32) / np.float32(MILLIMETRES)
+    levels = _plane(file, "I;16")
+    return np.where(levels < 65535, levels, 0).astype(np.float32) / np.float32(MILLIMETRES)
 
 
-def _plane(file: Path) -> np.ndarray:
-    """The values (H, W) of a PNG of one channel, as they are stored."""
+def _plane(file: Path, mode: str) -> np.ndarray:
+    """The values (H, W) of a grey PNG as they are stored. mode: of Pillow, "L" for 8 bits, "I;16" for 16."""
     measure(file)
     with Image.open(file) as stored:
-        values = np.asarray(stored)
-    if values.ndim != 2 or values.dtype == bool:
-        raise UnreadableError(f"{file} has colours: a depth map has one channel")
-    return values
+        if stored.mode != mode:
+            bits = 16 if mode == "I;16" else 8
+            raise UnreadableError(f"{file} is not a grey picture of {bits} bits (Pillow's mode {stored.mode})")
+        return np.asarray(stored)

@@ -46,6 +46,7 @@ def load_scene(path: Path | None, options: LoadOptions, progress: Progress | Non
     check_options(options)
     try:
         source, name, notes = recognise(path, options.format)
+        folder = source if source.is_dir() else source.parent
         capture = DATASETS.get(name).read(source, options)
         if progress is not None:
             progress(phrase("looking for masks"), 0, len(capture.photos))
@@ -56,7 +57,7 @@ def load_scene(path: Path | None, options: LoadOptions, progress: Progress | Non
         background = _background(capture, headers, options)
         by_alpha, more_damaged = masked_by_alpha(capture, options), []
         if is_large(capture, headers, by_alpha):
-            how = Reading(source.resolve().name, capture, headers, upright, eight_bits, background)
+            how = Reading(folder.resolve().name, capture, headers, upright, eight_bits, background)
             photos, mask_notes = arriving(how, progress)
             kept = range(len(capture.photos))
         else:
@@ -69,7 +70,6 @@ def load_scene(path: Path | None, options: LoadOptions, progress: Progress | Non
     cameras = [normalised.cameras[i] for i in kept]
     capture = _with_splits(capture.keeping(kept))
     notes += (*capture.notes, *size_notes, *mask_notes, *damage_notes(damaged + more_damaged), *normalised.notes)
-    folder = source if source.is_dir() else source.parent
     return Scene(
         name="demo" if path is None else printable(folder.resolve().name),
         format=capture.format,

@@ -12,6 +12,7 @@ import json
 import mmap
 import os
 import shutil
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from nerf_core.common.text import size as in_bytes
 
 FORMAT = 1  # of the files, and of how photos are read: EXIF, profiles, averaging
 SPARE_BYTES = 1e9  # of the disk that stay free
+FLAGS = os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)  # neither is everywhere
 FLUSH = 64  # photos between two flushes: so many are read again if the process is killed
 
 
@@ -70,6 +72,7 @@ class Store:
             dtype: of a channel.
         """
         folder, wanted = cache.entry_folder("photos", key, name), 3 * rows * dtype.itemsize
+        new = not folder.exists()
         try:
             if wanted > cache.MOST_BYTES:
                 raise OSError(f"{in_bytes(wanted)} are more than the cache holds, {in_bytes(cache.MOST_BYTES)}")
@@ -78,7 +81,8 @@ class Store:
             cache.used(folder)
             return _Mapped(folder, (rows, 3), count, dtype)
         except OSError as error:
-            _remove_if_new(folder)
+            if new:
+                shutil.rmtree(folder.parent, ignore_errors=True)
             note = phrase("the photos lie in memory and not in the cache, {folder}: {reason}",
                           folder=str(folder), reason=error.strerror or str(error))  # fmt: skip
             return Store(np.empty((rows, 3), dtype), np.zeros(count, bool), note)
@@ -92,10 +96,11 @@ class _Mapped(Store):
 
     def __init__(self, folder: Path, shape: tuple[int, int], count: int, dtype: np.dtype) -> None:
         length = shape[0] * shape[1] * dtype.itemsize
-        self._marks = os.open(folder / "there", os.O_RDWR | os.O_CREAT, 0o644)
-        self._pixels = -1
+        self._marks = self._pixels = -1
+        self._writing = threading.Lock()  # os.pwrite, which needs none, is not there on Windows
         try:
-            self._pixels = os.open(folder / "pixels", os.O_RDWR | os.O_CREAT, 0o644)
+            self._marks = os.open(folder / "there", FLAGS, 0o644)
+            self._pixels = os.open(folder / "pixels", FLAGS, 0o644)
             if os.fstat(self._pixels).st_size < length:  # marks of pixels that another process deleted, or never wrote
                 os.ftruncate(self._marks, 0)
             _reserve(self._pixels, length, folder)
@@ -105,20 +110,23 @@ class _Mapped(Store):
             self._close()
             raise
         flat = np.frombuffer(mapped, dtype).reshape(shape)
-        marks = np.frombuffer(os.pread(self._marks, count, 0), np.uint8)
+        os.lseek(self._marks, 0, os.SEEK_SET)
+        marks = np.frombuffer(os.read(self._marks, count), np.uint8)
         super().__init__(flat, marks == 1)
 
     def write(self, start: int, pixels: np.ndarray) -> None:
         rest = memoryview(np.ascontiguousarray(pixels, self.flat.dtype).tobytes())
-        at = start * 3 * self.flat.itemsize
-        while rest:
-            done = os.pwrite(self._pixels, rest, at)
-            rest, at = rest[done:], at + done
+        with self._writing:
+            os.lseek(self._pixels, start * 3 * self.flat.itemsize, os.SEEK_SET)
+            while rest:
+                rest = rest[os.write(self._pixels, rest) :]
 
     def mark(self, photos: Sequence[int]) -> None:
         os.fsync(self._pixels)
-        for k in photos:
-            os.pwrite(self._marks, b"\1", k)
+        with self._writing:
+            for k in photos:
+                os.lseek(self._marks, k, os.SEEK_SET)
+                os.write(self._marks, b"\1")
 
     def _close(self) -> None:
         for descriptor in (self._marks, self._pixels):
@@ -142,13 +150,3 @@ def _reserve(descriptor: int, length: int, folder: Path) -> None:
         os.posix_fallocate(descriptor, 0, length)
     else:
         os.ftruncate(descriptor, length)
-
-
-def _remove_if_new(folder: Path) -> None:
-    """Remove what was made in vain: an entry of which no photo is there."""
-    try:
-        if (folder / "there").exists() and any((folder / "there").read_bytes()):
-            return
-    except OSError:
-        return
-    shutil.rmtree(folder.parent, ignore_errors=True)

@@ -13,10 +13,7 @@ from nerf_core.common.errors import UserError
 
 DIMMED = 4  # how many times darker masked pixels are shown
 WIDEN = 257  # 255 · 257 = 65535: the 16-bit value of an 8-bit one
-
-
 WAITING, THERE, DAMAGED = range(3)  # the states of a photo that is read while others are used already
-
 
 FIRST_PHOTOS = 100  # that training begins with: some seconds of decoding, and all sides of most captures
 PHOTOS_A_STEP = 2  # that each step adds: two cores decode about as many as they train steps

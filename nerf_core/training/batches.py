@@ -271,7 +271,8 @@ class PixelSampler:
 def block_colors(photos: Photos, index: Tensor, pixel: Tensor, factor: int) -> Tensor:
     """Return the mean colours of blocks of factor × factor pixels, of which at most TAPS × TAPS are read.
 
-    It gives what `shrunk` stores, for photos that are too many to be stored a second time.
+    Up to a factor of TAPS it gives what `shrunk` stores, for photos that are too many to be stored a second time; of
+    larger blocks it is an even sample.
 
     Args:
         photos: N photos at full size.

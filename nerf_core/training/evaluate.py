@@ -93,7 +93,7 @@ def evaluate(
         with a mask has its masked share, "masked". If exposures are learnt, "exposure" has those of the training
         photos, and images have "psnr_matched"; see `psnr_matched`. If poses are corrected, "poses" has by how much each
         training photo was turned (degrees) and shifted (percent of the scene's radius), and images have "psnr_posed":
-        of the right half, from the pose that the left half is seen from best.
+        of the right half, from the pose that fits the left half best. A training photo has its corrected pose.
 
     Raises:
         UserError: the images are too small for a metric, or the folder cannot be written.
@@ -124,13 +124,14 @@ def evaluating(
     """
     images: list[dict[str, Any]] = []
     count = len(selection.views)
+    first = 1.0 if trainer.refinement is None else 0.5  # the share of an image's work that its first rendering is
     for index in selection.views:
         view = trainer.scene.views[index]
         truth = trainer.scene.images[index].astype(np.float32) / 65535
         if trainer.scene.photos.damaged(index):  # found only now, because it was read only now
             continue
         work, done = rendering(trainer.method, view.camera, trainer.scene), len(images)
-        color, _ = yield from mapped(work, lambda share, done=done: (done, (done + share) / count))
+        color, _ = yield from mapped(work, lambda share, done=done: (done, (done + first * share) / count))
         mask = trainer.scene.photos.mask(index)
         shown = color if mask is None else np.where(mask[..., None], color, truth)
         images.append(
@@ -142,7 +143,11 @@ def evaluating(
             }
             | ({} if mask is None else {"masked": float(1 - mask.mean())})
             | _matched(trainer, color, truth, mask)
-            | (yield from _posed(trainer, index, (len(images) + 1) / count))
+            | (
+                yield from mapped(
+                    _posed(trainer, index, color), lambda share, done=done: (done, (done + share) / count)
+                )
+            )
         )
         keep(view.name, color, truth)
     names = ["psnr", "ssim", "lpips"]
@@ -165,15 +170,18 @@ def evaluating(
     return result
 
 
-def _posed(trainer: Trainer, index: int, share: float) -> Generator[tuple[int, float], None, dict[str, Any]]:
-    """The PSNR of the right half from a pose that was fitted to the left half, if poses are corrected."""
+def _posed(trainer: Trainer, index: int, color: np.ndarray) -> Generator[float, None, dict[str, Any]]:
+    """The PSNR of the right half from a pose that was fitted to the left half, if poses are corrected.
+
+    color: (H, W, 3) what the model shows from the pose that the photo has. Yields the share of the image's work that is
+    done.
+    """
     if trainer.refinement is None:
         return {}
-    there = trainer.scene
     if index not in trainer.refinement.views:  # those have a pose already
-        there = there.reposed({index: fitted(trainer.method, there, index)})
-    work = rendering(trainer.method, there.views[index].camera, there)
-    color, _ = yield from mapped(work, lambda done: (0, share))
+        there = trainer.scene.reposed({index: fitted(trainer.method, trainer.scene, index)})
+        work = rendering(trainer.method, there.views[index].camera, there)
+        color, _ = yield from mapped(work, lambda share: (1 + share) / 2)
     truth, mask = trainer.scene.images[index].astype(np.float32) / 65535, trainer.scene.photos.mask(index)
     half = color.shape[1] // 2
     right = None if mask is None else mask[:, half:]

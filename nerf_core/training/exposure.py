@@ -106,14 +106,17 @@ class Exposure:
         self.offsets = (self._left @ offsets).float()
 
     def state(self) -> dict[str, Tensor]:
-        """Return gains, offsets and sums by name, for a checkpoint."""
-        return {"gains": self.gains, "offsets": self.offsets, "sums": self._sums}
+        """Return gains, offsets, sums and whose they are by name, for a checkpoint."""
+        views = torch.tensor(self.views, dtype=torch.int64)
+        return {"gains": self.gains, "offsets": self.offsets, "sums": self._sums, "views": views}
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         """Continue from `state`. Raises KeyError or ValueError if it is of other photos."""
-        own = self.state()
-        for name, value in own.items():
-            if state[name].shape != value.shape:
+        for name in ("gains", "offsets", "sums"):
+            if state[name].shape != (value := self.state()[name]).shape:
                 raise ValueError(f"{name} of {len(state[name])} photos, not {len(value)}")
-        self.gains, self.offsets = state["gains"].cpu().float(), state["offsets"].cpu().float()
-        self._sums = state["sums"].cpu().double()
+        # checkpoints of earlier versions do not say: theirs go by number, those of a large capture's photos do not
+        views = state["views"].tolist() if "views" in state else sorted(self.views)
+        rows = torch.tensor([views.index(view) for view in self.views], dtype=torch.int64)
+        self.gains, self.offsets = (state[name].cpu().float()[rows] for name in ("gains", "offsets"))
+        self._sums = state["sums"].cpu().double()[rows]

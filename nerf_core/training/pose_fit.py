@@ -24,13 +24,13 @@ from nerf_core.methods import Method
 Correct = Callable[[np.ndarray], np.ndarray]
 TURN, SHIFT = np.radians(1.0), 0.01  # prior of a step: 1°, and 1 % of the depth
 KNOWN = 0.2  # share of a photo's variance that the model must explain: else they say nothing about the pose
-CERTAIN = 3.0  # standard errors by which left-out pixels must agree better
+CELLS = 8  # parts along a side of a photo: pixels of one cell are wrong together, those of two count as independent
 HIT = 0.5  # of a pixel's light; with less, its depth is that of the rest of the photo
 CANDIDATES = 4  # pixels of which one is drawn
 INDEPENDENT = 0.1  # so many residuals count as independent, as a share of all: neighbours are wrong together
 
 
-def as_it_is(colors: np.ndarray) -> np.ndarray:
+def unchanged(colors: np.ndarray) -> np.ndarray:
     """The correction of a photo whose exposure is not known."""
     return colors
 
@@ -47,7 +47,7 @@ class Target:
     photos: Photos
     index: int
     camera: Camera
-    correct: Correct = as_it_is
+    correct: Correct = unchanged
 
     def corrected(self, correct: Correct) -> Target:
         """Return the target with another correction."""
@@ -63,7 +63,7 @@ class Target:
         width = width // 2 if left_half else width
         if min(width, height) < 3:
             return np.zeros((0, 2), np.int64)
-        found = rng.integers([1, 1], [width - 1, height - 1], (CANDIDATES * count, 2))
+        found = np.unique(rng.integers([1, 1], [width - 1, height - 1], (CANDIDATES * count, 2)), axis=0)
         off = (found + 0.5 - (self.camera.cx, self.camera.cy)) / (self.camera.fx, self.camera.fy)
         good = np.linalg.norm(off, axis=-1) < self.camera.lens.reach()
         if (mask := self.photos.mask(self.index)) is not None:
@@ -73,6 +73,10 @@ class Target:
         # the smallest of exponential variables with these rates; a rate of 0 is never drawn
         order = np.argsort(rng.exponential(size=len(found)) / np.maximum(steep, 1e-9), kind="stable")[:count]
         return found[order[steep[order] > 0]]
+
+    def cells(self, pixels: np.ndarray) -> np.ndarray:
+        """Return the cells (P, 2) that pixels (P, 2) are in, as column and row in [0, CELLS)."""
+        return pixels * CELLS // (self.camera.width, self.camera.height)
 
     def colors(self, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return colours (P, 3) of pixels (P, 2), and their gradients (P, 3, 2) by column and row."""
@@ -87,12 +91,14 @@ class Target:
 class Comparison:
     """The model against P pixels of a photo.
 
+    cells: (P, 2) the column and row of the cell of the photo, of CELLS × CELLS, that each pixel is in.
     colors: (P, 3) the photo's.
     off: (P, 3) the model's colours less the photo's.
     by_pose: (P, 3, 6) how that changes with a turn, in units of TURN, and a shift, in units of SHIFT of `depth`.
     depth: the median depth, in scene units; 0 if nothing was hit.
     """
 
+    cells: np.ndarray
     colors: np.ndarray
     off: np.ndarray
     by_pose: np.ndarray
@@ -122,13 +128,13 @@ def compared(method: Method, scene: Scene, target: Target, c2w: np.ndarray, pixe
     shown, gradient = target.colors(pixels)
     looks = [_unit(camera.directions(centres + step)) for step in ((0, 0), (0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5))]
     by_pixel = np.stack([looks[1] - looks[2], looks[3] - looks[4]], -1)  # (P, 3, 2)
-    # a direction moves by −ω × d − (v − d (d·v)) / t; least squares take it to pixels, and drop what is along d
+    # a direction moves by −ω × d − (v − d (d·v)) / t; least squares turn that into pixels
     transposed = by_pixel.swapaxes(1, 2)
     to_pixel = np.linalg.solve(transposed @ by_pixel, transposed)  # (P, 2, 3)
     turned = _cross(looks[0]) * TURN
     shifted = -np.eye(3) * (SHIFT * depth / np.maximum(t, 1e-3 * depth or 1.0))[:, None, None]
     flow = to_pixel @ np.concatenate([turned, shifted], -1)  # (P, 2, 6)
-    return Comparison(shown, color - shown, -gradient @ flow, depth)
+    return Comparison(target.cells(pixels), shown, color - shown, -gradient @ flow, depth)
 
 
 def solved(found: Comparison, before: np.ndarray) -> np.ndarray:
@@ -151,14 +157,26 @@ def solved(found: Comparison, before: np.ndarray) -> np.ndarray:
     return -np.linalg.solve(square, slope + before / unit) * unit
 
 
-def agrees_better(before: Comparison, after: Comparison) -> bool:
-    """Return whether the pixels of two comparisons agree better in the second, by more than chance."""
-    if len(before.off) < 2:
-        return False
-    explained = 1 - (before.off**2).mean() / max(float(before.colors.var(0).mean()), 1e-12)  # of a photo of one colour
+def gain(before: Comparison, after: Comparison) -> tuple[float, float, float]:
+    """Return by how much the pixels of two comparisons agree better in the second, the standard error, and the cost.
+
+    The cost is the mean of ρ(r) before, with the ρ of `solved`, and the gain is what is left out of it after. Pixels
+    near each other are wrong together, so the error is that of sums over cells: √(Σ_c (Σ_p∈c (g_p − ḡ))²) / P. A model
+    that does not know the photo cannot tell: then all are 0.
+    """
+    if len(before.off) < 2 or not _known(before):
+        return 0.0, 0.0, 0.0
     scale = spread(before.off)
-    gain = (_cost(before.off, scale) - _cost(after.off, scale)).mean(-1)
-    return bool(explained > KNOWN and gain.mean() > CERTAIN * gain.std() / np.sqrt(len(gain)))
+    cost = _cost(before.off, scale).mean(-1)
+    gains = cost - _cost(after.off, scale).mean(-1)
+    sums = np.bincount(before.cells @ (1, CELLS), gains - gains.mean())
+    return float(gains.mean()), float(np.sqrt((sums**2).sum()) / len(gains)), float(cost.mean())
+
+
+def _known(found: Comparison) -> bool:
+    """Whether the model explains enough of a photo to say anything about its pose."""
+    variance = max(float(found.colors.var(0).mean()), 1e-12)  # of a photo of one colour
+    return bool(1 - (found.off**2).mean() / variance > KNOWN)
 
 
 def moved(c2w: np.ndarray, step: np.ndarray) -> np.ndarray:

@@ -21,18 +21,21 @@ from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method
 from nerf_core.methods.group import ALONE, Group
 from nerf_core.training.batches import shrunk
-from nerf_core.training.pose_fit import Target, agrees_better, between, compared, moved, rotation, solved, turn_of
+from nerf_core.training.pose_fit import Target, between, compared, gain, moved, rotation, solved, turn_of
 from nerf_core.training.pose_records import MOVED, REFUSED, UNTRIED, PoseCorrections
 
 FITTED, LEFT_OUT = 512, 512  # pixels of a photo in a round
 SHARE = 0.5  # of the rays of training: so many are drawn for the poses, which takes some 20 % of the time
-MOST = 64  # photos in a round; rounds of fewer are as far apart, because the model must follow its cameras
-SMALLEST, ROUNDS = 64, 6  # longest side of the photos in the first rounds, in pixels; it doubles after so many
-Corrections = tuple[np.ndarray, np.ndarray]  # poses (N, 3, 4) and outcomes (N,)
+MOST = 64  # photos in a round, in turns; rounds of fewer are as far apart, because the model must follow its cameras
+SMALLEST, ROUNDS = 64, 6  # longest side of the photos in their first rounds, in pixels; it doubles after so many
+LEAST_STRIDE, MOST_STRIDE = 1 / 8, 2.0  # of a step: a model that remembers the old poses shows half of an error
+WRONG = 0.05  # share of the cost that a round saves if the capture's poses are wrong
+CERTAIN = 3.0  # standard errors by which left-out pixels must agree better
+Corrections = tuple[np.ndarray, np.ndarray, float, bool]  # poses (N, 3, 4), outcomes (N,), and what comes after them
 
 
 def shrink_of(longest: int, rounds: int) -> int:
-    """Return by which factor photos are shrunk after so many rounds. longest: their longest side in pixels."""
+    """Return by which factor photos are shrunk after so many rounds of each. longest: their longest side in pixels."""
     return max(1, round(longest / (SMALLEST << min(rounds // ROUNDS, 30))))
 
 
@@ -65,19 +68,38 @@ def fitted(method: Method, scene: Scene, view: int) -> np.ndarray:
             target = targets(scene, [view], shrink)[0]
         rounds += 1
         pixels = target.pixels(rng, FITTED + LEFT_OUT, left_half=True)
-        out = _left_out(pixels)
+        out = _left_out(target, pixels, rounds)
         if out.all() or not out.any():
             continue
         step = solved(compared(method, scene, target, pose, pixels[~out]), between(given, pose))
         wanted = moved(pose, step)
-        before, after = (compared(method, scene, target, p, pixels[out]) for p in (pose, wanted))
-        pose = wanted if agrees_better(before, after) else pose
+        better, error, _ = gain(*(compared(method, scene, target, p, pixels[out]) for p in (pose, wanted)))
+        pose = wanted if better > CERTAIN * error else pose
     return pose
 
 
-def _left_out(pixels: np.ndarray) -> np.ndarray:
-    """Which pixels (P, 2) are left out: half, as on a chessboard. One that is drawn twice is never on both sides."""
-    return pixels.sum(-1) % 2 == 0
+def better(gains: np.ndarray, wrong: bool) -> tuple[np.ndarray, bool, bool]:
+    """Return which photos (N,) agree better by more than chance, whether all together do, and whether poses are wrong.
+
+    What one photo cannot tell from chance, all together may: then a photo need only agree better at all. But poses that
+    are right drift with a model that is not: a forward-facing scene may bend, and all photos agree better. So they are
+    heard together only once a round has shown that the capture's poses are wrong.
+
+    gains: (N, 3) gains, their standard errors and costs, of `gain`.
+    wrong: whether an earlier round has shown it.
+    """
+    of_one, error, cost = gains.T
+    together = bool(of_one.sum() > CERTAIN * np.sqrt((error**2).sum()))
+    wrong = wrong or (together and bool(of_one.sum() > WRONG * cost.sum()))
+    return of_one > (0.0 if together and wrong else CERTAIN) * error, together, wrong
+
+
+def _left_out(target: Target, pixels: np.ndarray, rounds: int) -> np.ndarray:
+    """Which pixels (P, 2) are left out: those of every second cell, as on a chessboard, in the next round the others.
+
+    Neighbours would not tell: where a model is too smooth, both are wrong in the same way.
+    """
+    return (target.cells(pixels).sum(-1) + rounds) % 2 == 0
 
 
 class PoseRefinement:
@@ -87,6 +109,9 @@ class PoseRefinement:
     given: (N, 3, 4) float64, the poses of the capture.
     poses: (N, 3, 4) float64, the poses as they are corrected.
     outcome: (N,) int64, of the last round of each photo: UNTRIED, MOVED or REFUSED by the left-out pixels.
+    stride: the share of each step that a round goes. If poses are wrong, it is halved when all photos together do not
+        agree better, and doubled when they do.
+    wrong: whether a round has shown that the capture's poses are wrong; see `better`.
     """
 
     def __init__(self, scene: Scene, views: Sequence[int], seed: int) -> None:
@@ -102,6 +127,7 @@ class PoseRefinement:
         self.poses = self.given.copy()
         self.outcome = np.full(len(self.views), UNTRIED)
         self.rounds, self._rays = 0, 0.0
+        self.stride, self.wrong = 1.0, False
         self._targets: tuple[int, list[Target]] = 0, []
 
     def due(self, rays: int) -> bool:
@@ -115,7 +141,7 @@ class PoseRefinement:
     def round(
         self, method: Method, correct: Callable[[int, np.ndarray], np.ndarray], yield_callback: Callable[[], None]
     ) -> Corrections:
-        """Return poses (N, 3, 4) and outcomes (N,) after a round. Nothing changes before `take`.
+        """Return poses (N, 3, 4), outcomes (N,), stride and wrong after a round. Nothing changes before `take`.
 
         Args:
             method: the model.
@@ -123,33 +149,40 @@ class PoseRefinement:
             yield_callback: called between photos; it may raise.
         """
         rng = np.random.default_rng([self.seed, self.rounds])
-        chosen = np.sort(rng.permutation(len(self.views))[:MOST])
+        chosen = self._chosen()
         shown = self._shown()
         wanted, left_out = self.poses.copy(), {}
         for n in chosen.tolist():
             target = shown[n].corrected(lambda colors, n=n: correct(n, colors))
             pixels = target.pixels(rng, FITTED + LEFT_OUT)
-            out = _left_out(pixels)
+            out = _left_out(target, pixels, self.rounds)
             yield_callback()
             if out.any() and not out.all():
                 found = compared(method, self.scene, target, self.poses[n], pixels[~out])
-                wanted[n] = moved(self.poses[n], solved(found, between(self.given[n], self.poses[n])))
+                step = solved(found, between(self.given[n], self.poses[n]))
+                wanted[n] = moved(self.poses[n], self.stride * step)
                 left_out[n] = target, pixels[out]
         wanted = self._without_gauge(wanted)
         poses, outcome = self.poses.copy(), self.outcome.copy()
-        for n, (target, pixels) in left_out.items():
+        gains = np.zeros((len(left_out), 3))
+        for row, (n, (target, pixels)) in enumerate(left_out.items()):
             yield_callback()
-            before, after = (compared(method, self.scene, target, p[n], pixels) for p in (self.poses, wanted))
-            better = agrees_better(before, after)
-            outcome[n] = MOVED if better else REFUSED
-            poses[n] = wanted[n] if better else poses[n]
-        return poses, outcome
+            gains[row] = gain(*(compared(method, self.scene, target, p[n], pixels) for p in (self.poses, wanted)))
+        tried = np.array(list(left_out), np.int64)
+        kept, together, wrong = better(gains, self.wrong)
+        outcome[tried] = np.where(kept, MOVED, REFUSED)
+        poses[tried[kept]] = wanted[tried[kept]]
+        stride = self.stride
+        if wrong:
+            stride = min(MOST_STRIDE, 2 * stride) if together else max(LEAST_STRIDE, stride / 2)
+        return poses, outcome, stride, wrong
 
     def take(self, found: Corrections, group: Group = ALONE) -> None:
         """Make what `round` returned the poses of all processes: those of the first one count."""
-        first = [torch.from_numpy(v.astype(np.float64) * (group.rank == 0)) for v in found]
+        first = [torch.as_tensor(v).double() * (group.rank == 0) for v in found]
         group.add(first)
         self.poses, self.outcome = first[0].numpy(), first[1].long().numpy()
+        self.stride, self.wrong = float(first[2]), bool(first[3])
         self.rounds, self._rays = self.rounds + 1, 0.0
 
     def corrections(self) -> PoseCorrections:
@@ -161,10 +194,20 @@ class PoseRefinement:
             np.array(self.views), self.given, np.where(still, 0, np.degrees(turned)), away, self.outcome, self.rounds
         )
 
+    def _chosen(self) -> np.ndarray:
+        """The photos of this round as positions in `views`: all, or the next MOST of them in a random order."""
+        total = len(self.views)
+        if total <= MOST:
+            return np.arange(total)
+        at = self.rounds * MOST + np.arange(MOST)
+        orders = {k: np.random.default_rng([self.seed, 0, k]).permutation(total) for k in np.unique(at // total)}
+        return np.unique([orders[k][n] for k, n in zip(at // total, at % total, strict=True)])
+
     def _shown(self) -> list[Target]:
         """The photos at the size of this round."""
         cameras = [self.scene.views[i].camera for i in self.views]
-        shrink = shrink_of(max(max(c.width, c.height) for c in cameras), self.rounds)
+        longest, total = max(max(c.width, c.height) for c in cameras), len(cameras)
+        shrink = shrink_of(longest, self.rounds * min(MOST, total) // total)
         if self._targets[0] != shrink:
             self._targets = shrink, targets(self.scene, self.views, shrink)
         return self._targets[1]
@@ -194,7 +237,7 @@ class PoseRefinement:
         """Return poses, outcomes and counts by name, for a checkpoint."""
         return {
             "poses": torch.from_numpy(self.poses), "outcome": torch.from_numpy(self.outcome),
-            "counts": torch.tensor([self.rounds, self._rays], dtype=torch.float64),
+            "counts": torch.tensor([self.rounds, self._rays, self.stride, self.wrong], dtype=torch.float64),
         }  # fmt: skip
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
@@ -204,4 +247,5 @@ class PoseRefinement:
                 raise ValueError(f"{name} of {len(state[name])} photos, not {len(value)}")
         self.poses = state["poses"].cpu().double().numpy().copy()
         self.outcome = state["outcome"].cpu().long().numpy().copy()
-        self.rounds, self._rays = int(state["counts"][0]), float(state["counts"][1])
+        rounds, self._rays, self.stride, wrong = state["counts"].tolist()
+        self.rounds, self.wrong = int(rounds), bool(wrong)

@@ -276,8 +276,10 @@ class Trainer:
         if self.refinement is not None:
             self.refinement.trained(wanted.rays)
             if corrected is not None:
+                before = self.refinement.poses
                 self.refinement.take(corrected, self.group)
-                self._pose()
+                if (self.refinement.poses != before).any():  # a new scene makes what was computed for the old one void
+                    self._pose()
         seconds = time.perf_counter() - start - waited
         self.seconds += seconds
         self.step_count += 1
@@ -297,7 +299,7 @@ class Trainer:
         if refinement is None or not refinement.due(wanted.rays):
             return None
         if self.group.rank:  # the first process does it for all
-            return refinement.poses, refinement.outcome
+            return refinement.poses, refinement.outcome, refinement.stride, refinement.wrong
         return refinement.round(self.method, self._exposed, yield_callback)
 
     def _exposed(self, photo: int, colors: np.ndarray) -> np.ndarray:

@@ -142,3 +142,18 @@ def test_a_capture_whose_maps_are_all_wrong_has_no_depths(tmp_path: Path) -> Non
     assert capture.depths is None
     assert known_depths(capture) is None
     assert any("2 depth maps of 2" in note for note in capture.notes)
+
+
+@pytest.mark.parametrize("mode", ["L", "P"])
+def test_a_picture_that_holds_no_millimetres_is_told(tmp_path: Path, mode: str) -> None:
+    _, files = capture_of("polycam", tmp_path, [ramp(1.0, 3.0)])
+    Image.fromarray((40 * ramp(1.0, 3.0)).astype(np.uint8)).convert(mode).save(files[0])
+    notes = read("polycam", tmp_path).notes
+    assert any(f"not a grey picture of 16 bits (Pillow's mode {mode})" in note for note in notes)
+
+
+def test_the_largest_value_is_no_depth(tmp_path: Path) -> None:
+    metres = ramp(1.0, 3.0)
+    metres[:, -3:] = 65.535
+    depths = told(capture_of("polycam", tmp_path, [metres])[0])
+    assert depths.far < 3.5

