@@ -133,6 +133,10 @@ class Scene:
             views[i] = replace(views[i], camera=views[i].camera.moved(c2w))
         return replace(self, views=tuple(views))
 
+    def unsighted(self) -> Scene:
+        """Return the scene without the sparse points: they were placed with poses that are doubted."""
+        return replace(self, views=tuple(replace(view, sighted=None) for view in self.views))
+
     def summary(self) -> str:
         """Describe in words what the loading options decide."""
         sizes = self.photo_sizes

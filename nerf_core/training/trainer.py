@@ -96,7 +96,8 @@ class Trainer:
         """
         self.device, self.group = pick_device(settings.device), group
         name, self.reason = choose_method(settings.method, self.device)
-        config = METHODS.get(name).configure(scene, settings.preset, settings.changes, self.device)
+        told = scene.unsighted() if settings.refine_poses else scene
+        config = METHODS.get(name).configure(told, settings.preset, settings.changes, self.device)
         self._build(scene, name, config, settings.steps, settings.seed, settings.threads or self._cores())
         if settings.exposure not in EXPOSURES:
             raise UserError(f"--exposure {shorten(settings.exposure)}: choose from {', '.join(EXPOSURES)}")

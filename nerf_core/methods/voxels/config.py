@@ -86,7 +86,7 @@ class VoxelConfig:
         least=1, most=10**6,
     )  # fmt: skip
     depth_weight: float = constant(
-        0.0, marked("weight of depth in the loss: it draws rays' light to the sparse points that photos see, if any")
+        0.0, marked("weight of depth in the loss: rays towards sparse points, which their photos see, should end there")
     )
     total_steps: int = constant(
         30_000, marked("steps of the schedule, unless --steps says otherwise"), least=1, most=10**9

@@ -34,8 +34,8 @@ class SparseDepths(NamedTuple):
         parts = _parts(scene, train_images)
         if not parts:
             raise UserError(
-                "depth_weight needs sparse points that training photos see, as a COLMAP model has them; "
-                f"{scene.name} ({scene.format}) has none: leave it at 0"
+                "depth_weight needs sparse points that training photos see, as a COLMAP model has them, and no "
+                f"--refine-poses; {scene.name} ({scene.format}) has none that count: leave it at 0"
             )
         names = ("origins", "directions", "near", "far")
         rays = Rays(*(torch.cat([getattr(part.rays, name) for part in parts]) for name in names))

@@ -74,6 +74,15 @@ def test_points_count_unless_the_weight_is_said_to_be_0(scene: Scene) -> None:
     assert trained(with_points(scene), 0, depth_weight=0).config.depth_weight == 0
 
 
+def test_points_do_not_count_while_poses_are_refined(scene: Scene) -> None:
+    """They were placed with the poses that are doubted."""
+    for refine, weight in ((False, DEPTH_WEIGHT), (True, 0)):
+        trainer = Trainer(with_points(scene), RunSettings(method="voxels", refine_poses=refine))
+        assert trainer.describe()["config"]["depth_weight"] == weight
+    with pytest.raises(UserError, match="and no --refine-poses"):
+        Trainer(with_points(scene), RunSettings(method="voxels", refine_poses=True, changes={"depth_weight": "1"}))
+
+
 def test_a_run_with_depths_is_the_same_each_time(scene: Scene) -> None:
     first, second, off = (trained(with_points(scene), 8, depth_weight=w).grid.rows for w in (10, 10, 0))
     assert torch.equal(first, second)
