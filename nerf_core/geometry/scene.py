@@ -21,6 +21,7 @@ SPLITS = ("train", "val", "test")
 IDENTITY = 2  # how `Scene.identity` is made; 1: of exact numbers
 LARGE_IDENTITY = 3  # that of a large capture: the sizes of the files stand for pixels, which are not there yet
 DECIMALS = 6  # poses and bounds are some units: far more than rounding errors, far less than any real difference
+INSIDE = 0.75  # fewer of the photos look towards the scene's centre if they look outwards; of an orbit, all do
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,13 @@ class Scene:
         if not 0 < count < len(views):
             return views
         return tuple(views[i] for i in np.linspace(0, len(views) - 1, count).round().astype(int))
+
+    @cached_property
+    def from_inside(self) -> bool:
+        """Whether training photos look outwards, as in a room: over a quarter have the scene's centre behind them."""
+        poses = self.poses[list(self.split("train"))]
+        ahead = ((self.center - poses[:, :, 3]) * -poses[:, :, 2]).sum(1) > 0
+        return self.ndc is None and bool(ahead.sum() < INSIDE * len(ahead))
 
     def held_out(self) -> tuple[str, tuple[int, ...]]:
         """Return the split that evaluation uses by default (test, else val) and its views."""

@@ -68,3 +68,14 @@ def test_a_scene_is_printed_in_a_line() -> None:
     scene = load_scene(None, LoadOptions(downscale=8))
     assert repr(scene).startswith("Scene('demo', demo: photos of 25×25 pixels (")
     assert len(repr(scene)) < 200
+
+
+def test_cameras_that_look_outwards_are_inside(scene: Scene) -> None:
+    """The fixture's look at the middle; turned by half a turn about their own y axis, they look away from it."""
+    back = np.diag([-1.0, 1.0, -1.0])
+    turned = {i: np.column_stack([c2w[:, :3] @ back, c2w[:, 3]]) for i, c2w in enumerate(scene.poses)}
+    assert not scene.from_inside
+    assert scene.reposed(turned).from_inside
+    assert not scene.reposed({0: turned[0]}).from_inside  # a single one that looks away
+    assert not replace(scene.reposed(turned), ndc=Ndc(8, 8, 10.0, 1.0, 6.0)).from_inside
+    assert not replace(scene, splits={}).from_inside

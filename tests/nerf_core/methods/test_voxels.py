@@ -57,6 +57,17 @@ def around(scene: Scene) -> Scene:
     return replace(scene, synthetic=False)
 
 
+def test_a_room_has_constants_of_its_own(scene: Scene) -> None:
+    back = np.diag([-1.0, 1.0, -1.0])
+    turned = {i: np.column_stack([c2w[:, :3] @ back, c2w[:, 3]]) for i, c2w in enumerate(scene.poses)}
+    place, room = (VoxelConfig.configure(around(s), "auto", {}, CPU) for s in (scene, scene.reposed(turned)))
+    assert room.distortion > place.distortion
+    assert room.rate_density > place.rate_density
+    assert VoxelConfig.configure(scene.reposed(turned), "auto", {}, CPU) == VoxelConfig()  # an object has no walls
+    set_by_hand = VoxelConfig.configure(around(scene.reposed(turned)), "auto", {"distortion": "0"}, CPU)
+    assert set_by_hand.distortion == 0
+
+
 # ---- spaces -------------------------------------------------------------------------------------------------------
 
 
