@@ -1,8 +1,10 @@
 """Measure how near a model trained on the demo scene comes to the truth, which is known in closed form.
 
-    python tests/benchmarks/demo_truth.py [--seconds 300] [--downscale 2]
+    python tests/benchmarks/demo_truth.py [--seconds 300 | --steps 1000] [--downscale 2] [--set NAME=VALUE …]
 
-- Depth: the error of the rendered expected depth, at pixels of the test views that truly see a surface.
+- Depth: the error of the rendered expected depth, at pixels of the test views that truly see a surface, and its median
+  with the sign (bias; positive: too deep).
+- Speckle: the mean absolute difference between neighbouring pixels' errors of colour on the glossy ball.
 - Radiance: the error of the colour that the model emits towards training cameras that see a point, at true surface
   points that the test views see.
 - Spread: how much the emitted colour changes between those cameras, in the model and in truth, for the glossy ball and
@@ -40,21 +42,34 @@ CAMERAS = 8  # training cameras per point, at most
 def compare(trainer: Trainer, views: int = 3, points: int = POINTS, seed: int = 0) -> dict[str, float]:
     """Figures for the first `views` test views; lengths in scene units, colours on the [0, 1] scale of the photos."""
     scene, rng = trainer.scene, np.random.default_rng(seed)
-    depth_errors, hits = [], []
+    depth_errors, signed, speckles, hits = [], [], [], []
     for index in scene.split("test")[:views]:
         rays = camera_rays(scene.views[index].camera, scene.near, scene.far)
         rendered = Rendering.cat([trainer.method.render(rays)])
         t, normal, objects = demo_scene.hit(rays.origins.double().numpy(), rays.directions.double().numpy())
         solid = np.isfinite(t)
-        error = np.abs(rendered.depth.numpy()[solid] - t[solid])
+        signed.append(rendered.depth.numpy()[solid] - t[solid])
+        error = np.abs(signed[-1])
         depth_errors.append(np.where(np.isnan(error), scene.far - scene.near, error))  # a hole has the largest error
         met = rays.origins.numpy()[solid] + t[solid, None] * rays.directions.numpy()[solid]
         hits.append((met, normal[solid], objects[solid]))
+        truth = scene.images[index] / 65535
+        ball = (solid & (objects == demo_scene.BALL)).reshape(truth.shape[:2])
+        speckles.append(_speckle(rendered.color.numpy().reshape(truth.shape) - truth, ball))
     hit, normals, objects = (np.concatenate(v) for v in zip(*hits, strict=True))
     chosen = rng.choice(len(hit), min(points, len(hit)), replace=False)
     depth = np.concatenate(depth_errors)
     figures = {"depth_median": float(np.median(depth)), "depth_90": float(np.percentile(depth, 90))}
+    figures |= {"depth_bias": float(np.nanmedian(np.concatenate(signed)))}
+    figures |= {"speckle": float(np.concatenate(speckles).mean())}
     return figures | _radiance(trainer, hit[chosen], normals[chosen], objects[chosen], rng)
+
+
+def _speckle(error: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """How the errors (H, W, 3) of neighbours differ that both lie where a mask (H, W) says: (P, 3)."""
+    beside = np.abs(np.diff(error, axis=1))[where[:, 1:] & where[:, :-1]]
+    below = np.abs(np.diff(error, axis=0))[where[1:] & where[:-1]]
+    return np.concatenate([beside, below])
 
 
 def _radiance(
@@ -152,12 +167,16 @@ def _seen_from(point: np.ndarray, normal: np.ndarray, centres: np.ndarray, rng: 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=300.0, help="seconds of training")
+    parser.add_argument("--steps", type=int, default=0, help="instead: steps of training")
     parser.add_argument("--downscale", type=int, default=2)
+    parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="constants of the method")
     parser.add_argument("--method", default="auto")
     args = parser.parse_args()
-    trainer = Trainer(load_scene(None, LoadOptions(downscale=args.downscale)), RunSettings(method=args.method))
-    for goal in (0.0, args.seconds / 4, args.seconds):
-        while trainer.seconds < goal:
+    changes = dict(word.split("=", 1) for word in args.set)
+    scene = load_scene(None, LoadOptions(downscale=args.downscale))
+    trainer = Trainer(scene, RunSettings(method=args.method, changes=changes))
+    for part in (0.0, 0.25, 1.0):
+        while trainer.step_count < part * args.steps if args.steps else trainer.seconds < part * args.seconds:
             trainer.step()
         for what, found in (("picture", compare(trainer)), ("microscope", microscope(trainer))):
             figures = ", ".join(f"{name} {value:.4f}" for name, value in found.items())
