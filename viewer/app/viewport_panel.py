@@ -213,9 +213,9 @@ def _draw_corrections(ui: PanelUi, scene: Scene, found: PoseCorrections, overlay
         return
     thin, shade = max(1.0, ui.em / 14), (faded(SHADE, 0.3), max(1.0, ui.em / 14))
     before = [scene.views[found.views[n]].camera.moved(found.given[n]) for n in gone]
-    overlay.lines(*frusta(before, FRUSTUM_DEPTH * scene.radius), shade, (faded(ui.theme.accent, 0.25), thin))
+    overlay.lines(*frusta(before, FRUSTUM_DEPTH * scene.radius), shade, (faded(ui.theme.warning, 0.6), thin))
     now = scene.poses[found.views[gone], :, 3]
-    overlay.lines(found.given[gone, :, 3], now, shade, (faded(ui.theme.accent, 0.9), 2 * thin))
+    overlay.lines(found.given[gone, :, 3], now, shade, (faded(ui.theme.warning, 0.9), 2 * thin))
 
 
 def _point_at(ui: PanelUi, state: AppState, overlay: Overlay, ray: RayProbe) -> None:
