@@ -46,7 +46,8 @@ class ViewerOptions:
 
     train: TrainOptions
     data: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[DATA]")] = None
-    """Folder with posed photos, or a transforms.json; without it the demo scene, or an offer to continue."""
+    """Folder of photos with or without poses, a video, or a transforms.json; without it the demo scene, or an offer to
+    continue."""
     headless: bool = False
     """Draw offscreen (EGL): the same loop, panels and messages without a window."""
     size: str = "1440x900"

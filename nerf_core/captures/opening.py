@@ -45,4 +45,4 @@ def open_capture(
 
     posed = find_poses(raw, None, PoseOptions(quality=options.poses, lens=options.lens), tell)
     scene = load_scene(posed.folder, options, progress)
-    return replace(scene, notes=(*posed.notes, *scene.notes))
+    return replace(scene, notes=(*posed.notes, *scene.notes), posed=posed.summary)

@@ -57,6 +57,14 @@ class Posed:
     again: bool = False
 
     @property
+    def summary(self) -> str:
+        """Return how well it went, in a line."""
+        return phrase(
+            "{placed} of {photos} photos have a pose; {points:,} points, mean error {error:.2f} pixels",
+            placed=len(self.names) - len(self.unplaced), photos=len(self.names), points=self.points, error=self.error,
+        )  # fmt: skip
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """Return what to tell the user of the photos that have no pose."""
         if not self.unplaced:

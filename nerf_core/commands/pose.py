@@ -18,7 +18,9 @@ from nerf_core.common.output import complain, say
 from nerf_core.common.signals import Signals
 from nerf_core.common.text import duration
 from nerf_core.common.user_paths import own_path
+from nerf_core.datasets import DATASETS
 from nerf_core.datasets.capture import PoseLens, Quality
+from nerf_core.datasets.images import SUFFIXES
 
 
 @COMMANDS.register("pose")
@@ -50,7 +52,7 @@ class Pose:
             raise UserError(f"{source} does not exist: name a folder of photos, or a video")
         raw = raw_photos(source)
         if raw is None:
-            raise UserError(f"{source} holds no photos without poses: name a folder of photos, or a video")
+            raise UserError(f"{source} {_lacks(source)}: name a folder of photos, or a video")
         signals.be_polite()
         options = PoseOptions(self.quality, self.frames, self.minutes, self.memory_gb, self.lens)
         with Display("finding poses") as display:
@@ -59,15 +61,23 @@ class Pose:
                 signals.check()
                 words = f"{state.stage}: {state.done:,} of {state.total:,}"
                 words += f", {state.placed:,} placed" if state.placed and state.placed != state.done else ""
-                display.show(state.done / max(state.total, 1), words, state.seconds_left)
+                display.show(None, words, state.seconds_left)
 
             posed = find_poses(raw, None if self.out is None else own_path(self.out), options, show)
         for name, why in posed.unplaced:
             complain(f"without a pose: {name}: {why}")
         if posed.advice:
             complain(posed.advice)
-        placed = f"{len(posed.names) - len(posed.unplaced):,} of {len(posed.names):,} photos"
         found = "found again" if posed.again else f"found in {duration(posed.seconds)}"
-        say(f"{placed} have a pose, {posed.points:,} points, mean error {posed.error:.2f} pixels; {found}")
+        say(f"{posed.summary}; {found}")
         say(f"wrote {posed.folder}")
         return 0
+
+
+def _lacks(source: Path) -> str:
+    """Why no poses are searched for, after its name."""
+    if source.is_file():
+        return "is one photo" if source.suffix.lower() in SUFFIXES else "is no video"
+    if any(DATASETS.get(name).matches(source) for name in DATASETS.names()):
+        return "has poses already"
+    return "holds no photos"

@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar
 
 import tyro
 
+from nerf_core.captures.opening import open_capture
 from nerf_core.captures.report import capture_report
 from nerf_core.captures.report_html import check_files, write_report
 from nerf_core.commands import COMMANDS
@@ -17,7 +18,6 @@ from nerf_core.common.errors import UserError
 from nerf_core.common.output import say
 from nerf_core.common.signals import Signals
 from nerf_core.common.user_paths import absolute
-from nerf_core.datasets import load_scene
 from nerf_core.training.options import LoadingOptions
 
 
@@ -29,7 +29,8 @@ class Report:
     order: ClassVar[int] = 8
 
     data: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[DATA]")] = None
-    """Folder of the capture (or its .json file); none: the demo scene."""
+    """Folder of the capture (or its .json file), or photos without poses, which are found first; none: the demo
+    scene."""
     out: Path | None = None
     """The page, a .html file; its numbers go into a .json file beside it. By default SCENE-report.html in the current
     folder. Earlier reports of the name are replaced, other files are not."""
@@ -40,7 +41,7 @@ class Report:
         if self.out is not None:
             check_files(self.out)  # before the photos are loaded
         with loading() as progress:
-            scene = load_scene(self.data, options, progress)
+            scene = open_capture(self.data, options, progress)
         file = self.out or Path(f"{scene.name or 'capture'}-report.html")
         if self.out is None:
             _must_be_outside(self.data)

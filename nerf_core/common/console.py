@@ -49,8 +49,11 @@ class Display:
         if self._bar is not None:
             self._bar.stop()
 
-    def show(self, fraction: float, text: str, seconds_left: float | None = None) -> None:
-        """Show that `fraction` of the work is done. Calls that come too soon after the last shown one do nothing."""
+    def show(self, fraction: float | None, text: str, seconds_left: float | None = None) -> None:
+        """Show that `fraction` of the work is done. Calls that come too soon after the last shown one do nothing.
+
+        fraction: None: nobody knows, and the text says how far it is.
+        """
         now = time.monotonic()
         if now - self._shown < self._every:
             return
@@ -59,7 +62,8 @@ class Display:
             text += f", {duration(seconds_left)} left"
         if self._bar is None:
             self._every = min(self._every * LINES_GROW, LONGEST_SECONDS)
-            say(f"{self._title}: {fraction:.0%}, {text}")
+            say(f"{self._title}: {text}" if fraction is None else f"{self._title}: {fraction:.0%}, {text}")
         else:
-            self._bar.update(self._task, completed=fraction, text=printable(text))
+            total = None if fraction is None else 1.0  # without one, the bar moves to and fro
+            self._bar.update(self._task, completed=fraction or 0.0, total=total, text=printable(text))
             self._bar.refresh()

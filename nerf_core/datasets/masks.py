@@ -18,10 +18,9 @@ from nerf_core.common.errors import UserError
 from nerf_core.common.language import phrases
 from nerf_core.datasets.capture import Capture, LoadOptions, Photo
 from nerf_core.datasets.images import BROKEN, Header, UnreadableError, measure, opaque_pixels, oriented
-from nerf_core.datasets.photo_folders import FOLDER, MASK_END
+from nerf_core.datasets.photo_folders import FOLDER, MASK_END, MASK_FOLDERS
 from nerf_core.datasets.resample import average_rows
 
-FOLDERS = ("masks", "mask")
 OPAQUE = 1 - 1 / 255  # alpha from here on is opaque: averages of 1 are not exactly 1
 
 
@@ -45,9 +44,10 @@ def with_masks(capture: Capture) -> Capture:
 
 
 def masks_beside(photos: Sequence[Path]) -> list[Path | None]:
-    """Return the mask of each photo: images/NAME.mask.png, or masks/NAME.jpg.png or masks/NAME.png beside `images`.
+    """Return the mask of each photo: NAME.mask.png beside it, or masks/NAME.jpg.png or masks/NAME.png.
 
-    Of a link, also that of the photo that it leads to. None: there is none.
+    The folder of masks lies beside that of the photos or in it. Of a link, also that of the photo that it leads to.
+    None: there is none.
     """
     known: dict[Path, bool] = {}
     real = {folder: folder.resolve() for folder in {photo.parent for photo in photos}}
@@ -68,8 +68,8 @@ def _beside(photo: Path, known: dict[Path, bool]) -> Path | None:
     home = next((folder for folder in above if FOLDER.fullmatch(folder.name)), photo.parent)
     inside = photo.relative_to(home)
     number = home.name.removeprefix("images") if home.name.startswith("images") else ""
-    for name in dict.fromkeys(folder + end for end in (number, "") for folder in FOLDERS):
-        for folder in (home.parent / name, home / name) if home is photo.parent else (home.parent / name,):
+    for name in dict.fromkeys(folder + end for end in (number, "") for folder in MASK_FOLDERS):
+        for folder in (home.parent / name, home / name):
             if known.setdefault(folder, os.path.isdir(folder)):
                 candidates += [folder / f"{inside}.png", (folder / inside).with_suffix(".png")]
     return next((file for file in candidates if file != photo and os.path.isfile(file)), None)  # also of long names

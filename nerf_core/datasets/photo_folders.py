@@ -11,8 +11,7 @@ from nerf_core.common.language import phrase
 from nerf_core.datasets.images import SUFFIXES
 
 FOLDER = re.compile(r"images(?:_([1-9][0-9]{0,3}))?")
-
-
+MASK_FOLDERS = ("masks", "mask")  # beside the photos, or among them
 MASK_END = ".mask.png"  # of the mask that lies beside its photo
 
 
@@ -38,7 +37,9 @@ def photo_folders(root: Path) -> tuple[PhotoFolder, ...]:
 def photos_below(folder: Path) -> tuple[Path, ...]:
     """Return the image files below a folder, sorted by name, without masks and hidden ones (macOS: ._0001.jpg)."""
     files = sorted(f for f in folder.rglob("*") if f.suffix.lower() in SUFFIXES and not f.name.startswith("."))
-    return tuple(f for f in files if not f.name.lower().endswith(MASK_END))
+    return tuple(
+        f for f in files if not f.name.lower().endswith(MASK_END) and f.relative_to(folder).parts[0] not in MASK_FOLDERS
+    )
 
 
 def choose_folder(

@@ -50,7 +50,7 @@ def _fitting(path: Path) -> list[str]:
 def _nothing(path: Path) -> str:
     known = "; ".join(f"{n} ({DATASETS.get(n).files})" for n in DATASETS.names() if n != DEMO)
     if path.is_file():
-        return f"{path} is not a known dataset: {known}"
+        return f"{path} is no video and not a known dataset; name a folder of photos, or one of: {known}"
     inside = [folder for folder in sorted(path.iterdir()) if folder.is_dir()]
     nested = next((folder for folder in inside if _fitting(folder)), None)
     if nested is not None:
@@ -58,4 +58,4 @@ def _nothing(path: Path) -> str:
     photos = sum(f.suffix.lower() in SUFFIXES for folder in (path, *inside) for f in folder.iterdir())
     if photos:
         return f"{path} holds {counted(photos, 'photo')} without poses; formats that carry poses: {known}"
-    return f"{path} holds no dataset; known are: {known}"
+    return f"{path} holds no photos and no video; captures with poses that are known: {known}"

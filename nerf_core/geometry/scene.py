@@ -57,6 +57,7 @@ class Scene:
     synthetic: whether it is an object on a plain background (Blender's format), not photos of a place.
     ndc: the reference frustum if the scene is trained in normalised device coordinates, else None.
     notes: the reader's warnings, one line each.
+    posed: how well its poses were found, in a line; empty: they came with the capture.
     landmarks: rays worth watching from the first step: a name, and a position (x, y) in the first training photo, as
         shares of its width and height.
     points: (P, 3) float32 some of the capture's sparse points in scene units; None: it has none.
@@ -79,6 +80,7 @@ class Scene:
     ndc: Ndc | None = None
     notes: tuple[str, ...] = ()
     landmarks: tuple[tuple[str, float, float], ...] = ()
+    posed: str = ""
     points: np.ndarray | None = None
 
     def __repr__(self) -> str:

@@ -82,7 +82,13 @@ def _stages(ui: Ui, posing: PoseProgress) -> None:
 
 
 def _idle(ui: Ui, state: AppState) -> None:
-    """What can be opened, and how carefully its poses are found."""
+    """How well poses were found, what can be opened, and how carefully its poses are found."""
+    scene = state.snapshot.scene
+    if scene is not None and scene.posed:
+        imgui.text_colored(ui.theme.good, icons.ICON_FA_CHECK)
+        imgui.same_line(2 * ui.em)
+        imgui.text_wrapped(tr(scene.posed))
+        imgui.spacing()
     text = tr(
         "Open a folder of photos or a video in the Scene panel. If it has no poses, they are found "
         "first: the cameras find their places in the viewport, then training begins."

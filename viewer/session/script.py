@@ -270,7 +270,7 @@ class Script:
 
         def and_show(s: Snapshot) -> bool:
             if bar is not None and s.loading:
-                bar.show(0, s.loading)
+                bar.show(None, s.loading)
             return done(s)
 
         self._wait(and_show)

@@ -15,7 +15,7 @@ import glfw  # isort: skip
 from nerf_core.common.assets import assets_dir
 from nerf_core.common.errors import UserError
 
-from . import DEBIAN_PACKAGES, DisplayError
+from . import DEBIAN_PACKAGES, DEFAULT_SIZE, DisplayError
 from .glfw_keys import CURSORS, KEYS, MODIFIERS
 from .triton_first import bind_triton
 from .x11_connection import when_connection_is_lost
@@ -109,6 +109,13 @@ class GlfwWindow:
             error = _glfw_error()
             glfw.terminate()
             raise UserError(f"cannot open a window with OpenGL 3.3: {error}: install {DEBIAN_PACKAGES}")
+        monitor = glfw.get_primary_monitor()
+        if visible and monitor and size == DEFAULT_SIZE:  # a size that was asked for is kept
+            *_, width, height = glfw.get_monitor_workarea(monitor)
+            now = glfw.get_window_size(handle)
+            fitting = min(now[0], width), min(now[1], height)
+            if fitting != now and min(fitting) > 0:
+                glfw.set_window_size(handle, *fitting)
         return handle
 
     def _set_icon(self) -> None:

@@ -26,6 +26,10 @@ def test_a_folder_of_photos_becomes_a_run(tmp_path: Path, capsys: pytest.Capture
     assert main(train) == 0  # they are found again
     assert main(["eval", run]) == 0
     assert "finding features" not in capsys.readouterr().out
+    page = tmp_path / "report.html"
+    assert main(["report", photos, "--poses", "fast", "--downscale", "8", "--out", str(page)]) == 0
+    assert page.is_file()
+    capsys.readouterr()
     assert main(["pose", photos, "--quality", "fast"]) == 0
     assert "found again" in capsys.readouterr().out
 
@@ -34,7 +38,10 @@ def test_a_folder_of_photos_becomes_a_run(tmp_path: Path, capsys: pytest.Capture
     ("arguments", "words"),
     [
         (["gone"], "does not exist"),
-        (["empty"], "holds no photos without poses"),
+        (["empty"], "empty holds no photos: name a folder of photos, or a video"),
+        (["two/photo 0.png"], "is one photo: name"),
+        (["posed"], "has poses already"),
+        (["text"], "text is no video: name"),
         (["two"], "holds 2 photos: at least 3 are needed"),
         (["two", "--minutes", "0"], "--minutes is 0.0"),
     ],
@@ -49,6 +56,9 @@ def test_errors_are_one_line(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "empty").mkdir()
     textured_photos.write(tmp_path / "two", textured_photos.arc(2))
+    (tmp_path / "posed").mkdir()
+    (tmp_path / "posed/transforms.json").write_text("{}")
+    (tmp_path / "text").write_text("")
     assert main(["pose", *arguments]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert words in line

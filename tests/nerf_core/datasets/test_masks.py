@@ -24,7 +24,8 @@ def save(mask: np.ndarray, path: Path) -> None:
 
 
 @pytest.mark.parametrize("where", [
-    "masks/0003.png", "mask/0003.png", "masks/0003.png.png", "images/0003.mask.png", "images/0003.png.mask.png",
+    "masks/0003.png", "mask/0003.png", "images/masks/0003.png",
+    "masks/0003.png.png", "images/0003.mask.png", "images/0003.png.mask.png",
 ])  # fmt: skip
 def test_masks_are_found_beside_the_photos(transforms_folder: Folder, where: str) -> None:
     folder, _ = transforms_folder

@@ -40,6 +40,7 @@ def test_poses_are_found_and_training_begins(open_desk: OpenDesk, photos: Path, 
     shown = desk.until(lambda s: s.status == "finished")
     assert shown.posing is None
     assert shown.scene is not None
+    assert shown.scene.posed.startswith("8 of 8 photos have a pose; ")
     assert (len(shown.scene.views), shown.scene.name) == (8, "photos")
 
 

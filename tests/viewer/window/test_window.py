@@ -114,6 +114,21 @@ def test_real_keys_and_buttons_reach_imgui(display: str, monkeypatch: pytest.Mon
     window.close()
 
 
+def test_a_window_of_the_usual_size_fits_on_a_small_screen(
+    display: str, monkeypatch: pytest.MonkeyPatch, imgui_context: None
+) -> None:
+    monkeypatch.setenv("DISPLAY", display)
+    from viewer.window import DEFAULT_SIZE
+    from viewer.window.glfw_window import GlfwWindow, glfw
+
+    monkeypatch.setattr(glfw, "get_monitor_workarea", lambda _: (0, 30, 1000, 700))
+    for size, found in ((DEFAULT_SIZE, (1000, 700)), ((1200, 720), (1200, 720))):  # one that is asked for is kept
+        window = GlfwWindow("test", size)
+        settle(window)
+        assert window.size() == found
+        window.close()
+
+
 def test_a_missing_display_is_an_error_of_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
