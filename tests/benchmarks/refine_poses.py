@@ -2,8 +2,9 @@
 
     python tests/benchmarks/refine_poses.py CAPTURE… demo --downscale 4 --steps 600
 
-The pose of every photo is turned by --degrees about a random axis and shifted in a random direction by --percent of
-the camera's distance from the scene's centre. Errors are those of training cameras, after the similarity (turn, shift
+The pose of every photo, or of --photos training photos, is turned by --degrees about a random axis and shifted in a
+random direction by --percent of the camera's distance from the scene's centre. Errors are those of disturbed training
+cameras, after the similarity (turn, shift
 and scaling) that brings them closest to the true ones: median and RMS, of turns in degrees, of places in
 percent of that distance. Held-out photos are seen from their true poses, brought into the frame of the refined cameras
 by the similarity the other way round: no pose is fitted to them. "undisturbed" trains on the capture's own poses.
@@ -26,10 +27,16 @@ from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
 
 
-def disturbed(scene: Scene, degrees: float, percent: float, seed: int) -> Scene:
-    """Return the scene with every pose turned and shifted at random."""
+def chosen(scene: Scene, photos: int) -> list[int]:
+    """Return so many training photos, evenly spread; 0: all photos of all splits."""
+    return list(scene.trained(photos)) if photos else list(range(len(scene.views)))
+
+
+def disturbed(scene: Scene, degrees: float, percent: float, seed: int, photos: int) -> Scene:
+    """Return the scene with poses turned and shifted at random."""
     rng, poses = np.random.default_rng(seed), {}
-    for i, view in enumerate(scene.views):
+    for i in chosen(scene, photos):
+        view = scene.views[i]
         axis, way = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
         c2w, reach = view.camera.c2w, np.linalg.norm(view.camera.c2w[:, 3] - scene.center)
         shifted = c2w[:, 3] + percent / 100 * reach * way
@@ -52,14 +59,16 @@ def similarity(poses: np.ndarray, onto: np.ndarray, center: np.ndarray) -> tuple
     return scale, turn, onto[:, :, 3].mean(0) - scale * turn @ poses[:, :, 3].mean(0)
 
 
-def errors(scene: Scene, truth: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return the errors of the training cameras, in degrees and in percent of their distance from the centre."""
+def errors(scene: Scene, truth: Scene, photos: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the errors of disturbed training cameras, in degrees and in percent of their distance from the centre."""
     views = list(truth.split("train"))
+    asked = np.isin(views, chosen(truth, photos))
     ours, true = scene.poses[views], truth.poses[views]
     scale, turn, shift = similarity(ours, true, truth.center)
     turned = np.linalg.norm(turn_of(np.swapaxes(true[:, :, :3], 1, 2) @ turn @ ours[:, :, :3]), axis=-1)
     away = np.linalg.norm(scale * ours[:, :, 3] @ turn.T + shift - true[:, :, 3], axis=-1)
-    return np.degrees(turned), 100 * away / np.linalg.norm(true[:, :, 3] - truth.center, axis=-1)
+    share = away / np.linalg.norm(true[:, :, 3] - truth.center, axis=-1)
+    return np.degrees(turned)[asked], 100 * share[asked]
 
 
 def held_out(trainer: Trainer, truth: Scene) -> float:
@@ -82,7 +91,7 @@ def said(turned: np.ndarray, away: np.ndarray) -> str:
 
 
 def runs(scene: Scene, args: argparse.Namespace) -> Iterator[tuple[str, Scene, bool]]:
-    wrong = disturbed(scene, args.degrees, args.percent, args.seed)
+    wrong = disturbed(scene, args.degrees, args.percent, args.seed, args.photos)
     for name, given in (("disturbed", wrong), ("undisturbed", scene)):
         for refine in (True, False):
             if name in args.only and (refine or not args.refined_only):
@@ -97,6 +106,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=600)
     parser.add_argument("--degrees", type=float, default=1.0)
     parser.add_argument("--percent", type=float, default=1.0)
+    parser.add_argument("--photos", type=int, default=0, help="how many training photos are disturbed; 0: all photos")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", nargs="+", default=["disturbed", "undisturbed"])
     parser.add_argument("--refined-only", action="store_true")
@@ -108,12 +118,16 @@ def main() -> None:
         for name, given, refine in runs(scene, args):
             changes = dict(text.split("=") for text in args.set)
             trainer = Trainer(given, RunSettings(method=args.method, refine_poses=refine, changes=changes))
-            print(f"{scene.name}, {name}: at first {said(*errors(trainer.scene, scene))}", flush=True)
+            print(f"{scene.name}, {name}: at first {said(*errors(trainer.scene, scene, args.photos))}", flush=True)
             while trainer.step_count < args.steps:
                 trainer.step()
                 if args.every and trainer.step_count % args.every == 0:
-                    print(f"  step {trainer.step_count}: {said(*errors(trainer.scene, scene))}", flush=True)
-            print(f"{scene.name}, {name}: at step {trainer.step_count} {said(*errors(trainer.scene, scene))}")
+                    print(
+                        f"  step {trainer.step_count}: {said(*errors(trainer.scene, scene, args.photos))}", flush=True
+                    )
+            print(
+                f"{scene.name}, {name}: at step {trainer.step_count} {said(*errors(trainer.scene, scene, args.photos))}"
+            )
             print(f"  held out {held_out(trainer, scene):.2f} dB, {trainer.seconds:.0f} s", flush=True)
             if trainer.corrections is not None:
                 print(f"  {trainer.corrections.rounds} rounds, {trainer.corrections.summary()}", flush=True)
