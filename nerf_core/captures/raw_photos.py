@@ -68,12 +68,12 @@ def raw_photos(path: Path | None) -> RawPhotos | None:
 def _found(path: Path) -> RawPhotos | None:
     if path.is_file():
         return RawPhotos(path, path.parent, (), path) if path.suffix.lower() in VIDEOS else None
-    if not path.is_dir() or _is_capture(path):
+    if not path.is_dir() or is_capture(path):
         return None
     photos, root = _photos(path), path
     if not photos:
         inside = [f for f in sorted(path.iterdir()) if f.is_dir() and not f.name.startswith((".", "__", "mask"))]
-        if any(map(_is_capture, inside)):
+        if any(map(is_capture, inside)):
             return None  # that capture is meant, and the error says so
         folders = photo_folders(path)
         if folders and folders[0].files:
@@ -89,7 +89,8 @@ def _found(path: Path) -> RawPhotos | None:
     return RawPhotos(path, path, (), videos[0]) if videos else None
 
 
-def _is_capture(path: Path) -> bool:
+def is_capture(path: Path) -> bool:
+    """Return whether a format with poses reads a path."""
     return any(DATASETS.get(name).matches(path) for name in DATASETS.names())
 
 

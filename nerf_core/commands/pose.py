@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from nerf_core.captures.posing import find_poses
-from nerf_core.captures.raw_photos import raw_photos
+from nerf_core.captures.raw_photos import is_capture, raw_photos
 from nerf_core.captures.records import PoseOptions, PoseProgress
 from nerf_core.commands import COMMANDS
 from nerf_core.common.console import Display
@@ -18,7 +18,6 @@ from nerf_core.common.output import complain, say
 from nerf_core.common.signals import Signals
 from nerf_core.common.text import duration
 from nerf_core.common.user_paths import own_path
-from nerf_core.datasets import DATASETS
 from nerf_core.datasets.capture import PoseLens, Quality
 from nerf_core.datasets.images import SUFFIXES
 
@@ -78,6 +77,6 @@ def _lacks(source: Path) -> str:
     """Why no poses are searched for, after its name."""
     if source.is_file():
         return "is one photo" if source.suffix.lower() in SUFFIXES else "is no video"
-    if any(DATASETS.get(name).matches(source) for name in DATASETS.names()):
+    if is_capture(source):
         return "has poses already"
     return "holds no photos"

@@ -25,6 +25,7 @@ Correct = Callable[[np.ndarray], np.ndarray]
 TURN, SHIFT = np.radians(1.0), 0.01  # prior of a step: 1°, and 1 % of the depth
 KNOWN = 0.2  # share of a photo's variance that the model must explain: else they say nothing about the pose
 CELLS = 8  # parts along a side of a photo: pixels of one cell are wrong together, those of two count as independent
+FEWEST_CELLS = 5  # that left-out pixels are in: the sums over one alone always agree
 HIT = 0.5  # of a pixel's light; with less, its depth is that of the rest of the photo
 CANDIDATES = 4  # pixels of which one is drawn
 INDEPENDENT = 0.1  # so many residuals count as independent, as a share of all: neighbours are wrong together
@@ -161,15 +162,16 @@ def gain(before: Comparison, after: Comparison) -> tuple[float, float, float]:
     """Return by how much the pixels of two comparisons agree better in the second, the standard error, and the cost.
 
     The cost is the mean of ρ(r) before, with the ρ of `solved`, and the gain is what is left out of it after. Pixels
-    near each other are wrong together, so the error is that of sums over cells: √(Σ_c (Σ_p∈c (g_p − ḡ))²) / P. A model
-    that does not know the photo cannot tell: then all are 0.
+    near each other are wrong together, so the error is that of sums over cells: √(Σ_c (Σ_p∈c (g_p − ḡ))²) / P. Pixels
+    of a few cells cannot tell, and neither can a model that does not know the photo: then all are 0.
     """
-    if len(before.off) < 2 or not _known(before):
+    cells = before.cells @ (1, CELLS)
+    if len(np.unique(cells)) < FEWEST_CELLS or not _known(before):
         return 0.0, 0.0, 0.0
     scale = spread(before.off)
     cost = _cost(before.off, scale).mean(-1)
     gains = cost - _cost(after.off, scale).mean(-1)
-    sums = np.bincount(before.cells @ (1, CELLS), gains - gains.mean())
+    sums = np.bincount(cells, gains - gains.mean())
     return float(gains.mean()), float(np.sqrt((sums**2).sum()) / len(gains)), float(cost.mean())
 
 

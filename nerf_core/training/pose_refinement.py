@@ -31,7 +31,7 @@ SMALLEST, ROUNDS = 64, 6  # longest side of the photos in their first rounds, in
 LEAST_STRIDE, MOST_STRIDE = 1 / 8, 2.0  # of a step: a model that remembers the old poses shows half of an error
 WRONG = 0.05  # share of the cost that a round saves if the capture's poses are wrong
 CERTAIN = 3.0  # standard errors by which left-out pixels must agree better
-Corrections = tuple[np.ndarray, np.ndarray, float, bool]  # poses (N, 3, 4), outcomes (N,), and what comes after them
+Corrections = tuple[np.ndarray, np.ndarray, float, bool]  # poses (N, 3, 4), outcomes (N,), stride and wrong
 
 
 def shrink_of(longest: int, rounds: int) -> int:
@@ -73,8 +73,8 @@ def fitted(method: Method, scene: Scene, view: int) -> np.ndarray:
             continue
         step = solved(compared(method, scene, target, pose, pixels[~out]), between(given, pose))
         wanted = moved(pose, step)
-        better, error, _ = gain(*(compared(method, scene, target, p, pixels[out]) for p in (pose, wanted)))
-        pose = wanted if better > CERTAIN * error else pose
+        found, error, _ = gain(*(compared(method, scene, target, p, pixels[out]) for p in (pose, wanted)))
+        pose = wanted if found > CERTAIN * error else pose
     return pose
 
 
@@ -160,8 +160,9 @@ class PoseRefinement:
             if out.any() and not out.all():
                 found = compared(method, self.scene, target, self.poses[n], pixels[~out])
                 step = solved(found, between(self.given[n], self.poses[n]))
-                wanted[n] = moved(self.poses[n], self.stride * step)
-                left_out[n] = target, pixels[out]
+                if np.isfinite(step).all():  # a model that diverges is told after the step
+                    wanted[n] = moved(self.poses[n], self.stride * step)
+                    left_out[n] = target, pixels[out]
         wanted = self._without_gauge(wanted)
         poses, outcome = self.poses.copy(), self.outcome.copy()
         gains = np.zeros((len(left_out), 3))

@@ -269,7 +269,7 @@ def _why_empty(state: AppState) -> tuple[str, str]:
             if state.not_opened:
                 another = tr("{keys} opens another folder of photos").format(keys=keys)
                 return tr("Nothing is open"), f"{tr(state.not_opened)}\n{another}"
-            return tr("Nothing is open"), tr("{keys} opens a folder of posed photos").format(keys=keys)
+            return tr("Nothing is open"), tr("{keys} opens a folder of photos").format(keys=keys)
         case _:
             return tr("The first picture is on its way"), ""
 

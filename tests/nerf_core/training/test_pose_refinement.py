@@ -14,6 +14,7 @@ import torch
 from nerf_core.common.errors import UserError
 from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.geometry.photos import Photos
+from nerf_core.geometry.rays import Rays, Rendering
 from nerf_core.geometry.scene import Scene
 from nerf_core.training import checkpoint
 from nerf_core.training.evaluate import Selection, evaluate
@@ -140,6 +141,8 @@ def test_the_gain_of_a_pose_has_the_error_of_cells_and_needs_a_model_that_explai
     assert certainty(0.2 * noise) < -3
     assert abs(certainty(0.1 * rng.permutation(noise))) < 3
     assert gain(off(0.5 * noise), off(0.25 * noise)) == (0, 0, 0)  # a variance of 0.25, of 1/12
+    crowded = replace(off(0.1 * noise), cells=np.zeros_like(cells))  # the only sum is 0: it would be certain of all
+    assert gain(crowded, replace(crowded, off=0.09 * noise)) == (0, 0, 0)
     # 64 cells that are better or worse as a whole are 64 values, and no more
     size = np.where(rng.normal(size=(8, 8, 1)) > -0.3, 0.08, 0.11)[cells[:, 0], cells[:, 1]]
     scale = np.sqrt((noise**2).mean()) / 10  # of Geman and McClure's cost
@@ -177,6 +180,20 @@ def test_right_poses_stay(demo: Scene) -> None:
     assert found.rounds >= 3
     assert found.stayed > 0.8 * len(found.views)
     assert found.turned.mean() < 0.02
+
+
+def test_a_model_that_is_not_finite_moves_no_camera(demo: Scene) -> None:
+    trainer = trained(demo, 2, refine=False)
+    refinement = PoseRefinement(demo, demo.split("train")[:4], 0)
+    render = trainer.method.render
+
+    def broken(rays: Rays) -> Rendering:
+        drawn = render(rays)
+        return replace(drawn, color=torch.full_like(drawn.color, torch.nan))
+
+    trainer.method.render = broken
+    rounds(refinement, trainer, 2)
+    assert (refinement.poses == refinement.given).all()
 
 
 def test_all_photos_of_many_have_their_turn(demo: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
