@@ -182,7 +182,7 @@ def test_right_poses_stay(demo: Scene) -> None:
     assert found.turned.mean() < 0.02
 
 
-def test_a_model_that_is_not_finite_moves_no_camera(demo: Scene) -> None:
+def test_a_model_that_is_not_finite_moves_no_camera(demo: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     trainer = trained(demo, 2, refine=False)
     refinement = PoseRefinement(demo, demo.split("train")[:4], 0)
     render = trainer.method.render
@@ -191,7 +191,7 @@ def test_a_model_that_is_not_finite_moves_no_camera(demo: Scene) -> None:
         drawn = render(rays)
         return replace(drawn, color=torch.full_like(drawn.color, torch.nan))
 
-    trainer.method.render = broken
+    monkeypatch.setattr(trainer.method, "render", broken)
     rounds(refinement, trainer, 2)
     assert (refinement.poses == refinement.given).all()
 
