@@ -16,7 +16,7 @@ from nerf_core.lab.records import Advance, Result, Row
 from nerf_core.lab.study import Bench, Study, Subject
 
 SCHEME = "ray://"
-RETRIES = 3  # of a row whose worker is lost
+RETRIES = 3  # of a row whose worker is lost, and of a connection that a busy cluster breaks off
 CONNECT_SECONDS = 5.0
 WAIT_SECONDS = 0.3  # between looks at the cluster, in which Ctrl-C can come
 CORES = 1  # of a task; a row trains on so many threads
@@ -58,13 +58,7 @@ def _on_cluster(address: str, job: StudyJob, rows: tuple[Row, ...]) -> Rows:
         raise UserError("--workers: a photo is not sent to them: leave --workers out")
     if getattr(job.study, "lpips_weights", ""):
         raise UserError("--workers: the file of --lpips-weights is not sent to them: leave one of the two out")
-    host, _, port = address.removeprefix(SCHEME).rpartition(":")
-    try:
-        socket.create_connection((host, int(port)), CONNECT_SECONDS).close()  # Ray itself waits half a minute
-        client: Any = ray.init(address, logging_level=logging.ERROR, log_to_driver=False)
-    except (ConnectionError, RuntimeError, ValueError, OSError) as error:
-        reason = shorten(" ".join(str(error).split()), 120)
-        raise UserError(f"--workers {address}: no cluster answers ({reason}): start one with `ray start`") from None
+    client = _connected(address)
     try:
         task: Any = ray.remote(num_cpus=CORES, max_retries=RETRIES)(done_elsewhere)
         subject = ray.put(job.subject._replace(threads=CORES))
@@ -84,6 +78,31 @@ def _on_cluster(address: str, job: StudyJob, rows: tuple[Row, ...]) -> Rows:
         raise UserError(f"--workers {address}: the cluster is lost ({reason}): rows that are done are kept") from None
     finally:
         client.disconnect()  # which ends the tasks that are not done
+
+
+def _connected(address: str) -> Any:
+    """Return a connection to a cluster.
+
+    Raises:
+        UserError: there is no cluster, or it does not let this program in.
+    """
+    import ray
+
+    host, _, port = address.removeprefix(SCHEME).rpartition(":")
+    attempts = 0
+    while True:
+        try:
+            socket.create_connection((host, int(port)), CONNECT_SECONDS).close()  # Ray itself waits half a minute
+            return ray.init(address, logging_level=logging.ERROR, log_to_driver=False)
+        except ConnectionAbortedError as error:  # it starts a process for each program: too slowly, if it is busy
+            attempts += 1
+            if attempts > RETRIES:
+                reason = shorten(str(error).strip().splitlines()[-1], 120)  # the last line of its traceback
+                text = f"the cluster does not let us in ({reason}): look at its logs, or start it again"
+                raise UserError(f"--workers {address}: {text}") from None
+        except (ConnectionError, RuntimeError, ValueError, OSError) as error:
+            reason = shorten(" ".join(str(error).split()), 120)
+            raise UserError(f"--workers {address}: no cluster answers ({reason}): start one with `ray start`") from None
 
 
 def _fetched(reference: Any, bench: Bench) -> Result:

@@ -16,11 +16,11 @@ from pathlib import Path
 import pytest
 
 from nerf_core.common.errors import UserError
-from nerf_core.lab.workers import rows_on
+from nerf_core.lab.workers import RETRIES, _connected, rows_on
 
 pytestmark = pytest.mark.skipif(find_spec("ray") is None, reason="needs the extra nerf-viewer[ray]")
 ROOT = Path(__file__).parents[3]
-PATIENCE = 200.0  # seconds
+PATIENCE = 200  # seconds
 TASK = b"ray::done_elsewhere"  # the name that Ray gives to a process while it does a row
 
 
@@ -38,6 +38,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, int
                f"--port={free_port()}", f"--ray-client-server-port={port}", "--include-dashboard=false",
                "--disable-usage-stats"]  # fmt: skip
     env = os.environ | {"PYTHONPATH": str(ROOT), "RAY_USAGE_STATS_ENABLED": "0", "RAY_worker_niceness": "0"}
+    env["RAY_CLIENT_SERVER_CHECK_CHANNEL_TIMEOUT_S"] = str(PATIENCE)  # for a process a program; its own is 30
     log = tmp_path_factory.mktemp("ray") / "log"
     with log.open("wb") as file, subprocess.Popen(
         command, env=env, stdout=file, stderr=file, start_new_session=True
@@ -134,6 +135,27 @@ def test_no_cluster_is_said_in_one_line(capture: Path, tmp_path: Path) -> None:
         said = study.stdout.read().strip()
         assert study.wait(PATIENCE) == 2, said
     assert said.splitlines()[-1].startswith(f"nerf-core: --workers {address}: no cluster answers")
+
+
+def test_a_busy_cluster_is_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    import ray
+
+    answers: list[object] = []
+
+    def init(address: str, **options: object) -> object:
+        if not answers or answers.pop(0) is None:
+            raise ConnectionAbortedError(
+                "Initialization failure from server:\nTraceback:\n  …\nRuntimeError: no channel\n"
+            )
+        return address
+
+    monkeypatch.setattr(ray, "init", init)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"ray://127.0.0.1:{server.getsockname()[1]}"
+        answers[:] = [None] * RETRIES + [True]
+        assert _connected(address) == address
+        with pytest.raises(UserError, match=r"the cluster does not let us in \('RuntimeError: no channel'\): look"):
+            _connected(address)
 
 
 @pytest.mark.parametrize("address", ["ray://", "localhost:10001", "dask://x:1"])
