@@ -16,7 +16,7 @@ from nerf_core.lab.records import Advance, Result, Row
 from nerf_core.lab.study import Bench, Study, Subject
 
 SCHEME = "ray://"
-RETRIES = 3  # of a row whose worker is lost, and of a connection that a busy cluster breaks off
+RETRIES = 3  # of a row whose worker is lost, and of a connection that the cluster breaks off
 CONNECT_SECONDS = 5.0
 WAIT_SECONDS = 0.3  # between looks at the cluster, in which Ctrl-C can come
 CORES = 1  # of a task; a row trains on so many threads
@@ -94,7 +94,7 @@ def _connected(address: str) -> Any:
         try:
             socket.create_connection((host, int(port)), CONNECT_SECONDS).close()  # Ray itself waits half a minute
             return ray.init(address, logging_level=logging.ERROR, log_to_driver=False)
-        except ConnectionAbortedError as error:  # it starts a process for each program: too slowly, if it is busy
+        except ConnectionAbortedError as error:  # the process that it forks for a program may crash or be late
             attempts += 1
             if attempts > RETRIES:
                 reason = shorten(str(error).strip().splitlines()[-1], 120)  # the last line of its traceback
