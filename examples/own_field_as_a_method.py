@@ -20,7 +20,7 @@ from nerf_core.geometry.rays import Rays, Rendering, Samples, Trace
 from nerf_core.geometry.scene import Scene
 from nerf_core.geometry.spaces import Space
 from nerf_core.methods import METHODS, Defaults, Draw
-from nerf_core.methods.adam_state import adam_state, load_adam
+from nerf_core.methods.adam import adam_state, load_adam
 from nerf_core.methods.stages import Stage, absorption_stage, field_stage
 from nerf_core.volume.compositing import absorb, composite, expected_depth
 

@@ -29,7 +29,7 @@ from torch.nn import functional
 
 from nerf_core.common.configs import check_ranges, constant
 from nerf_core.datasets.resample import average_rows
-from nerf_core.methods.adam_state import adam_state, load_adam
+from nerf_core.methods.adam import Adam, adam_state, load_adam
 from nerf_core.training.metrics import psnr
 
 MAPPINGS = ("none", "basic", "positional", "gaussian")
@@ -152,8 +152,7 @@ class _Learner:
         self.b = frequencies(name, config, torch.randn(config.features, 2, generator=start)).to(device)
         self.net = network(2 * len(self.b) or 2, config.width, start).to(device)
         rate = config.plain_learning_rate if name in ("none", "basic") else config.learning_rate
-        # fused: it reads and writes each parameter once; the equations are the same
-        self.optimizer = torch.optim.Adam(self.net.parameters(), lr=rate, fused=True)
+        self.optimizer = Adam(self.net.parameters(), lr=rate)
         self.generator = torch.Generator().manual_seed(seed + 1)  # all mappings draw the same batches
         self.steps = 0
 

@@ -16,7 +16,7 @@ from nerf_core.common.language import marked
 from nerf_core.lab.flatland.network import FlatNetwork
 from nerf_core.lab.flatland.rays import PIXELS, FlatRays, camera_rays, ring
 from nerf_core.lab.flatland.world import World
-from nerf_core.methods.adam_state import adam_state, load_adam
+from nerf_core.methods.adam import Adam, adam_state, load_adam
 from nerf_core.volume.compositing import absorb, composite
 from nerf_core.volume.sampling import inverse_transform, spaced, stratified
 
@@ -100,9 +100,7 @@ class FlatFit:
         start = torch.Generator().manual_seed(config.seed)
         self.networks = {name: FlatNetwork(config.frequencies, config.directions, start) for name in ("coarse", "fine")}
         # one for each network: without fine samples, the fine one has no gradients, and its optimiser no state
-        self.optimizers = {
-            name: torch.optim.Adam(net.parameters(), lr=RATE, fused=True) for name, net in self.networks.items()
-        }
+        self.optimizers = {name: Adam(net.parameters(), lr=RATE) for name, net in self.networks.items()}
         self.generator = torch.Generator().manual_seed(config.seed + 1)
         grain = torch.Generator().manual_seed(config.seed + 2)  # its own: the photos do not depend on the networks
         noise = torch.randn(len(truth.training) * PIXELS, 3, generator=grain)

@@ -25,7 +25,7 @@ from nerf_core.geometry.spaces import Space, pixel_size
 from nerf_core.kernels.choice import packed_kernels
 from nerf_core.kernels.packed_kernels import BETA1, BETA2, EPSILON, BoxSamples, HashLevels, adam_numbers
 from nerf_core.methods import Defaults, Draw
-from nerf_core.methods.adam_state import adam_state, load_adam
+from nerf_core.methods.adam import Adam, adam_state, load_adam
 from nerf_core.methods.hash.config import HashConfig
 from nerf_core.methods.hash.field import HashField
 from nerf_core.methods.hash.fixed_step import FixedStep
@@ -76,10 +76,9 @@ class HashModel(Defaults):
         self.moments = torch.zeros_like(self.field.table), torch.zeros_like(self.field.table)
         # values that change from step to step are kept in tensors, where a recorded step reads them
         self.rate, self.numbers = torch.tensor(config.learning_rate, device=device), torch.zeros(3, device=device)
-        self.optimizer = torch.optim.Adam(
-            self.field.networks(), lr=self.rate, betas=(BETA1, BETA2), eps=EPSILON, fused=True,
-            capturable=device.type == "cuda",
-        )  # fmt: skip
+        self.optimizer = Adam(
+            self.field.networks(), lr=self.rate, betas=(BETA1, BETA2), eps=EPSILON, capturable=device.type == "cuda"
+        )
         for parameter in self.field.networks():
             parameter.grad = torch.zeros_like(parameter)
         self.updates = 0

@@ -12,7 +12,7 @@ from torch import Tensor
 from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Defaults
-from nerf_core.methods.adam_state import adam_state, load_adam
+from nerf_core.methods.adam import Adam, adam_state, load_adam
 from nerf_core.methods.mlp.field import MlpField
 
 
@@ -40,10 +40,7 @@ class MlpModel(Defaults):
         self.background = torch.tensor(scene.background, device=device)
         start = torch.Generator().manual_seed(generator.initial_seed())
         self.networks = {name: self._network(start) for name in names}
-        # Adam's fused form reads and writes each parameter once; the equations are the same.
-        self.optimizer = torch.optim.Adam(
-            self.parameters(), lr=config.learning_rate, eps=config.adam_epsilon, fused=True
-        )
+        self.optimizer = Adam(self.parameters(), lr=config.learning_rate, eps=config.adam_epsilon)
         for parameter in (
             self.parameters()
         ):  # Adam skips parameters without a gradient; with zeros a resumed run does the same as the first

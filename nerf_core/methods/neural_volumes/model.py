@@ -15,7 +15,7 @@ from nerf_core.geometry.rays import Rays, Rendering, Samples, Trace
 from nerf_core.geometry.scene import Scene
 from nerf_core.geometry.spaces import Space
 from nerf_core.methods import Defaults, Draw
-from nerf_core.methods.adam_state import adam_state, load_adam
+from nerf_core.methods.adam import Adam, adam_state, load_adam
 from nerf_core.methods.neural_volumes.config import NeuralVolumesConfig
 from nerf_core.methods.neural_volumes.decoder import Chain, Decoder, Volume, applied, sampled
 from nerf_core.methods.neural_volumes.march import Box, March, add_up
@@ -46,7 +46,7 @@ class NeuralVolumesModel(Defaults):
         self.net.initialise(torch.Generator().manual_seed(seed))
         self.net.to(device)
         self.shown = deepcopy(self.net).requires_grad_(False)  # the EMA of the weights, which pictures show
-        self.optimizer = torch.optim.Adam(self.parameters(), lr=config.learning_rate, fused=True)
+        self.optimizer = Adam(self.parameters(), lr=config.learning_rate)
         for parameter in self.parameters():
             parameter.grad = torch.zeros_like(parameter)
         self._volume: Volume | None = None

@@ -15,7 +15,7 @@ from torch import Tensor
 from nerf_core.geometry.rays import Rays, Rendering
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Defaults, Draw
-from nerf_core.methods.adam_state import adam_state, load_adam
+from nerf_core.methods.adam import Adam, adam_state, load_adam
 from nerf_core.methods.srn.config import SrnConfig
 from nerf_core.methods.srn.network import March, SrnNetwork
 
@@ -77,7 +77,7 @@ class SrnModel(Defaults):
         self.network.initialise(torch.Generator().manual_seed(seed), step)
         self.network.to(device)
         self.tile = config.tile or self._fitting_tile()
-        self.optimizer = torch.optim.Adam(self.parameters(), lr=c.learning_rate, eps=c.adam_epsilon, fused=True)
+        self.optimizer = Adam(self.parameters(), lr=c.learning_rate, eps=c.adam_epsilon)
         for parameter in self.parameters():
             parameter.grad = torch.zeros_like(parameter)
 
