@@ -243,7 +243,14 @@ def running(arguments: Sequence[str]) -> subprocess.Popen[str]:
     return process
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+@pytest.mark.parametrize(
+    ("number", "status"),
+    [
+        (signal.SIGINT, 130),
+        pytest.param(signal.SIGTERM, 143, marks=pytest.mark.thorough(10)),
+        pytest.param(signal.SIGHUP, 129, marks=pytest.mark.thorough(10)),
+    ],
+)
 def test_signals_save_and_exit(number: signal.Signals, status: int, capture: Path, tmp_path: Path) -> None:
     # with 32 rays a step takes milliseconds; with 200,000 it takes minutes, so that the signal interrupts it
     for rays in (32, 200_000):

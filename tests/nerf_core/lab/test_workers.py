@@ -94,6 +94,7 @@ def tasks(head: int) -> set[int]:
     return found
 
 
+@pytest.mark.thorough(25)
 @pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="finds the workers in /proc")
 def test_rows_are_done_by_two_workers_and_a_lost_one_is_replaced(
     capture: Path, tmp_path: Path, cluster: tuple[str, int]

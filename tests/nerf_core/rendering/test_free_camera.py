@@ -127,7 +127,9 @@ def test_every_method_draws_within_content(scene: Scene, method: str, make_train
             assert np.isfinite(open_ray(trainer.method, place, camera, (8, 8), 3).color).all()
 
 
-@pytest.mark.parametrize(("method", "steps"), [("voxels", 250), ("hash", 120)])
+@pytest.mark.parametrize(
+    ("method", "steps"), [pytest.param("voxels", 250, marks=pytest.mark.thorough(10)), ("hash", 120)]
+)
 def test_flying_up_to_the_demo_ball_keeps_its_picture(method: str, steps: int) -> None:
     demo = load_scene(None, LoadOptions(max_size=64))
     trainer = Trainer(demo, RunSettings(LoadOptions(), method, threads=1))

@@ -18,6 +18,7 @@ from several import TROUBLES, Outcome, Scenario
 from nerf_core.cli import main
 from nerf_core.training import checkpoint
 
+pytestmark = pytest.mark.thorough(35)  # all use one fixture, in which a dozen processes begin
 ROOT = Path(__file__).parents[3]
 STEPS = 20
 # Two of these processes share the second of three chunks, 24 + 24 rays of 16 + 16 + 16.

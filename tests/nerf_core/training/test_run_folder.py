@@ -347,6 +347,7 @@ while True:
 """
 
 
+@pytest.mark.thorough(9)
 def test_a_run_killed_while_saving_always_has_a_checkpoint(run: RunFolder) -> None:
     chance = random.Random(0)
     for _ in range(5):

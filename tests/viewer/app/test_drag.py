@@ -175,6 +175,7 @@ def drag(app: App, worker: Models, frames: int, *, every: int = 2) -> tuple[list
     return errors, sharpness
 
 
+@pytest.mark.thorough(17)
 @pytest.mark.parametrize("stride", [32, 8])
 def test_a_drag_never_shows_worse_than_the_sharp_picture_warped_or_the_newest_one(opened: Open, stride: int) -> None:
     runs = {}

@@ -270,7 +270,14 @@ def test_trained_weights_are_saved_if_a_file_cannot_be_written(
     assert str(file) in done.stdout
 
 
-@pytest.mark.parametrize("taken", ["nothing", "the user's data", "a temporary file"])
+@pytest.mark.parametrize(
+    "taken",
+    [
+        "the user's data",
+        pytest.param("nothing", marks=pytest.mark.thorough(12)),
+        pytest.param("a temporary file", marks=pytest.mark.thorough(12)),
+    ],
+)
 def test_weights_that_their_file_does_not_take_are_saved_elsewhere(taken: str, tmp_path: Path) -> None:
     """The reason is said, and where they are: among the user's data, or if that fails too, in a temporary folder."""
     file, data, temporary = tmp_path / "model.safetensors", tmp_path / "data", tmp_path / "temporary"

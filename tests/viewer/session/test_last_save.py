@@ -83,6 +83,7 @@ def test_a_second_signal_ends_a_save_at_once(tmp_path: Path) -> None:
     assert (process.returncode, err) == (130, "nerf-viewer: interrupted (SIGINT)\n")
 
 
+@pytest.mark.thorough(14)
 def test_a_second_signal_ends_the_save_of_a_window_that_hangs(
     own_server: tuple[str, subprocess.Popen[bytes]], tmp_path: Path
 ) -> None:
