@@ -161,7 +161,7 @@ def test_no_two_views_of_different_splits_share_a_place() -> None:
         assert apart.min() > 0.05
 
 
-@pytest.mark.parametrize(("split", "index"), [("train", 5), ("test", 7)])
+@pytest.mark.parametrize(("split", "index"), [pytest.param("train", 5, marks=pytest.mark.thorough(5)), ("test", 7)])
 def test_shipped_pictures_are_those_of_the_scene(split: str, index: int) -> None:
     path, pose = read(split)[1][index]
     with Image.open(path) as picture:

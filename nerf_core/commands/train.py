@@ -126,7 +126,7 @@ class Train:
         where = f"; saved {saved}" if saved.exists() else ""  # else a warning said where it is
         say(f"{ending}: {_summary(trainer)}; loading took {duration(loading)}{where}")
         if trainer.corrections is not None:
-            say(f"poses were corrected by {trainer.corrections.summary()}")
+            say(f"poses: {trainer.corrections.summary()}")
         return 0 if finished else 128 + trainer.group.greatest(signals.received or 0)
 
 

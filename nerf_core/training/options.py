@@ -40,8 +40,8 @@ class LoadingOptions:
     fit."""
 
     poses: Quality = "normal"
-    """How carefully the poses of photos and videos without poses are found: fast takes a third of the time, high
-    doubles the photos to find more points."""
+    """Quality with which the poses of photos and videos without poses are found, as of `nerf-core pose --quality`: fast
+    takes a third of the time, high doubles the photos to find more points."""
     lens: PoseLens = "perspective"
     """What took photos and videos without poses. Captures with poses say it themselves."""
 

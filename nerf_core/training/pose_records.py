@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nerf_core.common.language import phrase
+from nerf_core.common.language import marked, phrase
 
 UNTRIED, MOVED, REFUSED = range(3)
 OUTCOMES = "untried", "moved", "refused"
@@ -37,9 +37,13 @@ class PoseCorrections:
         return int(((self.turned == 0) & (self.shifted == 0)).sum())
 
     def summary(self) -> str:
-        """Describe them in a line: medians, and how many cameras never moved."""
+        """Describe them in a line: medians and how many cameras never moved, or why none did."""
+        if not self.rounds:
+            return marked("not corrected yet")
+        if self.stayed == len(self.views):
+            return marked("none is corrected: left-out pixels agree no better than by chance")
         return phrase(
-            "{degrees:.2f}° and {percent:.2%} of the radius (median), {stayed:,} of {count:,} not moved",
+            "corrected by {degrees:.2f}° and {percent:.2%} of the radius (median), {stayed:,} of {count:,} not moved",
             degrees=float(np.median(self.turned)),
             percent=float(np.median(self.shifted)),
             stayed=self.stayed,

@@ -60,6 +60,7 @@ def scene(request: pytest.FixtureRequest, scene: Scene, facing: Scene) -> Scene:
     return fitting(request, scene, facing)
 
 
+@pytest.mark.thorough(30)
 @pytest.mark.parametrize("name", METHODS.names())
 def test_it_learns_draws_explains_and_goes_on_from_a_checkpoint(cuda: None, scene: Scene, name: str) -> None:
     trainer = Trainer(scene, RunSettings(method=name, device="cuda", changes=SMALL.get(name, {})))

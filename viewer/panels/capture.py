@@ -20,10 +20,10 @@ from ..ui.contract import PANELS, Ui
 from ..ui.widgets import button, field_width, hint
 
 T = TypeVar("T")
-CARE: dict[Quality, tuple[str, str]] = {  # what it is called, and what it is for
+QUALITIES: dict[Quality, tuple[str, str]] = {  # named as on the command line, and what each is for
     "fast": (marked("fast"), marked("a third of the time; enough for most photos")),
-    "normal": (marked("usual"), marked("photos of up to 1,600 pixels, 4,096 features each")),
-    "high": (marked("thorough"), marked("photos of up to 3,200 pixels, 8,192 features each: for little texture")),
+    "normal": (marked("normal"), marked("photos of up to 1,600 pixels, 4,096 features each")),
+    "high": (marked("high"), marked("photos of up to 3,200 pixels, 8,192 features each: for little texture")),
 }
 LENSES: dict[PoseLens, tuple[str, str]] = {
     "perspective": (marked("perspective"), marked("phones and most cameras: straight things look straight")),
@@ -95,7 +95,7 @@ def _idle(ui: Ui, state: AppState) -> None:
     )
     hint(ui, text)
     load = state.settings.load
-    poses = _choice(ui, "care", marked("care"), CARE, load.poses)
+    poses = _choice(ui, "quality", marked("quality"), QUALITIES, load.poses)
     lens = _choice(ui, "lens", marked("lens"), LENSES, load.lens)
     if (poses, lens) != (load.poses, load.lens):
         state.settings = replace(state.settings, load=replace(load, poses=poses, lens=lens))

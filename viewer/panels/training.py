@@ -163,5 +163,5 @@ def _rows(s: Snapshot) -> list[Row]:
     speed = phrase("{rate} rays/s", rate=rate(s.rays_per_second))
     rows: list[Row] = [(tr("speed"), speed), (tr("trained"), duration(s.seconds))]
     if s.corrections is not None:
-        rows.append((tr("poses"), s.corrections.summary() if s.corrections.rounds else marked("not corrected yet")))
+        rows.append((tr("poses"), s.corrections.summary()))
     return rows

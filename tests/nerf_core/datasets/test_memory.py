@@ -99,7 +99,9 @@ KINDS += ("png RGB16", "jpg L", "jpg RGB", "jpg CMYK", "jpg RGB progressive", "j
 KINDS += ("webp RGB", "webp RGBA", "tiff RGB", "tiff RGB strip", "bmp L")
 
 
-LARGE = [(kind, 4000) for kind in ("png L", "png RGB16", "jpg RGB", "webp RGBA")]  # in their own size
+LARGE = [
+    pytest.param(kind, 4000, marks=pytest.mark.thorough(3)) for kind in ("png L", "png RGB16", "jpg RGB", "webp RGBA")
+]  # in their own size
 
 
 @pytest.mark.parametrize(("kind", "wanted"), [*((kind, 400) for kind in KINDS), *LARGE])

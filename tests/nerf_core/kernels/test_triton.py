@@ -37,7 +37,10 @@ def interpreted(words: str, *checks: Path) -> int:
 
 @pytest.mark.parametrize(
     ("checks", "words", "fewest"),
-    [(PACKED, "triton and not leaps and not far_away", 13), (FIXED_STEP, "triton and no_room", 1)],
+    [
+        pytest.param(PACKED, "triton and not leaps and not far_away", 13, marks=pytest.mark.thorough(9)),
+        (FIXED_STEP, "triton and no_room", 1),
+    ],
 )
 def test_the_interpreted_kernels_pass_the_short_checks(checks: Path, words: str, fewest: int) -> None:
     """All checks but long marches and several steps of training."""
@@ -76,7 +79,9 @@ def machine_code(name: str, capability: int, **constants: Any) -> Any:
     return triton.compile(source, target=GPUTarget("cuda", capability, 32), options=dict(EXACTLY)).asm
 
 
-@pytest.mark.parametrize("capability", GENERATIONS)
+@pytest.mark.parametrize(
+    "capability", [GENERATIONS[0], *(pytest.param(one, marks=pytest.mark.thorough(4)) for one in GENERATIONS[1:])]
+)
 def test_the_kernels_compile_for_every_generation_of_gpus(
     capability: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

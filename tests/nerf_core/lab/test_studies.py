@@ -215,6 +215,7 @@ def test_a_trained_row_that_was_cancelled_goes_on_from_its_step(scene: Scene, tm
     assert [row[:5] for row in parts.progress.tables[0].rows] == [row[:5] for row in whole.progress.tables[0].rows]
 
 
+@pytest.mark.thorough(6)
 def test_a_row_goes_on_from_its_own_checkpoint_alone(scene: Scene, tmp_path: Path) -> None:
     """What lies in a row's run folder may be of another seed or scene: then it is not measured under the row's name."""
     job = made("sampling", scene, tmp_path, budget="9steps")

@@ -117,6 +117,7 @@ def test_a_ray_that_is_removed_and_pinned_again_begins_anew(open_desk: OpenDesk,
     assert again.pins[1].color == 1  # the colour that became free
 
 
+@pytest.mark.thorough(7)
 def test_a_history_continues_past_the_checkpoints_schedule(open_desk: OpenDesk, saved: tuple[Path, Snapshot]) -> None:
     desk = open_desk(steps=20_000)  # the checkpoint's own schedule, of 100 steps, counts
     desk.send(LoadCheckpoint(saved[0]), Train(120))

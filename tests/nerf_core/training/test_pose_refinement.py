@@ -110,6 +110,17 @@ def test_all_disturbed_cameras_come_closer_while_the_model_learns(demo: Scene) -
     np.testing.assert_allclose(rays.origins, trainer.scene.poses[views, :, 3], rtol=1e-6)  # batches see them, too
 
 
+def test_a_summary_says_why_no_camera_moved(demo: Scene) -> None:
+    refinement = PoseRefinement(demo, demo.split("train"), 0)
+    assert refinement.corrections().summary() == "not corrected yet"
+    refinement.rounds = 1
+    assert refinement.corrections().summary() == "none is corrected: left-out pixels agree no better than by chance"
+    refinement.poses[0] = disturbed(refinement.poses[0], 0)
+    count = len(refinement.views)
+    assert refinement.corrections().summary().startswith("corrected by 0.00°")
+    assert refinement.corrections().summary().endswith(f"(median), {count - 1} of {count} not moved")
+
+
 def test_a_photo_of_something_else_moves_no_camera(demo: Scene, good: Trainer) -> None:
     views = demo.split("train")[::12]
     rng = np.random.default_rng(0)

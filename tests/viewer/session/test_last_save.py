@@ -60,6 +60,7 @@ def wait_for(process: subprocess.Popen[str], words: str) -> None:
     assert any(line.startswith(words) for line in process.stdout)
 
 
+@pytest.mark.thorough(15)
 def test_a_slow_save_is_finished_and_told_of(tmp_path: Path) -> None:
     with saving(tmp_path, "--headless") as process:
         process.send_signal(signal.SIGTERM)

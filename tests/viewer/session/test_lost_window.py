@@ -54,6 +54,7 @@ def test_a_dead_x_server_loses_no_weights(own_server: Server, tmp_path: Path) ->
         check_saved(process, tmp_path, 1)
 
 
+@pytest.mark.thorough(9)
 @pytest.mark.skipif(shutil.which("xdotool") is None, reason="needs xdotool")
 def test_a_window_closed_by_another_client_loses_no_weights(own_server: Server, tmp_path: Path) -> None:
     display, _ = own_server
@@ -63,6 +64,7 @@ def test_a_window_closed_by_another_client_loses_no_weights(own_server: Server, 
         check_saved(process, tmp_path, 1)
 
 
+@pytest.mark.thorough(14)
 def test_a_window_whose_server_hangs_saves_at_a_signal(own_server: Server, tmp_path: Path) -> None:
     display, server = own_server
     with training_window(display, tmp_path) as process:
