@@ -35,12 +35,10 @@ def interpreted(words: str, *checks: Path) -> int:
     return done.stdout.count(" PASSED")
 
 
+@pytest.mark.thorough(9)
 @pytest.mark.parametrize(
     ("checks", "words", "fewest"),
-    [
-        pytest.param(PACKED, "triton and not leaps and not far_away", 13, marks=pytest.mark.thorough(9)),
-        (FIXED_STEP, "triton and no_room", 1),
-    ],
+    [(PACKED, "triton and not leaps and not far_away", 13), (FIXED_STEP, "triton and no_room", 1)],
 )
 def test_the_interpreted_kernels_pass_the_short_checks(checks: Path, words: str, fewest: int) -> None:
     """All checks but long marches and several steps of training."""

@@ -89,6 +89,7 @@ def test_histories_continue_where_the_checkpoint_left_them(open_desk: OpenDesk, 
     assert history_of(later, b.id).steps.tolist() == [3, 4, 5, 6, 7, 8]
 
 
+@pytest.mark.thorough(7)
 def test_a_restored_pin_of_an_open_ray_is_that_ray(open_desk: OpenDesk, tmp_path: Path) -> None:
     desk, file, rays = open_desk(), tmp_path / "run.safetensors", tmp_path / "rays.json"
     asked, twice = Inspect(camera_of(desk), (5, 4)), PinRay(camera_of(desk), (5, 4))

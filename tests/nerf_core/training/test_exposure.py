@@ -48,6 +48,7 @@ def dimmed() -> tuple[Scene, np.ndarray]:
     return replace(scene, photos=Photos.of(images)), gains
 
 
+@pytest.mark.thorough(7)
 def test_gains_of_dimmed_photos_come_back_and_new_views_are_better() -> None:
     scene, gains = dimmed()
     assert np.ptp(gains) > 0.7

@@ -72,6 +72,7 @@ def test_a_slow_save_is_finished_and_told_of(tmp_path: Path) -> None:
     assert not list(tmp_path.rglob(f"*{SUFFIX}"))
 
 
+@pytest.mark.thorough(10)
 def test_a_second_signal_ends_a_save_at_once(tmp_path: Path) -> None:
     with saving(tmp_path, "--headless", slow=ENDLESS) as process:
         process.send_signal(signal.SIGTERM)

@@ -47,6 +47,7 @@ def check_saved(process: subprocess.Popen[str], home: Path, status: int) -> None
     assert "Traceback" not in err
 
 
+@pytest.mark.thorough(12)
 def test_a_dead_x_server_loses_no_weights(own_server: Server, tmp_path: Path) -> None:
     display, server = own_server
     with training_window(display, tmp_path) as process:
