@@ -105,6 +105,9 @@ class Train:
             f"{f', {trainer.group.size} processes' if trainer.group.size > 1 else ''}"
         )
 
+        if self.training.steps is None and self.training.seconds is None:
+            say(f"no end is set (--seconds, --steps), so all {trainer.total_steps:,} steps follow; Ctrl-C ends and saves")
+
         def stop() -> bool:
             return signals.received is not None
 

@@ -56,7 +56,9 @@ def error_line(capsys: pytest.CaptureFixture[str]) -> str:
 def test_train_eval_render(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "run"
     assert main(train(capture, out, "--steps", "3")) == 0
-    assert "finished: step 3 after" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "finished: step 3 after" in told
+    assert "no end is set" not in told
     assert sorted(p.name for p in out.iterdir()) == [".lock", "checkpoints", "config.json", "log.jsonl"]
 
     assert main(train(capture, out, "--steps", "3")) == 2
@@ -259,6 +261,7 @@ def test_signals_save_and_exit(number: signal.Signals, status: int, capture: Pat
         process.send_signal(number)
         output, errors = process.communicate(timeout=PATIENCE)
         assert (process.returncode, errors) == (status, "")
+        assert "no end is set (--seconds, --steps), so all " in output
         assert "stopped: step" in output
         assert out.restore()[0].step_count == checkpoint.newest(out.path)[1]["step"]
 
