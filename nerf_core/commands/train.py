@@ -106,7 +106,7 @@ class Train:
         )
 
         if self.training.steps is None and self.training.seconds is None:
-            say(f"no end is set (--seconds, --steps), so all {trainer.total_steps:,} steps follow; Ctrl-C ends and saves")
+            say(f"no --steps and no --seconds: all {trainer.total_steps:,} steps follow; Ctrl-C ends and saves")
 
         def stop() -> bool:
             return signals.received is not None
