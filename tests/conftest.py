@@ -15,13 +15,13 @@ assert not set(CHECKED) & set(sys.modules)
 jaxtyping.install_import_hook(CHECKED, "beartype.beartype")
 
 
-def pytest_configure(config: pytest.Config) -> None:
+def pytest_configure() -> None:
     """Pin each xdist worker to cores of its own if the system can: threads of two workers would wait for each other.
 
-    Processes that a test starts inherit the cores. Thorough tests are few and long, so each of them may use all cores.
+    Processes that a test starts inherit the cores.
     """
     worker = os.environ.get("PYTEST_XDIST_WORKER", "")
-    if worker and config.option.markexpr == "not thorough" and hasattr(os, "sched_setaffinity"):
+    if worker and hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))
         count = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
         os.sched_setaffinity(0, set(cores[int(worker.removeprefix("gw")) % len(cores) :: max(count, 1)]))
