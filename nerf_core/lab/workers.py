@@ -16,7 +16,8 @@ from nerf_core.lab.records import Advance, Result, Row
 from nerf_core.lab.study import Bench, Study, Subject
 
 SCHEME = "ray://"
-RETRIES = 3  # of a row whose worker is lost, and of a connection that the cluster breaks off
+RETRIES = 3  # of a row whose worker is lost
+CONNECTIONS = 4  # attempts, if the cluster breaks them off
 CONNECT_SECONDS = 5.0
 WAIT_SECONDS = 0.3  # between looks at the cluster, in which Ctrl-C can come
 CORES = 1  # of a task; a row trains on so many threads
@@ -96,8 +97,8 @@ def _connected(address: str) -> Any:
             return ray.init(address, logging_level=logging.ERROR, log_to_driver=False)
         except ConnectionAbortedError as error:  # the process that it forks for a program may crash or be late
             attempts += 1
-            if attempts > RETRIES:
-                reason = shorten(str(error).strip().splitlines()[-1], 120)  # the last line of its traceback
+            if attempts == CONNECTIONS:
+                reason = shorten(str(error).strip().rpartition("\n")[2], 120)  # the last line of its traceback
                 text = f"the cluster does not let us in ({reason}): look at its logs, or start it again"
                 raise UserError(f"--workers {address}: {text}") from None
         except (ConnectionError, RuntimeError, ValueError, OSError) as error:

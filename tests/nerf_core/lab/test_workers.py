@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from nerf_core.common.errors import UserError
-from nerf_core.lab.workers import RETRIES, _connected, rows_on
+from nerf_core.lab.workers import CONNECTIONS, _connected, rows_on
 
 pytestmark = pytest.mark.skipif(find_spec("ray") is None, reason="needs the extra nerf-viewer[ray]")
 ROOT = Path(__file__).parents[3]
@@ -152,9 +152,12 @@ def test_a_cluster_that_breaks_off_is_asked_again(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(ray, "init", init)
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"ray://127.0.0.1:{server.getsockname()[1]}"
-        answers[:] = [None] * RETRIES + [True]
+        answers[:] = [None] * (CONNECTIONS - 1) + [True]
         assert _connected(address) == address
         with pytest.raises(UserError, match=r"the cluster does not let us in \('RuntimeError: no channel'\): look"):
+            _connected(address)
+        monkeypatch.setattr(ray, "init", lambda *_, **__: (_ for _ in ()).throw(ConnectionAbortedError))
+        with pytest.raises(UserError, match="does not let us in"):  # without a word
             _connected(address)
 
 
