@@ -127,12 +127,14 @@ def compared(method: Method, scene: Scene, target: Target, c2w: np.ndarray, pixe
     depth = float(np.median(t[hit])) if hit.any() else 0.0
     t = np.where(hit, t, depth)
     shown, gradient = target.colors(pixels)
-    looks = [_unit(camera.directions(centres + step)) for step in ((0, 0), (0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5))]
+    looks = [
+        unit_vectors(camera.directions(centres + step)) for step in ((0, 0), (0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5))
+    ]
     by_pixel = np.stack([looks[1] - looks[2], looks[3] - looks[4]], -1)  # (P, 3, 2)
     # a direction moves by −ω × d − (v − d (d·v)) / t; least squares turn that into pixels
     transposed = by_pixel.swapaxes(1, 2)
     to_pixel = np.linalg.solve(transposed @ by_pixel, transposed)  # (P, 2, 3)
-    turned = _cross(looks[0]) * TURN
+    turned = crossed(looks[0]) * TURN
     shifted = -np.eye(3) * (SHIFT * depth / np.maximum(t, 1e-3 * depth or 1.0))[:, None, None]
     flow = to_pixel @ np.concatenate([turned, shifted], -1)  # (P, 2, 6)
     return Comparison(target.cells(pixels), shown, color - shown, -gradient @ flow, depth)
@@ -165,14 +167,20 @@ def gain(before: Comparison, after: Comparison) -> tuple[float, float, float]:
     near each other are wrong together, so the error is that of sums over cells: √(Σ_c (Σ_p∈c (g_p − ḡ))²) / P. Pixels
     of a few cells cannot tell, and neither can a model that does not know the photo: then all are 0.
     """
-    cells = before.cells @ (1, CELLS)
-    if len(np.unique(cells)) < FEWEST_CELLS or not _known(before):
+    if not _known(before):
         return 0.0, 0.0, 0.0
     scale = spread(before.off)
-    cost = _cost(before.off, scale).mean(-1)
-    gains = cost - _cost(after.off, scale).mean(-1)
-    sums = np.bincount(cells, gains - gains.mean())
-    return float(gains.mean()), float(np.sqrt((sums**2).sum()) / len(gains)), float(cost.mean())
+    costs = geman_mcclure(before.off, scale).mean(-1)
+    return told(before.cells, costs, costs - geman_mcclure(after.off, scale).mean(-1))
+
+
+def told(cells: np.ndarray, costs: np.ndarray, gains: np.ndarray) -> tuple[float, float, float]:
+    """Return the mean gain (P,), its standard error by cells (P, 2), and the mean cost (P,); see `gain`."""
+    flat = cells @ (1, CELLS)
+    if len(np.unique(flat)) < FEWEST_CELLS:
+        return 0.0, 0.0, 0.0
+    sums = np.bincount(flat, gains - gains.mean())
+    return float(gains.mean()), float(np.sqrt((sums**2).sum()) / len(gains)), float(costs.mean())
 
 
 def _known(found: Comparison) -> bool:
@@ -195,7 +203,7 @@ def between(given: np.ndarray, c2w: np.ndarray) -> np.ndarray:
 def rotation(turn: np.ndarray) -> np.ndarray:
     """Return the rotation (3, 3) by a vector (3,) in radians (Rodrigues)."""
     angle = float(np.linalg.norm(turn))
-    k = _cross(turn)
+    k = crossed(turn)
     small = angle < 1e-8  # sin and cos have lost their digits
     a, b = (1.0, 0.5) if small else (np.sin(angle) / angle, (1 - np.cos(angle)) / angle**2)
     return np.eye(3) + a * k + b * k @ k
@@ -220,16 +228,18 @@ def robust(off: np.ndarray, scale: float) -> np.ndarray:
     return 1 / (1 + (off / (2 * scale)) ** 2) ** 2
 
 
-def _cost(off: np.ndarray, scale: float) -> np.ndarray:
+def geman_mcclure(off: np.ndarray, scale: float) -> np.ndarray:
+    """The function ρ of Geman and McClure: (r / 2σ)² / (1 + (r / 2σ)²)."""
     square = (off / (2 * scale)) ** 2
     return square / (1 + square)
 
 
-def _unit(v: np.ndarray) -> np.ndarray:
+def unit_vectors(v: np.ndarray) -> np.ndarray:
+    """Return vectors (…, 3) divided by their lengths."""
     return v / np.linalg.norm(v, axis=-1, keepdims=True)
 
 
-def _cross(v: np.ndarray) -> np.ndarray:
+def crossed(v: np.ndarray) -> np.ndarray:
     """The matrices (…, 3, 3) that take a cross product with v (…, 3) from the left."""
     zero = np.zeros(np.shape(v)[:-1])
     x, y, z = np.moveaxis(np.asarray(v), -1, 0)

@@ -5,6 +5,10 @@ part of the pixels is left out of the step. It is kept only where they agree bet
 stays as it was. Rounds begin with small photos, in which a wrong pose is off by a pixel or two, and go on with larger
 ones.
 
+A model bends to wrong poses, and then no camera seems wrong. So when a round has brought nothing, those that follow
+compare photos with each other, and move all cameras together that were found to be wrong (`pose_bundle`). When that
+brings nothing, it is the model's turn again.
+
 A turn, shift and scaling of all cameras together changes nothing that photos show. So what such a motion has in common
 with the corrections is taken out of them.
 """
@@ -12,6 +16,8 @@ with the corrections is taken out of them.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -20,18 +26,44 @@ from torch import Tensor
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method
 from nerf_core.methods.group import ALONE, Group
+from nerf_core.training import pose_bundle
 from nerf_core.training.batches import shrunk
-from nerf_core.training.pose_fit import Target, between, compared, gain, moved, rotation, solved, turn_of
+from nerf_core.training.pose_fit import SHIFT, TURN, Target, between, compared, gain, moved, rotation, solved, turn_of
 from nerf_core.training.pose_records import MOVED, REFUSED, UNTRIED, PoseCorrections
 
 FITTED, LEFT_OUT = 512, 512  # pixels of a photo in a round
+AMONG = 256  # as many for each of the two where photos are compared with each other: each is seen by several
 SHARE = 0.5  # of the rays of training: so many are drawn for the poses, which takes some 20 % of the time
 MOST = 64  # photos in a round, in turns; rounds of fewer are as far apart, because the model must follow its cameras
 SMALLEST, ROUNDS = 64, 6  # longest side of the photos in their first rounds, in pixels; it doubles after so many
 LEAST_STRIDE, MOST_STRIDE = 1 / 8, 2.0  # of a step: a model that remembers the old poses shows half of an error
 WRONG = 0.05  # share of the cost that a round saves if the capture's poses are wrong
 CERTAIN = 3.0  # standard errors by which left-out pixels must agree better
-Corrections = tuple[np.ndarray, np.ndarray, float, bool]  # poses (N, 3, 4), outcomes (N,), stride and wrong
+Correct = Callable[[int, np.ndarray], np.ndarray]
+
+
+class Corrections(NamedTuple):
+    """What a round finds, and `PoseRefinement` keeps: see there."""
+
+    poses: np.ndarray
+    outcome: np.ndarray
+    stride: float
+    stride_among: float
+    wrong: bool
+    among: bool
+
+
+class Tried(NamedTuple):
+    """M photos that a round has tried to move.
+
+    photos: (M,) their positions.
+    wanted: (N, 3, 4) the poses of all photos, if they were kept.
+    gains: (M, 3) those of left-out pixels, of `gain`.
+    """
+
+    photos: np.ndarray
+    wanted: np.ndarray
+    gains: np.ndarray
 
 
 def shrink_of(longest: int, rounds: int) -> int:
@@ -94,6 +126,10 @@ def better(gains: np.ndarray, wrong: bool) -> tuple[np.ndarray, bool, bool]:
     return of_one > (0.0 if together and wrong else CERTAIN) * error, together, wrong
 
 
+def _next_stride(stride: float, together: bool, most: float) -> float:
+    return min(most, 2 * stride) if together else max(LEAST_STRIDE, stride / 2)
+
+
 def _left_out(target: Target, pixels: np.ndarray, rounds: int) -> np.ndarray:
     """Which pixels (P, 2) are left out: those of every second cell, as on a chessboard, in the next round the others.
 
@@ -111,7 +147,9 @@ class PoseRefinement:
     outcome: (N,) int64, of the last round of each photo: UNTRIED, MOVED or REFUSED by the left-out pixels.
     stride: the share of each step that a round goes. If poses are wrong, it is halved when all photos together do not
         agree better, and doubled when they do.
+    stride_among: the same of rounds that compare photos with each other. It is 1 at most: photos remember nothing.
     wrong: whether a round has shown that the capture's poses are wrong; see `better`.
+    among: whether the next round compares photos with each other.
     """
 
     def __init__(self, scene: Scene, views: Sequence[int], seed: int) -> None:
@@ -127,7 +165,7 @@ class PoseRefinement:
         self.poses = self.given.copy()
         self.outcome = np.full(len(self.views), UNTRIED)
         self.rounds, self._rays = 0, 0.0
-        self.stride, self.wrong = 1.0, False
+        self.stride, self.stride_among, self.wrong, self.among = 1.0, 1.0, False, False
         self._targets: tuple[int, list[Target]] = 0, []
 
     def due(self, rays: int) -> bool:
@@ -138,10 +176,8 @@ class PoseRefinement:
         """Count the rays of a training step, which pay for a round."""
         self._rays += SHARE * rays
 
-    def round(
-        self, method: Method, correct: Callable[[int, np.ndarray], np.ndarray], yield_callback: Callable[[], None]
-    ) -> Corrections:
-        """Return poses (N, 3, 4), outcomes (N,), stride and wrong after a round. Nothing changes before `take`.
+    def round(self, method: Method, correct: Correct, yield_callback: Callable[[], None]) -> Corrections:
+        """Return what a round finds. Nothing changes before `take`.
 
         Args:
             method: the model.
@@ -149,41 +185,85 @@ class PoseRefinement:
             yield_callback: called between photos; it may raise.
         """
         rng = np.random.default_rng([self.seed, self.rounds])
-        chosen = self._chosen()
-        shown = self._shown()
+        shown = [target.corrected(partial(correct, n)) for n, target in enumerate(self._shown())]
+        find = self._among_photos if self.among else self._with_model
+        tried = find(method, rng, shown, yield_callback)
+        poses, outcome = self.poses.copy(), self.outcome.copy()
+        # photos that are compared with each other have been found wrong, but say nothing about all others
+        kept, together, wrong = better(tried.gains, self.wrong or self.among)
+        outcome[tried.photos] = np.where(kept, MOVED, REFUSED)
+        poses[tried.photos[kept]] = tried.wanted[tried.photos[kept]]
+        stride, stride_among = self.stride, self.stride_among
+        stuck = not (together if wrong else kept.any())
+        if self.among:
+            stride_among, wrong = _next_stride(stride_among, together, 1.0), self.wrong
+        elif wrong:
+            stride = _next_stride(stride, together, MOST_STRIDE)
+        among = self.among != stuck and len(poses) > 1 and bool((poses != self.given).any())
+        return Corrections(poses, outcome, stride, stride_among, wrong, among)
+
+    def _with_model(
+        self, method: Method, rng: np.random.Generator, shown: Sequence[Target], yield_callback: Callable[[], None]
+    ) -> Tried:
+        """Compare each photo with the model."""
         wanted, left_out = self.poses.copy(), {}
-        for n in chosen.tolist():
-            target = shown[n].corrected(lambda colors, n=n: correct(n, colors))
-            pixels = target.pixels(rng, FITTED + LEFT_OUT)
-            out = _left_out(target, pixels, self.rounds)
+        for n in self._chosen().tolist():
+            pixels = shown[n].pixels(rng, FITTED + LEFT_OUT)
+            out = _left_out(shown[n], pixels, self.rounds)
             yield_callback()
             if out.any() and not out.all():
-                found = compared(method, self.scene, target, self.poses[n], pixels[~out])
+                found = compared(method, self.scene, shown[n], self.poses[n], pixels[~out])
                 step = solved(found, between(self.given[n], self.poses[n]))
                 if np.isfinite(step).all():  # a model that diverges is told after the step
                     wanted[n] = moved(self.poses[n], self.stride * step)
-                    left_out[n] = target, pixels[out]
+                    left_out[n] = pixels[out]
         wanted = self._without_gauge(wanted)
-        poses, outcome = self.poses.copy(), self.outcome.copy()
         gains = np.zeros((len(left_out), 3))
-        for row, (n, (target, pixels)) in enumerate(left_out.items()):
+        for row, (n, pixels) in enumerate(left_out.items()):
             yield_callback()
-            gains[row] = gain(*(compared(method, self.scene, target, p[n], pixels) for p in (self.poses, wanted)))
-        tried = np.array(list(left_out), np.int64)
-        kept, together, wrong = better(gains, self.wrong)
-        outcome[tried] = np.where(kept, MOVED, REFUSED)
-        poses[tried[kept]] = wanted[tried[kept]]
-        stride = self.stride
-        if wrong:
-            stride = min(MOST_STRIDE, 2 * stride) if together else max(LEAST_STRIDE, stride / 2)
-        return poses, outcome, stride, wrong
+            gains[row] = gain(*(compared(method, self.scene, shown[n], p[n], pixels) for p in (self.poses, wanted)))
+        return Tried(np.array(list(left_out), np.int64), wanted, gains)
+
+    def _among_photos(
+        self, method: Method, rng: np.random.Generator, shown: Sequence[Target], yield_callback: Callable[[], None]
+    ) -> Tried:
+        """Compare photos that have moved with each other and with those near them."""
+        reach = float(np.linalg.norm(self.given[:, :, 3] - self.scene.center, axis=-1).mean())
+        near = pose_bundle.near_each(self.poses, reach)
+        moving = np.flatnonzero((self.poses != self.given).any((1, 2)))
+        fitted, left_out = [], []
+        for n in np.sort(rng.permutation(moving)[:MOST]).tolist():
+            pixels = shown[n].pixels(rng, 2 * AMONG)
+            out = _left_out(shown[n], pixels, self.rounds)
+            others = rng.choice(near[n], min(pose_bundle.OTHERS, near.shape[1]), replace=False)
+            yield_callback()
+            if out.any() and not out.all():
+                for part, kept in ((~out, fitted), (out, left_out)):
+                    kept.append(pose_bundle.sighted(method, self.scene, shown, self.poses, n, others, pixels[part]))
+        scale = pose_bundle.noise(fitted)
+        before = np.stack([between(given, c2w) for given, c2w in zip(self.given, self.poses, strict=True)])
+        depths = [np.linalg.norm(sightings.local, axis=-1) for sightings in fitted]
+        depth = float(np.median(np.concatenate(depths))) if depths and any(len(d) for d in depths) else 1.0
+        step = pose_bundle.steps(fitted, before, np.repeat([TURN, SHIFT * depth], 3), scale)
+        wanted = np.stack([moved(c2w, self.stride_among * s) for c2w, s in zip(self.poses, step, strict=True)])
+        wanted = self._without_gauge(wanted)
+        gains = np.zeros((len(left_out), 3))
+        for row, sightings in enumerate(left_out):
+            yield_callback()
+            gains[row] = pose_bundle.agreement(shown, self.poses, wanted, sightings, scale)
+        return Tried(np.array([s.host for s in left_out], np.int64), wanted, gains)
+
+    def now(self) -> Corrections:
+        """Return what the last round found."""
+        return Corrections(self.poses, self.outcome, self.stride, self.stride_among, self.wrong, self.among)
 
     def take(self, found: Corrections, group: Group = ALONE) -> None:
         """Make what `round` returned the poses of all processes: those of the first one count."""
         first = [torch.as_tensor(v).double() * (group.rank == 0) for v in found]
         group.add(first)
         self.poses, self.outcome = first[0].numpy(), first[1].long().numpy()
-        self.stride, self.wrong = float(first[2]), bool(first[3])
+        self.stride, self.stride_among = float(first[2]), float(first[3])
+        self.wrong, self.among = bool(first[4]), bool(first[5])
         self.rounds, self._rays = self.rounds + 1, 0.0
 
     def corrections(self) -> PoseCorrections:
@@ -238,15 +318,20 @@ class PoseRefinement:
         """Return poses, outcomes and counts by name, for a checkpoint."""
         return {
             "poses": torch.from_numpy(self.poses), "outcome": torch.from_numpy(self.outcome),
-            "counts": torch.tensor([self.rounds, self._rays, self.stride, self.wrong], dtype=torch.float64),
+            "counts": torch.tensor(
+                [self.rounds, self._rays, self.stride, self.wrong, self.stride_among, self.among], dtype=torch.float64
+            ),
         }  # fmt: skip
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         """Continue from `state`. Raises KeyError or ValueError if it is of other photos."""
-        for name, value in self.state().items():
-            if state[name].shape != value.shape:
-                raise ValueError(f"{name} of {len(state[name])} photos, not {len(value)}")
+        for name in ("poses", "outcome"):
+            if state[name].shape != self.state()[name].shape:
+                raise ValueError(f"{name} of {len(state[name])} photos, not {len(self.views)}")
+        counts = state["counts"].tolist()
+        if len(counts) == 4:  # of a version that compared photos with the model alone
+            counts += [1.0, False]
         self.poses = state["poses"].cpu().double().numpy().copy()
         self.outcome = state["outcome"].cpu().long().numpy().copy()
-        rounds, self._rays, self.stride, wrong = state["counts"].tolist()
-        self.rounds, self.wrong = int(rounds), bool(wrong)
+        rounds, self._rays, self.stride, wrong, self.stride_among, among = counts
+        self.rounds, self.wrong, self.among = int(rounds), bool(wrong), bool(among)

@@ -300,7 +300,7 @@ class Trainer:
         if refinement is None or not refinement.due(wanted.rays):
             return None
         if self.group.rank:  # the first process does it for all
-            return refinement.poses, refinement.outcome, refinement.stride, refinement.wrong
+            return refinement.now()
         return refinement.round(self.method, self._exposed, yield_callback)
 
     def _exposed(self, photo: int, colors: np.ndarray) -> np.ndarray:
