@@ -28,7 +28,8 @@ from nerf_core.training.pose_fit import HIT, SHIFT, Target, crossed, geman_mcclu
 OTHERS = 8  # photos that a host is compared with in a round
 NEAREST, NEAREST_SHARE = 16, 0.25  # photos that they are drawn from: so many, or this share of all if that is more
 SAME = 0.03  # relative difference of distances up to which two photos are taken to see one surface
-LOOSE = 3.0  # standard deviation of the model's distances, in units of SHIFT
+LOOSE = 10.0  # standard deviation of the model's distances, in units of SHIFT: a young model's are wrong together
+FARTHEST = 20.0  # that a distance is moved at once, in the same units: one step is exact for small ones only
 MADE_NORMAL = 1.48  # times the median of absolute values is the standard deviation, if they are normal
 TOLERANT = 1.5  # standard deviations that make the scale of ρ: pictures of one edge differ where it is sampled
 
@@ -60,16 +61,17 @@ class Sightings:
     by_distance: np.ndarray
 
 
-def near_each(poses: np.ndarray, reach: float) -> np.ndarray:
-    """Return for each of N cameras M others that stand and look most alike, (N, M) with the most alike first.
+def near_each(poses: np.ndarray, chosen: np.ndarray, reach: float) -> np.ndarray:
+    """Return M others for each of C chosen cameras, (C, M): those that stand and look most alike, the most alike first.
 
     Args:
         poses: (N, 3, 4), N ≥ 2.
+        chosen: (C,) positions.
         reach: the distance at which cameras that look alike should look at one place, in scene units.
     """
     points = np.stack([poses[:, :, 3], poses[:, :, 3] - reach * poses[:, :, 2]], 1)  # where each stands, and looks
-    apart = np.linalg.norm(points[:, None] - points[None], axis=-1).sum(-1)
-    np.fill_diagonal(apart, np.inf)
+    apart = np.linalg.norm(points[chosen, None] - points, axis=-1).sum(-1)
+    apart[np.arange(len(chosen)), chosen] = np.inf
     count = min(len(poses) - 1, max(NEAREST, int(NEAREST_SHARE * len(poses))))
     return apart.argsort(1, kind="stable")[:, :count]
 
@@ -192,7 +194,7 @@ def _refitted(
     """Return `off` (A, 3) and whether it counts (A,), from other poses and at the distances that suit them best."""
     off, there = _off(shown, poses, found, found.local)
     curved, sloped = _distance_equations(found, scale, off * there[:, None])
-    step = np.clip(-sloped / curved, -3 * LOOSE, 3 * LOOSE)  # one step is exact for small ones only
+    step = np.clip(-sloped / curved, -FARTHEST, FARTHEST)
     again, still = _off(shown, poses, found, found.local * (1 + SHIFT * step)[:, None])
     return again, there & still
 

@@ -199,7 +199,8 @@ class PoseRefinement:
             stride_among, wrong = _next_stride(stride_among, together, 1.0), self.wrong
         elif wrong:
             stride = _next_stride(stride, together, MOST_STRIDE)
-        among = self.among != stuck and len(poses) > 1 and bool((poses != self.given).any())
+        possible = self._targets[0] == 1 and len(poses) > 1 and bool((poses != self.given).any())
+        among = possible and self.among != stuck
         return Corrections(poses, outcome, stride, stride_among, wrong, among)
 
     def _with_model(
@@ -229,13 +230,13 @@ class PoseRefinement:
     ) -> Tried:
         """Compare photos that have moved with each other and with those near them."""
         reach = float(np.linalg.norm(self.given[:, :, 3] - self.scene.center, axis=-1).mean())
-        near = pose_bundle.near_each(self.poses, reach)
         moving = np.flatnonzero((self.poses != self.given).any((1, 2)))
+        chosen = np.sort(rng.permutation(moving)[:MOST])
         fitted, left_out = [], []
-        for n in np.sort(rng.permutation(moving)[:MOST]).tolist():
+        for n, near in zip(chosen.tolist(), pose_bundle.near_each(self.poses, chosen, reach), strict=True):
             pixels = shown[n].pixels(rng, 2 * AMONG)
             out = _left_out(shown[n], pixels, self.rounds)
-            others = rng.choice(near[n], min(pose_bundle.OTHERS, near.shape[1]), replace=False)
+            others = rng.choice(near, min(pose_bundle.OTHERS, len(near)), replace=False)
             yield_callback()
             if out.any() and not out.all():
                 for part, kept in ((~out, fitted), (out, left_out)):

@@ -53,7 +53,7 @@ def nothing() -> None:
 def close(scene: Scene, count: int) -> list[int]:
     """A training photo and those that stand and look most alike."""
     views = list(scene.split("train"))
-    return [views[0], *(views[n] for n in near_each(scene.poses[views], 4.0)[0, : count - 1])]
+    return [views[0], *(views[n] for n in near_each(scene.poses[views], np.zeros(1, int), 4.0)[0, : count - 1])]
 
 
 def found_in(trainer: Trainer, shown: list[Target], poses: np.ndarray, host: int, count: int = 200) -> Sightings:
@@ -214,7 +214,7 @@ def test_near_cameras_look_at_the_same_place() -> None:
             for x, look in ((0, "same"), (0.5, "away"), (1, "same"), (3, "same"))
         ]
     )
-    assert near_each(poses, reach=4.0)[0].tolist() == [2, 3, 1]
+    assert near_each(poses, np.array([2, 0]), reach=4.0).tolist() == [[0, 3, 1], [2, 3, 1]]
 
 
 def test_a_checkpoint_of_a_version_without_these_rounds_is_read(demo: Scene) -> None:
