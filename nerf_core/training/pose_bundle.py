@@ -2,7 +2,7 @@
 
 A pixel of one photo, the host, shows a surface at the distance t that the model knows. Where another photo sees that
 surface, it should have the same colour. The difference r of the two changes with the host's pose, with the other's,
-and with t. Σ ρ(r) / σ² over pixels and pairs of photos is the cost of direct bundle adjustment (Engel, Koltun and
+and with t. Σ ρ(r) over pixels and pairs of photos is the cost of direct bundle adjustment (Engel, Koltun and
 Cremers 2018, arXiv:1607.02565). A step of Gauss and Newton moves all cameras together. Each pixel's distance is an
 unknown, too, and is eliminated from the equations (Schur's complement).
 
@@ -30,6 +30,7 @@ NEAREST, NEAREST_SHARE = 16, 0.25  # photos that they are drawn from: so many, o
 SAME = 0.03  # relative difference of distances up to which two photos are taken to see one surface
 LOOSE = 10.0  # standard deviation of the model's distances, in units of SHIFT: a young model's are wrong together
 FARTHEST = 20.0  # that a distance is moved at once, in the same units: one step is exact for small ones only
+STILL_SEEN = 0.8  # of the sightings: a move that loses more is not judged by the rest
 MADE_NORMAL = 1.48  # times the median of absolute values is the standard deviation, if they are normal
 TOLERANT = 1.5  # standard deviations that make the scale of ρ: pictures of one edge differ where it is sampled
 
@@ -128,7 +129,7 @@ def noise(found: Sequence[Sightings]) -> float:
 def steps(found: Sequence[Sightings], before: np.ndarray, unit: np.ndarray, scale: float) -> np.ndarray:
     """Return the steps (N, 6) of all hosts: turns in radians and shifts in scene units, in each camera's axes.
 
-    Photos that are no host stay where they are: their step is 0. The steps minimise Σ ρ(r + J ξ + d δ) / σ² + Σ |δ|² /
+    Photos that are no host stay where they are: their step is 0. The steps minimise Σ 4ρ(r + J ξ + d δ) + Σ |δ|² /
     LOOSE² + Σ |b + ξ|², linearised at 0, over the steps ξ and the changes δ of all distances.
 
     Args:
@@ -152,7 +153,7 @@ def steps(found: Sequence[Sightings], before: np.ndarray, unit: np.ndarray, scal
         weight = robust(s.off, scale).ravel() / scale**2
         off, away = s.off.ravel(), s.by_distance.ravel()
         pixel = np.repeat(s.pixel, 3)
-        curved, sloped = _distance_equations(s, scale)
+        curved, sloped = _distance_equations(s, scale, s.off)
         mixed = np.zeros((len(s.pixels), flat.shape[1]))
         np.add.at(mixed, pixel, (weight * away)[:, None] * flat)
         weighted = weight[:, None] * flat
@@ -172,7 +173,7 @@ def agreement(
     """Return by how much a host's left-out pixels agree better with the other photos, as `pose_fit.gain` does.
 
     Under either poses, a surface's distance is first moved to where the photos agree best. Sightings that one of the
-    two loses do not count.
+    two loses do not count, and without a fifth of them nothing can be told.
 
     Args:
         shown: N photos.
@@ -182,6 +183,8 @@ def agreement(
     """
     (before, there), (after, here) = (_refitted(shown, p, left_out, scale) for p in (poses, wanted))
     both = there & here
+    if both.sum() <= STILL_SEEN * len(both):
+        return 0.0, 0.0, 0.0
     pixel = left_out.pixel[both]
     used, row, count = np.unique(pixel, return_inverse=True, return_counts=True)
     costs, left = (np.bincount(row, geman_mcclure(v[both], scale).mean(-1)) / count for v in (before, after))
@@ -193,7 +196,7 @@ def _refitted(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return `off` (A, 3) and whether it counts (A,), from other poses and at the distances that suit them best."""
     off, there = _off(shown, poses, found, found.local)
-    curved, sloped = _distance_equations(found, scale, off * there[:, None])
+    curved, sloped = _distance_equations(found, scale, off, there)
     step = np.clip(-sloped / curved, -FARTHEST, FARTHEST)
     again, still = _off(shown, poses, found, found.local * (1 + SHIFT * step)[:, None])
     return again, there & still
@@ -210,10 +213,15 @@ def _off(
     return color - found.colors[found.pixel], there & counts
 
 
-def _distance_equations(found: Sightings, scale: float, off: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the second and first derivative (P,) of half the cost by each pixel's distance, in units of SHIFT."""
-    off = found.off if off is None else off
+def _distance_equations(
+    found: Sightings, scale: float, off: np.ndarray, there: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the second and first derivative (P,) of half the cost by each pixel's distance, in units of SHIFT.
+
+    off: (A, 3); there: (A,) which sightings count, None: all.
+    """
     weight, count = robust(off, scale) / scale**2, len(found.pixels)
+    weight = weight if there is None else weight * there[:, None]
     curved = np.bincount(found.pixel, (weight * found.by_distance**2).sum(-1), count) + 1 / LOOSE**2
     return curved, np.bincount(found.pixel, (weight * found.by_distance * off).sum(-1), count)
 

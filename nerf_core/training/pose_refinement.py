@@ -130,12 +130,12 @@ def _next_stride(stride: float, together: bool, most: float) -> float:
     return min(most, 2 * stride) if together else max(LEAST_STRIDE, stride / 2)
 
 
-def _left_out(target: Target, pixels: np.ndarray, rounds: int) -> np.ndarray:
-    """Which pixels (P, 2) are left out: those of every second cell, as on a chessboard, in the next round the others.
+def _left_out(target: Target, pixels: np.ndarray, side: int) -> np.ndarray:
+    """Which pixels (P, 2) are left out: those of every second cell, as on a chessboard; `side` says of which colour.
 
     Neighbours would not tell: where a model is too smooth, both are wrong in the same way.
     """
-    return (target.cells(pixels).sum(-1) + rounds) % 2 == 0
+    return (target.cells(pixels).sum(-1) + side) % 2 == 0
 
 
 class PoseRefinement:
@@ -199,6 +199,7 @@ class PoseRefinement:
             stride_among, wrong = _next_stride(stride_among, together, 1.0), self.wrong
         elif wrong:
             stride = _next_stride(stride, together, MOST_STRIDE)
+        stuck = stuck or bool((poses == self.poses).all())
         possible = self._targets[0] == 1 and len(poses) > 1 and bool((poses != self.given).any())
         among = possible and self.among != stuck
         return Corrections(poses, outcome, stride, stride_among, wrong, among)
@@ -207,10 +208,10 @@ class PoseRefinement:
         self, method: Method, rng: np.random.Generator, shown: Sequence[Target], yield_callback: Callable[[], None]
     ) -> Tried:
         """Compare each photo with the model."""
-        wanted, left_out = self.poses.copy(), {}
+        wanted, left_out, side = self.poses.copy(), {}, int(rng.integers(2))
         for n in self._chosen().tolist():
             pixels = shown[n].pixels(rng, FITTED + LEFT_OUT)
-            out = _left_out(shown[n], pixels, self.rounds)
+            out = _left_out(shown[n], pixels, side)
             yield_callback()
             if out.any() and not out.all():
                 found = compared(method, self.scene, shown[n], self.poses[n], pixels[~out])
@@ -229,13 +230,13 @@ class PoseRefinement:
         self, method: Method, rng: np.random.Generator, shown: Sequence[Target], yield_callback: Callable[[], None]
     ) -> Tried:
         """Compare photos that have moved with each other and with those near them."""
-        reach = float(np.linalg.norm(self.given[:, :, 3] - self.scene.center, axis=-1).mean())
+        reach = float(np.linalg.norm(self.given[:, :, 3] - self.scene.center, axis=-1).mean()) or self.scene.radius
         moving = np.flatnonzero((self.poses != self.given).any((1, 2)))
         chosen = np.sort(rng.permutation(moving)[:MOST])
-        fitted, left_out = [], []
+        fitted, left_out, side = [], [], int(rng.integers(2))
         for n, near in zip(chosen.tolist(), pose_bundle.near_each(self.poses, chosen, reach), strict=True):
             pixels = shown[n].pixels(rng, 2 * AMONG)
-            out = _left_out(shown[n], pixels, self.rounds)
+            out = _left_out(shown[n], pixels, side)
             others = rng.choice(near, min(pose_bundle.OTHERS, len(near)), replace=False)
             yield_callback()
             if out.any() and not out.all():
@@ -246,12 +247,18 @@ class PoseRefinement:
         depths = [np.linalg.norm(sightings.local, axis=-1) for sightings in fitted]
         depth = float(np.median(np.concatenate(depths))) if depths and any(len(d) for d in depths) else 1.0
         step = pose_bundle.steps(fitted, before, np.repeat([TURN, SHIFT * depth], 3), scale)
+        if not np.isfinite(step).all():  # a photo whose exposure is none
+            return Tried(np.zeros(0, np.int64), self.poses, np.zeros((0, 3)))
         wanted = np.stack([moved(c2w, self.stride_among * s) for c2w, s in zip(self.poses, step, strict=True)])
-        wanted = self._without_gauge(wanted)
+        if len(fitted) == len(self.poses):  # else those that stand still hold the gauge
+            wanted = self._without_gauge(wanted)
         gains = np.zeros((len(left_out), 3))
         for row, sightings in enumerate(left_out):
             yield_callback()
             gains[row] = pose_bundle.agreement(shown, self.poses, wanted, sightings, scale)
+            gains[row, 1] *= np.sqrt(
+                1 + np.isin(sightings.others, chosen).mean()
+            )  # seen once more, the other way round
         return Tried(np.array([s.host for s in left_out], np.int64), wanted, gains)
 
     def now(self) -> Corrections:
