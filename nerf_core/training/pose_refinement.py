@@ -256,9 +256,6 @@ class PoseRefinement:
         for row, sightings in enumerate(left_out):
             yield_callback()
             gains[row] = pose_bundle.agreement(shown, self.poses, wanted, sightings, scale)
-            gains[row, 1] *= np.sqrt(
-                1 + np.isin(sightings.others, chosen).mean()
-            )  # seen once more, the other way round
         return Tried(np.array([s.host for s in left_out], np.int64), wanted, gains)
 
     def now(self) -> Corrections:
