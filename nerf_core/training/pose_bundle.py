@@ -23,7 +23,17 @@ from nerf_core.geometry.cameras import Cameras
 from nerf_core.geometry.lens import Lens
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method
-from nerf_core.training.pose_fit import HIT, SHIFT, Target, crossed, geman_mcclure, robust, told, unit_vectors
+from nerf_core.training.pose_fit import (
+    HIT,
+    SHIFT,
+    Target,
+    crossed,
+    geman_mcclure,
+    pixels_by_direction,
+    robust,
+    told,
+    unit_vectors,
+)
 
 OTHERS = 8  # photos that a host is compared with in a round
 NEAREST, NEAREST_SHARE = 16, 0.25  # photos that they are drawn from: so many, or this share of all if that is more
@@ -105,19 +115,19 @@ def sighted(
     at = np.flatnonzero(_inside(shown, others, other, seen))
     t, hit = _distances(method, scene, [shown[n] for n in others], poses[others], other[at], seen.pixels[at])
     at = at[hit & (np.abs(t - there[at]) < SAME * there[at])]
+    color, gradient, counts = _between_pixels(shown, others, other[at], seen.pixels[at])
+    at, color, gradient = at[counts], color[counts], gradient[counts]
     places, pixel, other, axes, there = seen.pixels[at], pixel[at], other[at], axes[at], there[at]
-    color, gradient, counts = _between_pixels(shown, others, other, places)
     # a surface's change of place, in the other's axes, times this is the change of the other's colour
-    by_place = gradient @ _pixels_by_place(shown, others, other, places) / there[:, None, None]
+    by_place = gradient @ _pixels_by_direction(shown, others, other, places) / there[:, None, None]
     by_local = by_place @ (poses[others, :, :3].swapaxes(1, 2) @ c2w[:, :3])[other]
     x = local[pixel]
-    found = Sightings(
+    return Sightings(
         host, others, pixels, local, colors, pixel, other, color - colors[pixel],
         by_host=np.concatenate([-by_local @ crossed(x), by_local], -1),
         by_other=np.concatenate([by_place @ crossed(axes), -by_place], -1),
         by_distance=SHIFT * (by_local @ x[..., None])[..., 0],
     )  # fmt: skip
-    return _only(found, counts)
 
 
 def noise(found: Sequence[Sightings]) -> float:
@@ -150,16 +160,14 @@ def steps(found: Sequence[Sightings], before: np.ndarray, unit: np.ndarray, scal
             its = s.other == k
             jacobian[its, :, column + 1] = s.by_other[its] * unit
         flat = jacobian.reshape(s.off.size, -1)
-        weight = robust(s.off, scale).ravel() / scale**2
-        off, away = s.off.ravel(), s.by_distance.ravel()
-        pixel = np.repeat(s.pixel, 3)
-        curved, sloped = _distance_equations(s, scale, s.off)
+        weight = robust(s.off, scale) / scale**2
+        curved, sloped = _distance_equations(s, s.off, weight)
         mixed = np.zeros((len(s.pixels), flat.shape[1]))
-        np.add.at(mixed, pixel, (weight * away)[:, None] * flat)
-        weighted = weight[:, None] * flat
+        np.add.at(mixed, np.repeat(s.pixel, 3), (weight * s.by_distance).reshape(-1, 1) * flat)
+        weighted = weight.reshape(-1, 1) * flat
         own = weighted.T @ flat - (mixed / curved[:, None]).T @ mixed
         square[who[:, None], :, who] += own.reshape(len(who), 6, len(who), 6).transpose(0, 2, 1, 3)
-        slope[who] += (weighted.T @ off - mixed.T @ (sloped / curved)).reshape(-1, 6)
+        slope[who] += (weighted.T @ s.off.ravel() - mixed.T @ (sloped / curved)).reshape(-1, 6)
     system = square.reshape(6 * count, -1) + np.eye(6 * count)
     rows = list(hosts)
     done = np.zeros_like(before)
@@ -196,7 +204,7 @@ def _refitted(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return `off` (A, 3) and whether it counts (A,), from other poses and at the distances that suit them best."""
     off, there = _off(shown, poses, found, found.local)
-    curved, sloped = _distance_equations(found, scale, off, there)
+    curved, sloped = _distance_equations(found, off, robust(off, scale) / scale**2 * there[:, None])
     step = np.clip(-sloped / curved, -FARTHEST, FARTHEST)
     again, still = _off(shown, poses, found, found.local * (1 + SHIFT * step)[:, None])
     return again, there & still
@@ -213,15 +221,12 @@ def _off(
     return color - found.colors[found.pixel], there & counts
 
 
-def _distance_equations(
-    found: Sightings, scale: float, off: np.ndarray, there: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+def _distance_equations(found: Sightings, off: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the second and first derivative (P,) of half the cost by each pixel's distance, in units of SHIFT.
 
-    off: (A, 3); there: (A,) which sightings count, None: all.
+    off, weight: (A, 3) the differences, and their weights in the cost.
     """
-    weight, count = robust(off, scale) / scale**2, len(found.pixels)
-    weight = weight if there is None else weight * there[:, None]
+    count = len(found.pixels)
     curved = np.bincount(found.pixel, (weight * found.by_distance**2).sum(-1), count) + 1 / LOOSE**2
     return curved, np.bincount(found.pixel, (weight * found.by_distance * off).sum(-1), count)
 
@@ -282,24 +287,10 @@ def _between_pixels(
     return top + y * (bottom - top), np.stack([across, bottom - top], -1), counts
 
 
-def _pixels_by_place(shown: Sequence[Target], others: np.ndarray, other: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """How the pixel coordinates change with a point at distance 1 on the ray, in the camera's axes: (A, 2, 3)."""
+def _pixels_by_direction(
+    shown: Sequence[Target], others: np.ndarray, other: np.ndarray, places: np.ndarray
+) -> np.ndarray:
+    """`pixels_by_direction` of several photos, (A, 2, 3)."""
     table = _intrinsics(shown, others)[other]
     lens = Lens(*table[:, 6:].T)
-    looks = [
-        unit_vectors(lens.directions((places + step - table[:, 4:6]) / table[:, 2:4]))
-        for step in ((0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5))
-    ]
-    by_pixel = np.stack([looks[0] - looks[1], looks[2] - looks[3]], -1)  # (A, 3, 2)
-    transposed = by_pixel.swapaxes(1, 2)
-    return np.linalg.solve(transposed @ by_pixel, transposed)
-
-
-def _only(found: Sightings, counts: np.ndarray) -> Sightings:
-    """Return the sightings that count, (A,) bool."""
-    if counts.all():
-        return found
-    return Sightings(
-        found.host, found.others, found.pixels, found.local, found.colors, found.pixel[counts], found.other[counts],
-        found.off[counts], found.by_host[counts], found.by_other[counts], found.by_distance[counts],
-    )  # fmt: skip
+    return pixels_by_direction(lambda at: lens.directions((at - table[:, 4:6]) / table[:, 2:4]), places)

@@ -127,14 +127,9 @@ def compared(method: Method, scene: Scene, target: Target, c2w: np.ndarray, pixe
     depth = float(np.median(t[hit])) if hit.any() else 0.0
     t = np.where(hit, t, depth)
     shown, gradient = target.colors(pixels)
-    looks = [
-        unit_vectors(camera.directions(centres + step)) for step in ((0, 0), (0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5))
-    ]
-    by_pixel = np.stack([looks[1] - looks[2], looks[3] - looks[4]], -1)  # (P, 3, 2)
-    # a direction moves by −ω × d − (v − d (d·v)) / t; least squares turn that into pixels
-    transposed = by_pixel.swapaxes(1, 2)
-    to_pixel = np.linalg.solve(transposed @ by_pixel, transposed)  # (P, 2, 3)
-    turned = crossed(looks[0]) * TURN
+    # a direction moves by −ω × d − (v − d (d·v)) / t
+    to_pixel = pixels_by_direction(camera.directions, centres)
+    turned = crossed(unit_vectors(camera.directions(centres))) * TURN
     shifted = -np.eye(3) * (SHIFT * depth / np.maximum(t, 1e-3 * depth or 1.0))[:, None, None]
     flow = to_pixel @ np.concatenate([turned, shifted], -1)  # (P, 2, 6)
     return Comparison(target.cells(pixels), shown, color - shown, -gradient @ flow, depth)
@@ -143,9 +138,9 @@ def compared(method: Method, scene: Scene, target: Target, c2w: np.ndarray, pixe
 def solved(found: Comparison, before: np.ndarray) -> np.ndarray:
     """Return the step (6,) of a comparison: turn in radians, shift in scene units, in the camera's axes.
 
-    It minimises Σ ρ(r + J ξ) / σ² + |b + ξ|², linearised at 0. ρ is the function of Geman and McClure, and σ is the
-    scale of the residuals r. What a photo cannot tell, such as a turn from a shift where all is equally far away, thus
-    stays near the given pose.
+    It minimises 4 · INDEPENDENT · Σ ρ(r + J ξ) + |b + ξ|², linearised at 0. ρ is the function of Geman and McClure with
+    the scale σ of the residuals r. What a photo cannot tell, such as a turn from a shift where all is equally far away,
+    thus stays near the given pose.
 
     Args:
         found: the comparison.
@@ -232,6 +227,17 @@ def geman_mcclure(off: np.ndarray, scale: float) -> np.ndarray:
     """The function ρ of Geman and McClure: (r / 2σ)² / (1 + (r / 2σ)²)."""
     square = (off / (2 * scale)) ** 2
     return square / (1 + square)
+
+
+def pixels_by_direction(directions: Callable[[np.ndarray], np.ndarray], places: np.ndarray) -> np.ndarray:
+    """Return how pixel coordinates (P, 2) change with the unit vectors to what they show: (P, 2, 3), by least squares.
+
+    directions: takes pixel coordinates to directions (P, 3).
+    """
+    looks = [unit_vectors(directions(places + step)) for step in ((0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5))]
+    by_pixel = np.stack([looks[0] - looks[1], looks[2] - looks[3]], -1)  # (P, 3, 2)
+    transposed = by_pixel.swapaxes(1, 2)
+    return np.linalg.solve(transposed @ by_pixel, transposed)
 
 
 def unit_vectors(v: np.ndarray) -> np.ndarray:

@@ -39,7 +39,7 @@ SMALLEST, ROUNDS = 64, 6  # longest side of the photos in their first rounds, in
 LEAST_STRIDE, MOST_STRIDE = 1 / 8, 2.0  # of a step: a model that remembers the old poses shows half of an error
 WRONG = 0.05  # share of the cost that a round saves if the capture's poses are wrong
 CERTAIN = 3.0  # standard errors by which left-out pixels must agree better
-Correct = Callable[[int, np.ndarray], np.ndarray]
+CorrectPhoto = Callable[[int, np.ndarray], np.ndarray]
 
 
 class Corrections(NamedTuple):
@@ -176,7 +176,7 @@ class PoseRefinement:
         """Count the rays of a training step, which pay for a round."""
         self._rays += SHARE * rays
 
-    def round(self, method: Method, correct: Correct, yield_callback: Callable[[], None]) -> Corrections:
+    def round(self, method: Method, correct: CorrectPhoto, yield_callback: Callable[[], None]) -> Corrections:
         """Return what a round finds. Nothing changes before `take`.
 
         Args:
@@ -194,14 +194,13 @@ class PoseRefinement:
         outcome[tried.photos] = np.where(kept, MOVED, REFUSED)
         poses[tried.photos[kept]] = tried.wanted[tried.photos[kept]]
         stride, stride_among = self.stride, self.stride_among
-        stuck = not (together if wrong else kept.any())
+        useful = bool((poses != self.poses).any()) and (together or not wrong)
         if self.among:
             stride_among, wrong = _next_stride(stride_among, together, 1.0), self.wrong
         elif wrong:
             stride = _next_stride(stride, together, MOST_STRIDE)
-        stuck = stuck or bool((poses == self.poses).all())
         possible = self._targets[0] == 1 and len(poses) > 1 and bool((poses != self.given).any())
-        among = possible and self.among != stuck
+        among = possible and self.among == useful
         return Corrections(poses, outcome, stride, stride_among, wrong, among)
 
     def _with_model(
@@ -233,24 +232,26 @@ class PoseRefinement:
         reach = float(np.linalg.norm(self.given[:, :, 3] - self.scene.center, axis=-1).mean()) or self.scene.radius
         moving = np.flatnonzero((self.poses != self.given).any((1, 2)))
         chosen = np.sort(rng.permutation(moving)[:MOST])
-        fitted, left_out, side = [], [], int(rng.integers(2))
+        found, left_out, side = [], [], int(rng.integers(2))
         for n, near in zip(chosen.tolist(), pose_bundle.near_each(self.poses, chosen, reach), strict=True):
             pixels = shown[n].pixels(rng, 2 * AMONG)
             out = _left_out(shown[n], pixels, side)
             others = rng.choice(near, min(pose_bundle.OTHERS, len(near)), replace=False)
             yield_callback()
             if out.any() and not out.all():
-                for part, kept in ((~out, fitted), (out, left_out)):
+                for part, kept in ((~out, found), (out, left_out)):
                     kept.append(pose_bundle.sighted(method, self.scene, shown, self.poses, n, others, pixels[part]))
-        scale = pose_bundle.noise(fitted)
+        nothing = Tried(np.zeros(0, np.int64), self.poses, np.zeros((0, 3)))
+        if not any(len(s.off) for s in found):
+            return nothing
+        scale = pose_bundle.noise(found)
         before = np.stack([between(given, c2w) for given, c2w in zip(self.given, self.poses, strict=True)])
-        depths = [np.linalg.norm(sightings.local, axis=-1) for sightings in fitted]
-        depth = float(np.median(np.concatenate(depths))) if depths and any(len(d) for d in depths) else 1.0
-        step = pose_bundle.steps(fitted, before, np.repeat([TURN, SHIFT * depth], 3), scale)
+        depth = float(np.median(np.concatenate([np.linalg.norm(s.local, axis=-1) for s in found])))
+        step = pose_bundle.steps(found, before, np.repeat([TURN, SHIFT * depth], 3), scale)
         if not np.isfinite(step).all():  # a photo whose exposure is none
-            return Tried(np.zeros(0, np.int64), self.poses, np.zeros((0, 3)))
+            return nothing
         wanted = np.stack([moved(c2w, self.stride_among * s) for c2w, s in zip(self.poses, step, strict=True)])
-        if len(fitted) == len(self.poses):  # else those that stand still hold the gauge
+        if len(found) == len(self.poses):  # else those that stand still hold the gauge
             wanted = self._without_gauge(wanted)
         gains = np.zeros((len(left_out), 3))
         for row, sightings in enumerate(left_out):

@@ -13,6 +13,7 @@ from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.lens import FISHEYE, Lens
 from nerf_core.geometry.photos import Photos
+from nerf_core.geometry.rays import Rays, Rendering
 from nerf_core.geometry.scene import Scene
 from nerf_core.training import pose_bundle
 from nerf_core.training.pose_bundle import LOOSE, Sightings, agreement, near_each, noise, sighted, steps
@@ -162,8 +163,8 @@ def test_sightings_that_are_lost_say_nothing(demo: Scene, good: Trainer) -> None
         found, pixel=found.pixel[there], other=found.other[there], off=found.off[there],
         by_distance=found.by_distance[there],
     )  # fmt: skip
-    ours = pose_bundle._distance_equations(found, 0.1, found.off, there)
-    np.testing.assert_allclose(ours, pose_bundle._distance_equations(some, 0.1, some.off))
+    ours = pose_bundle._distance_equations(found, found.off, robust(found.off, 0.1) * there[:, None])
+    np.testing.assert_allclose(ours, pose_bundle._distance_equations(some, some.off, robust(some.off, 0.1)))
     away = poses.copy()
     away[1:] = [moved(c2w, np.array([0, 0.25, 0, 0, 0, 0])) for c2w in poses[1:]]  # most surfaces leave the pictures
     assert agreement(shown, poses, away, found, noise([found])) == (0, 0, 0)
@@ -191,6 +192,30 @@ def test_an_exposure_that_is_none_moves_no_camera(demo: Scene, good: Trainer) ->
     broken = refinement.round(good.method, lambda photo, colors: colors * np.nan if photo == 1 else colors, nothing)
     assert (broken.poses[0] == before).all()
     assert not broken.among
+
+
+@pytest.mark.parametrize("what", ["masked", "fog"])
+def test_where_nothing_is_seen_no_camera_moves(
+    demo: Scene, good: Trainer, what: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    views, scene = close(demo, 4), demo
+    if what == "masked":
+        hidden = np.zeros((demo.views[0].camera.height, demo.views[0].camera.width), bool)
+        scene = replace(demo, photos=demo.photos.masked(dict.fromkeys(views, hidden)))
+    else:
+        render = good.method.render
+
+        def fog(rays: Rays) -> Rendering:
+            drawn = render(rays)
+            return replace(drawn, opacity=torch.zeros_like(drawn.opacity))
+
+        monkeypatch.setattr(good.method, "render", fog)
+    refinement = PoseRefinement(scene, views, 0)
+    refinement.rounds, refinement.among = 100, True
+    refinement.poses[0] = before = moved(refinement.poses[0], np.full(6, 1e-6))
+    refinement.take(refinement.round(good.method, unexposed, nothing))
+    assert (refinement.poses[0] == before).all()
+    assert not refinement.among
 
 
 def test_cameras_come_back_together_from_a_turn_that_a_shift_takes_back(demo: Scene, good: Trainer) -> None:
