@@ -11,7 +11,7 @@ import numpy as np
 from nerf_core.captures.report_records import Gap, Kind
 from nerf_core.common.language import marked, phrase
 from nerf_core.geometry.scene import Scene
-from nerf_core.geometry.turntable import horizontal_axes
+from nerf_core.geometry.turntable import horizontal_axes, widest_gap
 
 # Matching and interpolation both fail between views that differ more: the repeatability of local features falls below a
 # half at about 30° (Mikolajczyk & Schmid, A performance evaluation of local descriptors, 2005).
@@ -109,7 +109,7 @@ def _seen_from_the_front(
     distance = np.linalg.norm(positions, axis=1)
     azimuth = np.degrees(np.arctan2(positions[:, 0], -positions[:, 1]))
     elevation = np.degrees(np.arcsin(np.clip(positions[:, 2] / np.maximum(distance, 1e-12), -1, 1)))
-    start, gap = _largest_hole(azimuth[train][elevation[train] < TOP])
+    start, gap = widest_gap(azimuth[train][elevation[train] < TOP])
     if kind == "around" and gap > 360 - HALF_ROUND:
         kind = "one-sided"
     middle = ((start + gap + (360 - gap) / 2) + 180) % 360 - 180
@@ -132,16 +132,6 @@ def angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the angles in degrees between vectors (…, 3); 90 where one has no length."""
     lengths = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
     return np.degrees(np.arccos(np.clip((a * b).sum(-1) / np.maximum(lengths, 1e-12), -1, 1)))
-
-
-def _largest_hole(azimuth: np.ndarray) -> tuple[float, float]:
-    """Where the largest gap between azimuths begins, and its width, in degrees."""
-    if len(azimuth) < 2:
-        return (float(azimuth[0]) if len(azimuth) else 0.0), 360.0
-    ordered = np.sort(azimuth)
-    gaps = np.diff(np.append(ordered, ordered[0] + 360))
-    k = int(np.argmax(gaps))
-    return float(ordered[k]), float(gaps[k])
 
 
 # ---- neighbours -------------------------------------------------------------------------------------------------

@@ -31,7 +31,6 @@ HELD = ".5g"  # the digits that a field holds: enough for 23.976 fps
 MAX_FRAMES, MAX_FPS, MAX_SIDE = 10_000, 240, 8192
 PNG = marked("PNG frames")
 LABELS = (marked("frames"), marked("fps"), marked("width"), marked("height"))  # of the fields that every path has
-OPTIONS = (marked("elevation"), marked("radius"))  # names of the kinds' own fields, for the catalogues
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from nerf_core.geometry.lens import Lens
 from nerf_core.geometry.ndc import Ndc
 from nerf_core.geometry.paths import DEFAULT_PATH, PATHS
 from nerf_core.geometry.paths.held_out import HeldOut
-from nerf_core.geometry.paths.orbit import Orbit
+from nerf_core.geometry.paths.orbit import ARC, Orbit
 from nerf_core.geometry.paths.spiral import Spiral
 from nerf_core.geometry.paths.steps import capture_distance
 from nerf_core.geometry.photos import Photos
@@ -107,6 +107,33 @@ def test_orbit_starts_beside_the_first_training_view_at_its_distance() -> None:
     assert azimuth[0] == pytest.approx(azimuth[1])
     assert np.linalg.norm(path[0].c2w[:, 3] - scene.center) == pytest.approx(4.0)
     assert (path[0].width, path[0].height, path[0].fy) == (40, 30, first.fy)
+
+
+def one_sided(widest: float = 50.0) -> Scene:
+    """Cameras on an arc of twice that many degrees about the centre, 10° above it, looking at it."""
+    scene = around()
+    rotations = [rotation_from(a, np.radians(10), 0.0, scene.up) for a in np.radians(np.linspace(-widest, widest, 17))]
+    return make_scene([np.column_stack([r, scene.center + 4 * r[:, 2]]) for r in rotations])
+
+
+def test_orbit_stays_before_the_side_that_photos_show() -> None:
+    scene = one_sided()
+    trained = np.array([angles_from(scene.views[i].camera.c2w[:, :3], scene.up) for i in scene.split("train")])
+    path = np.array([angles_from(c.c2w[:, :3], scene.up) for c in Orbit.cameras(scene, 40)])
+    low, high = trained[:, 0].min(), trained[:, 0].max()
+    assert low - 1e-9 <= path[:, 0].min() < low + np.radians(1)
+    assert high - np.radians(1) < path[:, 0].max() <= high + 1e-9
+    assert path[0, 0] == pytest.approx(trained[0, 0])
+    assert path[:, 1] == pytest.approx(np.radians(10))
+    assert abs(path[-1, 0] - path[0, 0]) <= np.abs(np.diff(path[:, 0])).max()  # it closes
+
+
+def test_orbit_takes_a_whole_turn_where_photos_leave_no_wide_gap_or_one_is_asked_for() -> None:
+    assert ARC.default_in(one_sided(156)) == 360
+    assert ARC.default_in(one_sided(120)) == pytest.approx(210)  # the outermost photos are held out
+    assert ARC.default_in(make_scene([view.camera.c2w for view in around().views[:1]])) == 360
+    azimuths = [angles_from(c.c2w[:, :3], one_sided().up)[0] for c in Orbit.cameras(one_sided(), 8, arc=360)]
+    np.testing.assert_allclose(np.diff(np.unwrap(azimuths)), np.pi / 4)
 
 
 def test_distance_of_a_panorama_is_the_scenes_radius() -> None:
