@@ -279,8 +279,7 @@ def _between_pixels(
         column, row = corner[its].T
         target, around = shown[n], ((row, column), (row, column + 1), (row + 1, column), (row + 1, column + 1))
         four[:, its] = target.correct(np.stack([target.photos.part(target.index, *at) for at in around]) / 65535)
-        if (mask := target.photos.mask(target.index)) is not None:
-            counts[its] = np.all([mask[at] for at in around], 0)
+        counts[its] = np.all([target.counted(*at) for at in around], 0)
     left, right, below, far = four
     top, bottom = left + x * (right - left), below + x * (far - below)
     across = (1 - y) * (right - left) + y * (far - below)

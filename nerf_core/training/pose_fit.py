@@ -65,15 +65,21 @@ class Target:
         if min(width, height) < 3:
             return np.zeros((0, 2), np.int64)
         found = np.unique(rng.integers([1, 1], [width - 1, height - 1], (CANDIDATES * count, 2)), axis=0)
-        off = (found + 0.5 - (self.camera.cx, self.camera.cy)) / (self.camera.fx, self.camera.fy)
-        good = np.linalg.norm(off, axis=-1) < self.camera.lens.reach()
-        if (mask := self.photos.mask(self.index)) is not None:
-            x, y = found.T  # the gradient at the edge of a mask is not one of the photo
-            good &= mask[y, x] & mask[y, x - 1] & mask[y, x + 1] & mask[y - 1, x] & mask[y + 1, x]
+        x, y = found.T  # the gradient at the edge of a mask is not one of the photo
+        around = ((x, y), (x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1))
+        good = np.all([self.counted(row, column) for column, row in around], 0)
         steep = np.linalg.norm(self.colors(found)[1], axis=(1, 2)) * good
         # the smallest of exponential variables with these rates; a rate of 0 is never drawn
         order = np.argsort(rng.exponential(size=len(found)) / np.maximum(steep, 1e-9), kind="stable")[:count]
         return found[order[steep[order] > 0]]
+
+    def counted(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+        """Return whether the lens shows pixels (P,), (P,) and no mask leaves them out, as bool (P,)."""
+        camera = self.camera
+        off = np.stack([(column + 0.5 - camera.cx) / camera.fx, (row + 0.5 - camera.cy) / camera.fy])
+        good = np.linalg.norm(off, axis=0) < camera.lens.reach()
+        mask = self.photos.mask(self.index)
+        return good if mask is None else good & mask[row, column]
 
     def cells(self, pixels: np.ndarray) -> np.ndarray:
         """Return the cells (P, 2) that pixels (P, 2) are in, as column and row in [0, CELLS)."""

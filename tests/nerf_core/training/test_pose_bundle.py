@@ -11,7 +11,7 @@ import torch
 
 from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.geometry.camera import Camera
-from nerf_core.geometry.lens import FISHEYE, Lens
+from nerf_core.geometry.lens import EQUIRECTANGULAR, FISHEYE, Lens
 from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.rays import Rays, Rendering
 from nerf_core.geometry.scene import Scene
@@ -27,6 +27,7 @@ LENSES = {
     "pinhole": Lens(),
     "polynomial": Lens(k1=-0.1, k2=0.02, p1=0.003, p2=-0.002),
     "fisheye": Lens(k1=0.02, k2=-0.004, kind=FISHEYE),
+    "equirectangular": Lens(kind=EQUIRECTANGULAR),
 }
 
 
@@ -280,6 +281,22 @@ def test_masked_pixels_and_those_at_the_edge_are_no_sightings(demo: Scene, good:
     local = np.column_stack([(at_edge - (camera.cx, camera.cy)) / (100, -100), -np.ones(4)])
     seen, _ = pose_bundle._seen([target], poses[[1]], 0, np.array([0]), local, np.zeros(4, int))
     assert pose_bundle._inside([target], np.array([0]), np.zeros(4, int), seen).tolist() == [False, True, False, True]
+
+
+def test_what_a_fisheye_does_not_show_is_no_sighting(demo: Scene) -> None:
+    """A photo is black beside its circle, so no colour is blended with that."""
+    plain = targets(demo, close(demo, 1), 1)[0]
+    camera = replace(plain.camera, lens=Lens(k1=-2.0, kind=FISHEYE))  # it folds within the picture
+    centre, radius = np.array([camera.cx, camera.cy]), camera.lens.reach() * camera.fx
+    assert radius < camera.width / 2
+    turn = np.linspace(0, 2 * np.pi, 500)
+    places = centre + (radius - 1) * np.stack([np.cos(turn), np.sin(turn)], -1)
+    shown = [replace(plain, camera=camera)]
+    counts = pose_bundle._between_pixels(shown, np.array([0]), np.zeros(500, int), places)[2]
+    around = np.floor(places - 0.5)[:, None] + [(0.5, 0.5), (1.5, 0.5), (0.5, 1.5), (1.5, 1.5)]
+    within = (np.linalg.norm(around - centre, axis=-1) < radius).all(1)
+    assert 0 < within.sum() < 500
+    np.testing.assert_array_equal(counts, within)
 
 
 def test_near_cameras_look_at_the_same_place() -> None:
