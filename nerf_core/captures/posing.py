@@ -126,6 +126,7 @@ def find_poses(raw: RawPhotos, out: Path | None, options: PoseOptions, progress:
             job.prepare()
             result = job.run()
             posed = _judged(job, result, folder, time.monotonic() - begun)
+            job.ended(len(result["placed"]))
             with _alone(folder):
                 if (other := _known(folder, key)) is not None:
                     return other  # of a search that ended first

@@ -12,10 +12,17 @@ from nerf_core.datasets.capture import PoseLens, Quality
 
 STAGES = {  # of the program, in their order
     "features": marked("finding features"),
-    "matches": marked("matching photos"),
+    "matches": marked("matching pairs of photos"),
     "poses": marked("placing photos"),
 }
 COPYING = marked("reading photos")
+PLACED = marked("photos placed")  # after the last stage
+MOST_SHOWN = 120  # thumbnails: more would be too small in a window
+
+
+def thumbnails_of(total: int) -> range:
+    """Return which of so many photos have a thumbnail: evenly spread, MOST_SHOWN at most."""
+    return range(0, total, max(1, -(-total // MOST_SHOWN)))
 
 
 @dataclass(frozen=True)
@@ -54,6 +61,7 @@ class PoseProgress:
     placed: those that have a pose.
     seconds_left: of this stage; None: not known yet.
     growing: the newest model.
+    thumbnails: (h, w, 4) uint8 each, of photos that have been read; of `thumbnails_of(photos)` in the end.
     """
 
     stage: str
@@ -63,3 +71,4 @@ class PoseProgress:
     placed: int = 0
     seconds_left: float | None = None
     growing: Growing | None = None
+    thumbnails: tuple[np.ndarray, ...] = ()

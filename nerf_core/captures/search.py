@@ -21,7 +21,15 @@ from nerf_core.captures.advice import too_few
 from nerf_core.captures.child import Child
 from nerf_core.captures.panoramas import is_panorama
 from nerf_core.captures.raw_photos import RawPhotos
-from nerf_core.captures.records import COPYING, STAGES, Growing, PoseOptions, PoseProgress
+from nerf_core.captures.records import (
+    COPYING,
+    PLACED,
+    STAGES,
+    Growing,
+    PoseOptions,
+    PoseProgress,
+    thumbnails_of,
+)
 from nerf_core.captures.video_frames import write_frames
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.memory import free_memory
@@ -36,6 +44,7 @@ STALLED = 900.0  # seconds without a sign of life: one pair of photos, or one ad
 POLL_SECONDS = 0.1
 LOOK_SECONDS = 0.5  # between looks into the program's database
 TABLES = {"features": "descriptors", "matches": "two_view_geometries"}  # of COLMAP's database, a row each
+THUMBNAIL = 160  # pixels of its longer side
 MEMORY_SHARE = 0.75  # of the memory that is free, for the program
 FULL = 20_000_000  # bytes: a disk with less is what a search failed for
 COPY_QUALITY = 95  # of JPEG: its artefacts are then below SIFT's noise
@@ -139,7 +148,12 @@ class Job:
         exif = Image.Exif()
         if focal:  # the focal length that a camera writes is a better start than COLMAP's guess
             exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = focal
-        Image.fromarray(levels).save(file, quality=COPY_QUALITY, subsampling=0, exif=exif)
+        copy = Image.fromarray(levels)
+        copy.save(file, quality=COPY_QUALITY, subsampling=0, exif=exif)
+        if k in thumbnails_of(len(self.photos)):
+            copy.thumbnail((THUMBNAIL, THUMBNAIL))
+            small_copy = np.asarray(copy.convert("RGBA"))
+            self.state = replace(self.state, thumbnails=(*self.state.thumbnails, small_copy))
         posed = Photo(photo.name, photo, Camera(*small, 1.0, 1.0, 0.0, 0.0, np.eye(4)[:3]), mask, upright=True)
         if (kept := kept_pixels(posed, header, True, header.alpha)) is not None:
             cut = self.work / "masks" / f"{name}.png"
@@ -166,6 +180,12 @@ class Job:
         self.state = replace(self.state, stage=stage, done=done, total=total, seconds_left=left,
                              photos=len(self.names) or len(self.photos))  # fmt: skip
         self.tell(self.state)
+
+    def ended(self, placed: int) -> None:
+        """Show that the search is over, and how many photos have a pose."""
+        growing = _growing(self.work / "growing.npz") or self.state.growing
+        self.state = replace(self.state, placed=placed, growing=growing)
+        self._stage(PLACED, placed, len(self.names))
 
     # ---- the program
 

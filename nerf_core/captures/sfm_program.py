@@ -214,9 +214,9 @@ def _map(pycolmap: Any, task: dict[str, Any]) -> list[Any]:
     options.image_path, options.max_num_models = "photos", 5
     shown = 0.0
 
-    def grown() -> None:
+    def grown(pause: float = GROWING_SECONDS) -> None:
         nonlocal shown
-        if manager.size() and time.monotonic() - shown > GROWING_SECONDS:
+        if manager.size() and time.monotonic() - shown > pause:
             model = manager.get(manager.size() - 1)
             if model.num_reg_images():
                 _picture(model)
@@ -230,6 +230,7 @@ def _map(pycolmap: Any, task: dict[str, Any]) -> list[Any]:
         for kind in (kinds.INITIAL_IMAGE_PAIR_REG_CALLBACK, kinds.NEXT_IMAGE_REG_CALLBACK):
             pipeline.add_callback(kind, grown)
         pipeline.run()
+    grown(0.0)
     return sorted((manager.get(k) for k in range(manager.size())), key=lambda m: -m.num_reg_images())
 
 

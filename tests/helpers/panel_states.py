@@ -9,7 +9,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from nerf_core.captures.records import COPYING, STAGES, Growing, PoseProgress
+from nerf_core.captures.records import COPYING, PLACED, STAGES, Growing, PoseProgress
 from nerf_core.captures.report import capture_report
 from nerf_core.captures.report_records import CaptureReport, Finding, ReportState
 from nerf_core.captures.video_frames import LOOKING
@@ -292,7 +292,7 @@ def make_posing(stage: str) -> PoseProgress:
     """How far poses are found, in a stage; in the last with a model of three cameras."""
     poses = np.stack([make_camera(np.array([3.0, k, 1.0])).c2w for k in range(3)])
     model = Growing(poses, np.zeros((4, 3), np.float32), np.full((4, 3), 200, np.uint8))
-    if stage != STAGES["poses"]:
+    if stage not in (STAGES["poses"], PLACED):
         return PoseProgress(stage, 400, 1225, 50, 0, 70.0)
     return PoseProgress(stage, 3, 50, 50, 3, None, model)
 
@@ -311,7 +311,7 @@ def states() -> dict[str, AppState]:
         ),
         "asked": make_state(replace(full, opened=None)),
     }
-    for stage in (COPYING, LOOKING, *STAGES.values()):
+    for stage in (COPYING, LOOKING, *STAGES.values(), PLACED):
         found[f"posing {stage}"] = make_state(replace(alone, status="loading", posing=make_posing(stage)))
     found["visits"] = make_state(bare_snapshot(bare_ray()))
     found["many visits"] = make_state(bare_snapshot(bare_ray(300)))

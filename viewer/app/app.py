@@ -162,11 +162,12 @@ class App:
                 self.state.raise_panel = "Capture"
             elif new.posing is None and old.posing is not None:
                 self.state.raise_panel = "Scene"
+                self.state.searched = old.posing if new.scene is None and old.posing.thumbnails else None
             if new.loaded != old.loaded and new.scene is not None:
                 self.state.camera.set_scene(new.scene)
                 self.state.inspect = self.state.current_view = None
                 self.state.checkpoint_file = self.state.not_opened = ""
-                self.state.show_left_off = False
+                self.state.searched, self.state.show_left_off = None, False
                 for shown in self.state.notices:  # what went wrong with another scene is over
                     shown.dismissed |= shown.notice.level == "error"
         self._focus_behind()

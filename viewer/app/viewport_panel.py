@@ -9,6 +9,7 @@ import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
+from nerf_core.captures.records import COPYING, STAGES, PoseProgress, thumbnails_of
 from nerf_core.common.language import figure, tr
 from nerf_core.geometry.camera import Camera
 from nerf_core.geometry.scene import Scene
@@ -22,6 +23,7 @@ from ..commands.pointer import ViewportInput
 from ..commands.registry import USER_COMMANDS, with_keys
 from ..draw.growing import GrowingModel
 from ..draw.imgui_renderer import ImguiRenderer
+from ..draw.mosaic import mosaic
 from ..draw.overlays import NEAR, Overlay, axis_directions, frusta, spread_views
 from ..draw.photo import NearestPhoto
 from ..draw.viewport import ViewportPicture
@@ -33,6 +35,7 @@ from ..ui.widgets import STALE, color_scale, faded, packed, sample_tooltip, visi
 from .panel_host import PanelUi
 
 FRUSTUM_DEPTH = 0.12  # of the scene's radius: visible, but not in front of the scene
+PHOTOS_SHARE = 0.65  # of the viewport's height, for photos of which no pose was found: the reason stands below
 SHADE = ImVec4(0.0, 0.0, 0.0, 0.6)  # under bright lines and texts, so that they are readable on any picture
 
 
@@ -105,6 +108,12 @@ class ViewportPanel:
             self.stale, self._photo_name = False, ""
             self._growing.draw(ui, draw, origin, (camera.width, camera.height), posing.growing, state.time)
             return
+        if posing is not None and posing.thumbnails:
+            self.stale, self._photo_name = False, ""
+            _draw_photos(ui, posing, origin, (camera.width, camera.height))
+            return
+        if snapshot.status == "empty" and state.searched is not None and not state.show_left_off:
+            _draw_photos(ui, state.searched, origin, (camera.width, PHOTOS_SHARE * camera.height))
         self.stale, self._photo_name = False, ""
         for texture in self._named:
             self._renderer.remove(texture)
@@ -168,6 +177,10 @@ class ViewportPanel:
         snapshot = state.snapshot
         if snapshot.posing is not None and snapshot.posing.growing is not None:
             return  # the growing model is the picture
+        if snapshot.posing is not None and snapshot.posing.thumbnails:
+            corner = ImVec2(origin.x + 0.6 * ui.em, origin.y + size.y - 0.6 * ui.em)
+            _chip(ui, draw, corner, size.x, tr(snapshot.loading))
+            return
         if self._photo_name:
             words = tr("photo {name}: the first picture is on its way").format(name=self._photo_name)
             words = f"{icons.ICON_FA_IMAGE}  {words}"
@@ -176,7 +189,8 @@ class ViewportPanel:
         if snapshot.preview is None and state.show_left_off and snapshot.status == "empty":
             return  # the offer to continue says what can be opened
         if snapshot.preview is None:
-            _centred(ui, draw, origin, size, _why_empty(state))
+            searched = snapshot.status == "empty" and state.searched is not None
+            _centred(ui, draw, origin, size, _why_empty(state), (1 + PHOTOS_SHARE) / 2 if searched else 0.5)
             return
         words = []
         if self.stale:
@@ -274,11 +288,21 @@ def _why_empty(state: AppState) -> tuple[str, str]:
             return tr("The first picture is on its way"), ""
 
 
-def _centred(ui: PanelUi, draw: imgui.ImDrawList, origin: ImVec2, size: ImVec2, lines: tuple[str, str]) -> None:
-    """A line, and quieter ones under it, which are wrapped to the viewport's width."""
+def _draw_photos(ui: PanelUi, posing: PoseProgress, origin: ImVec2, room: tuple[float, float]) -> None:
+    """Draw the photos of a search for poses. Those in which features are still to be found are dim."""
+    reading, looking = posing.stage == COPYING, posing.stage == STAGES["features"]
+    count = len(thumbnails_of(posing.total if reading else posing.photos))
+    seen = 0.0 if reading else posing.done / max(posing.total, 1) if looking else 1.0
+    mosaic(ui, posing.thumbnails, count, seen, origin, room)
+
+
+def _centred(
+    ui: PanelUi, draw: imgui.ImDrawList, origin: ImVec2, size: ImVec2, lines: tuple[str, str], height: float
+) -> None:
+    """A line, and quieter ones under it, which are wrapped to the viewport's width. height: a share of its height."""
     room = max(int((size.x - 2 * ui.em) / (0.5 * ui.em)), 20)  # letters; few are wider than half an em
     quiet = [part for line in lines[1].splitlines() for part in textwrap.wrap(line, room)]
-    y = origin.y + 0.5 * size.y - ui.em
+    y = origin.y + height * size.y - ui.em
     for line, color in [(lines[0], ui.theme.text), *((part, ui.theme.muted) for part in quiet)]:
         width = imgui.calc_text_size(line).x
         x = origin.x + max(0.5 * (size.x - width), 0.5 * ui.em)

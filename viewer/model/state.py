@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from nerf_core.captures.records import PoseProgress
 from nerf_core.common.language import ENGLISH
 from nerf_core.geometry.paths import DEFAULT_PATH
 from nerf_core.live.messages import Command, Inspect, Notice, Snapshot
@@ -161,6 +162,7 @@ class AppState:
     model_file: str = ""  # *
     open_path: str = ""  # *
     not_opened: str = ""  # why the capture of the command line is not open
+    searched: PoseProgress | None = None  # the search for poses that found none, whose photos are shown
     left_off: LeftOff = field(default_factory=LeftOff)
     show_left_off: bool = False  # * offer the autosaves
     settings: RunSettings = field(default_factory=RunSettings)  # * settings for the next capture

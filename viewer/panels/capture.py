@@ -9,7 +9,7 @@ from typing import Literal, TypeVar
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from nerf_core.captures.records import COPYING, STAGES, PoseProgress
+from nerf_core.captures.records import COPYING, PLACED, STAGES, PoseProgress
 from nerf_core.common.language import figure, marked, phrases, tr
 from nerf_core.common.text import duration
 from nerf_core.datasets.capture import PoseLens, Quality
@@ -65,7 +65,7 @@ class CapturePanel:
 def _stages(ui: Ui, posing: PoseProgress) -> None:
     """The stages in their order: those that are done, the one that is going on with its count, those to come."""
     order = [COPYING, *STAGES.values()]
-    now = order.index(posing.stage) if posing.stage in order else -1
+    now = len(order) if posing.stage == PLACED else order.index(posing.stage) if posing.stage in order else -1
     if now < 0:
         hint(ui, tr(posing.stage), ui.theme.accent)
     for k, stage in enumerate(order):
@@ -95,7 +95,7 @@ def _idle(ui: Ui, state: AppState) -> None:
     )
     hint(ui, text)
     load = state.settings.load
-    poses = _choice(ui, "quality", marked("quality"), QUALITIES, load.poses)
+    poses = _choice(ui, "quality", marked("quality of poses"), QUALITIES, load.poses)
     lens = _choice(ui, "lens", marked("lens"), LENSES, load.lens)
     if (poses, lens) != (load.poses, load.lens):
         state.settings = replace(state.settings, load=replace(load, poses=poses, lens=lens))

@@ -53,7 +53,11 @@ def test_all_photos_get_their_true_poses(found: tuple[RawPhotos, Posed, list[Pos
 def test_what_is_done_is_told_while_it_is_done(found: tuple[RawPhotos, Posed, list[PoseProgress]]) -> None:
     _, _, told = found
     stages = list(dict.fromkeys(state.stage for state in told if state.stage))
-    assert stages == [records.COPYING, *records.STAGES.values()]
+    assert stages == [records.COPYING, *records.STAGES.values(), records.PLACED]
+    assert [photo.shape for photo in told[-1].thumbnails] == [(120, 160, 4)] * 8
+    assert (told[-1].placed, told[-1].done) == (8, 8)
+    assert told[-1].growing is not None
+    assert len(told[-1].growing.poses) == 8
     assert all(0 <= state.done <= state.total for state in told)
     growing = [state.growing for state in told if state.growing is not None]
     assert growing
