@@ -12,7 +12,7 @@ from nerf_core.datasets.capture import PoseLens, Quality
 
 STAGES = {  # of the program, in their order
     "features": marked("finding features"),
-    "matches": marked("matching photos"),
+    "matches": marked("matching pairs of photos"),
     "poses": marked("placing photos"),
 }
 COPYING = marked("reading photos")

@@ -115,7 +115,7 @@ def test_no_untranslated_text_in_menus_and_bars(screen: Screen, brackets: Bracke
 
 FITTED = (
     "training", "empty", "background", "first noise", "failed", "export running", "study done", "left off", "visits",
-    "posing matching photos", "posing placing photos"
+    "posing matching pairs of photos", "posing placing photos"
 )  # fmt: skip  # states that differ in what they say
 
 
