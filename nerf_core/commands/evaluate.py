@@ -26,7 +26,7 @@ MOST_ROWS = 12  # of the tables of exposures and of poses
 @COMMANDS.register("eval")
 @dataclass(frozen=True)
 class Eval:
-    """Compare a trained run with held-out photos: writes metrics.json and eval/ (rendering | photo)."""
+    """Compare a trained run with held-out photos: writes metrics.json, and photo | rendering | error in eval/."""
 
     order: ClassVar[int] = 1
 
