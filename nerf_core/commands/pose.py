@@ -20,6 +20,7 @@ from nerf_core.common.text import duration
 from nerf_core.common.user_paths import own_path
 from nerf_core.datasets.capture import PoseLens, Quality
 from nerf_core.datasets.images import SUFFIXES
+from nerf_core.datasets.recognise import without_photos
 
 
 @COMMANDS.register("pose")
@@ -51,7 +52,7 @@ class Pose:
             raise UserError(f"{source} does not exist: name a folder of photos, or a video")
         raw = raw_photos(source)
         if raw is None:
-            raise UserError(f"{source} {_lacks(source)}: name a folder of photos, or a video")
+            raise UserError(_lacks(source))
         signals.be_polite()
         options = PoseOptions(self.quality, self.frames, self.minutes, self.memory_gb, self.lens)
         with Display("finding poses") as display:
@@ -74,9 +75,11 @@ class Pose:
 
 
 def _lacks(source: Path) -> str:
-    """Why no poses are searched for, after its name."""
+    """Why no poses are searched for, and what to do."""
     if source.is_file():
-        return "is one photo" if source.suffix.lower() in SUFFIXES else "is no video"
-    if is_capture(source):
-        return "has poses already"
-    return "holds no photos"
+        found = "is one photo" if source.suffix.lower() in SUFFIXES else "is no video"
+    elif is_capture(source):
+        found = "has poses already"
+    else:
+        return without_photos(source)
+    return f"{source} {found}: name a folder of photos, or a video"

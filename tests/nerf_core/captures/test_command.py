@@ -38,7 +38,8 @@ def test_a_folder_of_photos_becomes_a_run(tmp_path: Path, capsys: pytest.Capture
     ("arguments", "words"),
     [
         (["gone"], "does not exist"),
-        (["empty"], "empty holds no photos: name a folder of photos, or a video"),
+        (["empty"], "empty is an empty folder: name a folder of photos, or a video"),
+        (["notes"], "notes holds no photos and no video: name a folder of photos, or a video"),
         (["two/photo 0.png"], "is one photo: name"),
         (["posed"], "has poses already"),
         (["text"], "text is no video: name"),
@@ -55,6 +56,8 @@ def test_errors_are_one_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "empty").mkdir()
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes/a.txt").write_text("")
     textured_photos.write(tmp_path / "two", textured_photos.arc(2))
     (tmp_path / "posed").mkdir()
     (tmp_path / "posed/transforms.json").write_text("{}")
@@ -62,3 +65,11 @@ def test_errors_are_one_line(
     assert main(["pose", *arguments]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert words in line
+
+
+def test_all_commands_say_the_same_of_an_empty_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    for command in (["train"], ["pose"], ["report"]):
+        assert main([*command, str(empty)]) == 2
+        assert capsys.readouterr().err == f"nerf-core: {empty} is an empty folder: name a folder of photos, or a video\n"
