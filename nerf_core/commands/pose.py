@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -9,7 +10,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from nerf_core.captures.posing import find_poses
-from nerf_core.captures.raw_photos import is_capture, raw_photos
+from nerf_core.captures.raw_photos import RawPhotos, is_capture, raw_photos
 from nerf_core.captures.records import PoseOptions, PoseProgress
 from nerf_core.commands import COMMANDS
 from nerf_core.common.console import Display
@@ -71,7 +72,17 @@ class Pose:
         found = "found again" if posed.again else f"found in {duration(posed.seconds)}"
         say(f"{posed.summary}; {found}")
         say(f"wrote {posed.folder}")
+        say(f"next: nerf-viewer {self._opens(raw, posed.folder)}")
         return 0
+
+    def _opens(self, raw: RawPhotos, folder: Path) -> str:
+        """The arguments with which the window opens the poses: their folder, or the photos if it finds them again."""
+        if self.out is not None or (raw.video is not None and self.frames):
+            return shlex.quote(str(folder))
+        words = [shlex.quote(str(self.photos))]
+        words += [] if self.quality == "normal" else ["--poses", self.quality]
+        words += [] if self.lens == "perspective" else ["--lens", self.lens]
+        return " ".join(words)
 
 
 def _lacks(source: Path) -> str:
