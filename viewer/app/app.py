@@ -161,7 +161,9 @@ class App:
             if new.posing is not None and old.posing is None:
                 self.state.raise_panel = "Capture"
             elif new.posing is None and old.posing is not None:
-                self.state.raise_panel = "Scene"
+                self.state.raise_panel, self.state.unposed = "Scene", True
+            elif new.status == "loading" != old.status:
+                self.state.unposed = False
             if new.loaded != old.loaded and new.scene is not None:
                 self.state.camera.set_scene(new.scene)
                 self.state.inspect = self.state.current_view = None

@@ -161,6 +161,7 @@ class AppState:
     model_file: str = ""  # *
     open_path: str = ""  # *
     not_opened: str = ""  # why the capture of the command line is not open
+    unposed: bool = False  # the last search for poses has ended; without a scene it found none
     left_off: LeftOff = field(default_factory=LeftOff)
     show_left_off: bool = False  # * offer the autosaves
     settings: RunSettings = field(default_factory=RunSettings)  # * settings for the next capture
