@@ -157,6 +157,10 @@ def run(options: ViewerOptions, signals: Signals) -> int:
     wishes.check()
     if options.load is not None:
         _agrees(options.load, settings)
+    elif settings.changes:  # before anything slow; only then does the window wait for torch
+        from nerf_core.training.trainer import check_constants
+
+        check_constants(settings)
     try:
         window = open_offscreen(size, scale) if options.headless else open_window("nerf-viewer", size)
     except DisplayError as error:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nerf_core.captures.report_advice import advise, calibration, summary
+from nerf_core.captures.report_advice import advise, calibration, overall, summary
 from nerf_core.captures.report_limits import limits
 from nerf_core.captures.report_odd import Facts, odd_ones
 from nerf_core.captures.report_records import CaptureReport, PhotoFacts
@@ -120,11 +120,12 @@ def _report(facts: Facts, odd: dict[str, tuple[int, ...]]) -> CaptureReport:
     points = np.zeros((0, 3))
     if scene.points is not None:
         points = (scene.points - where.center) @ where.axes.T
-    free = where.kind == "free"
+    free, found = where.kind == "free", limits(facts, odd)
     return CaptureReport(
         name=scene.name,
         format=scene.format,
         kind=where.kind,
+        overall=overall(facts, found),
         summary=summary(facts),
         photos=facts.photos,
         front=where.front,
@@ -136,7 +137,7 @@ def _report(facts: Facts, odd: dict[str, tuple[int, ...]]) -> CaptureReport:
         heights=covered.heights,
         uncovered=covered.uncovered,
         gaps=covered.gaps,
-        limits=limits(facts, odd),
+        limits=found,
         next=advise(facts),
         calibration=calibration(facts),
         notes=scene.notes,

@@ -1,13 +1,14 @@
-"""A capture in words: how its cameras stand, how they are calibrated, and what to photograph next."""
+"""A capture in words: what it is good for, how its cameras stand and are calibrated, what to photograph next."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from nerf_core.captures.report_odd import Facts, names
-from nerf_core.captures.report_records import Gap, PhotoFacts
+from nerf_core.captures.report_records import Finding, Gap, PhotoFacts
 from nerf_core.captures.report_views import directions
 from nerf_core.common.language import digits, phrase, phrases
 from nerf_core.common.text import number
@@ -16,7 +17,47 @@ from nerf_core.datasets.calibration import oddities
 FEW = 20  # the least that a scene of LLFF's captures has
 WIDE_STEP = 20.0  # degrees between neighbours: guides to photogrammetry ask for 10° to 15°
 STEP = 12.0  # degrees between photos that are advised: 30 for a ring
+SERIOUS = 1.0  # score of a limit from which the capture is not good yet: that of a fault in the looks of all photos
 PRINCIPAL = 0.05  # image sizes from the centre: phones have 0.01, cropped photos more
+
+
+def overall(facts: Facts, found: Sequence[Finding]) -> str:
+    """Say what a capture is good for, what limits it most, and what to do next.
+
+    Args:
+        facts: what is known of the capture.
+        found: what limits the quality, the worst first.
+
+    Returns:
+        Two or three short sentences, a phrase.
+    """
+    use = _use(facts)
+    if not found:
+        return phrase("This capture is good for {use}; no limit was found. Next: train it.", use=use)
+    worst = found[0]
+    if worst.score >= SERIOUS:
+        return phrase(
+            "This capture is not yet good for {use}. What limits it most: {limit}. Next: {advice}.",
+            use=use, limit=worst.text, advice=worst.advice,
+        )  # fmt: skip
+    return phrase(
+        "This capture is good for {use}. What limits it most: {limit}. Next: {advice}.",
+        use=use, limit=worst.text, advice=worst.advice,
+    )  # fmt: skip
+
+
+def _use(facts: Facts) -> str:
+    """Which views the cameras allow, as they stand."""
+    match facts.where.kind:
+        case "around":
+            return phrase("views from most sides") if facts.covered.gaps else phrase("views from all sides")
+        case "one-sided":
+            return phrase("views from the side that was photographed")
+        case "forward-facing":
+            return phrase("small camera movements in front of what was photographed")
+        case "free":
+            return phrase("views from near where the photos were taken")
+    return phrase("new views")
 
 
 def summary(facts: Facts) -> str:
@@ -34,21 +75,20 @@ def summary(facts: Facts) -> str:
     if where.kind == "one-sided":
         return phrase(
             "{count} from one side: over {around:.0f}° around the centre, at elevations from {low} to {high}. The "
-            "front is the middle, where {front} was taken.",
+            "front is the middle of that side, where {front} was taken.",
             count=count, front=front, **angles,
         )  # fmt: skip
     if where.kind == "forward-facing":
         wide, high = _window(facts)
         return phrase(
-            "{count} that look one way, from a window of {wide} × {high} units. Only this side is meant, so that "
-            "there are no gaps to look for: views from beside or behind it cannot be shown.",
+            "{count} that look one way, from a window of {wide} × {high} units. Views from beside or behind cannot be "
+            "shown, so gaps around the centre are not looked for.",
             count=count, wide=number(wide, 2), high=number(high, 2),
         )  # fmt: skip
     if where.kind == "single":
         return phrase("One training photo: depth cannot be learnt from it.")
     return phrase(
-        "{count} that look in many directions from among what they show, as in a room. Gaps around a centre are not "
-        "looked for.",
+        "{count} that look in many directions, as in a room. Gaps around a centre are not looked for.",
         count=count,
     )
 
@@ -108,27 +148,29 @@ def advise(facts: Facts) -> tuple[str, ...]:
         said.append(text)
     steps = [facts.photos[k].separation for k in facts.train]
     if len(steps) > 1 and np.median(steps) > (STEP if len(facts.train) < FEW else WIDE_STEP):
-        text = phrase("Add photos between those that there are, a step of {step:.0f}° apart at most.", step=STEP)
+        text = phrase("Add photos in between, at most {step:.0f}° apart.", step=STEP)
         said.append(text)
     if where.kind == "one-sided":
         least = math.ceil((360 - where.around) / (1.5 * STEP))
         text = phrase(
-            "If the whole thing is meant, go on round it: {least} to {most} photos from the right over behind to the "
-            "left, at an elevation of about {height}.",
+            "To show it from all sides, walk on around it: add {least} to {most} photos from the right, past the back, "
+            "to the left, at an elevation of about {height}.",
             least=least, most=math.ceil(1.5 * least), height=whole(np.median(where.elevation[facts.train])),
         )  # fmt: skip
         said.append(text)
     if where.kind == "forward-facing":
         wide, high = _window(facts)
         text = phrase(
-            "To move farther in films, widen the window: photos from up to {wide} units more to the left and right, "
-            "and {high} up and down.",
+            "To move the camera farther, add photos from up to {wide} units further left and right, and {high} further "
+            "up and down.",
             wide=number(wide / 2, 2), high=number(high / 2, 2),
         )  # fmt: skip
         said.append(text)
     if facts.inward and where.elevation[facts.train].max() < 45:
         text = phrase(
-            "Only to look down from above: {least} to {most} photos at elevations of 50° to 60°.", least=6, most=10
+            "To look down from above as well, add {least} to {most} photos at elevations of 50° to 60°.",
+            least=6,
+            most=10,
         )
         said.append(text)
     return tuple(said)

@@ -18,7 +18,7 @@ from nerf_core.captures.report_records import CaptureReport, PhotoFacts
 from nerf_core.captures.report_svg import disc, elevation, plan, row
 from nerf_core.common.errors import UserError
 from nerf_core.common.files import write_atomically
-from nerf_core.common.text import NOTHING
+from nerf_core.common.text import NOTHING, counted
 
 MARK = "nerf-viewer capture report"  # both files have it near their beginning: other files are not replaced
 HEAD_BYTES = 400
@@ -33,6 +33,7 @@ h1 { font-size: 1.7rem; font-weight: 500; margin: 0; overflow-wrap: anywhere; }
 h2 { font-size: 1.1rem; font-weight: 600; margin: 2.2rem 0 .6rem; padding-bottom: .3rem;
   border-bottom: 1px solid var(--line); }
 .lead { margin: .4rem 0 0; color: var(--muted); }
+.overall { margin: 1.2rem 0 .8rem; font-size: 1.15rem; line-height: 1.45; }
 ol, ul { padding-left: 1.4rem; margin: 0; } li { margin: .35rem 0; } .do { color: var(--muted); }
 .maps { display: grid; grid-template-columns: repeat(auto-fit, minmax(17rem, 1fr)); gap: 1rem; }
 figure { margin: 0; } figcaption { color: var(--muted); font-size: .85rem; margin-top: .2rem; }
@@ -48,7 +49,8 @@ svg .m { text-anchor: middle; } svg .r { text-anchor: end; }
 .scroll { overflow-x: auto; } table { border-collapse: collapse; width: 100%; font-size: .88rem; }
 th { text-align: left; font-weight: 500; color: var(--muted); vertical-align: bottom; }
 th, td { padding: .3rem .7rem .3rem 0; border-bottom: 1px solid var(--line); }
-td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; } td.n { white-space: nowrap; }
+td:last-child { min-width: 8rem; }
 td img { display: block; width: 5.5rem; height: 4rem; object-fit: contain; object-position: left; }
 td.name { overflow-wrap: anywhere; min-width: 8rem; } .why { color: var(--odd); }
 .key span { margin-right: 1.2rem; white-space: nowrap; } .key i { display: inline-block; width: .6rem; height: .6rem;
@@ -73,7 +75,8 @@ def to_html(report: CaptureReport) -> str:
     title = f"Capture report: {report.name}"
     parts = [
         f"<h1>{escape(report.name)}</h1>",
-        f'<p class="lead">Capture report · {escape(report.format)} · {len(report.photos):,} photos</p>',
+        f'<p class="lead">Capture report · {escape(report.format)} · {counted(len(report.photos), "photo")}</p>',
+        f'<p class="overall">{escape(report.overall)}</p>',
         f"<p>{escape(report.summary)}</p>",
         "<h2>What limits the quality</h2>",
         _limits(report),
@@ -88,7 +91,7 @@ def to_html(report: CaptureReport) -> str:
         _list(report.calibration, ""),
     ]
     if report.notes:
-        parts += ["<h2>Notes of the reader</h2>", _list(report.notes, "")]
+        parts += ["<h2>Notes from loading</h2>", _list(report.notes, "")]
     parts += ["<h2>Photos</h2>", _table(report), "<h2>How it is measured</h2>"]
     parts += [f"<p>{escape(text)}</p>" for text in METHOD]
     head = f'<meta charset="utf-8"/><meta name="generator" content="{MARK}"/><title>{escape(title)}</title>'
@@ -158,11 +161,11 @@ def _plain(value: Any) -> Any:
 
 def _limits(report: CaptureReport) -> str:
     if not report.limits:
-        return "<p>Nothing that was checked: neither places nor sharpness, exposure or calibration stand out.</p>"
-    lines = []
-    for one in report.limits:
-        advice = f' <span class="do">→ {escape(one.advice)}</span>' if one.advice else ""
-        lines.append(f"<li>{escape(_sentence(one.text))}{advice}</li>")
+        return "<p>No limit was found in places, sharpness, exposure and calibration.</p>"
+    lines = [
+        f'<li>{escape(_sentence(one.text))} <span class="do">→ {escape(one.advice)}</span></li>'
+        for one in report.limits
+    ]
     return f"<ol>{''.join(lines)}</ol>"
 
 
@@ -192,16 +195,21 @@ def _disc(report: CaptureReport) -> str:
 def _rows(report: CaptureReport) -> str:
     sharp, light = [p.relative_sharpness for p in report.photos], [p.relative_exposure for p in report.photos]
     marks: tuple[tuple[float, str], ...] = ((1.0, "1"), (SOFT, f"{SOFT}"))
-    first = row(report, sharp, f"Sharpness, over that of similar views: below {SOFT} a photo is soft", marks)
+    first = row(report, sharp, f"Relative sharpness: below {SOFT} a photo is soft", marks)
     marks = ((0.0, "0"), (OFF_STOPS, f"+{OFF_STOPS}"), (-OFF_STOPS, f"−{OFF_STOPS}"))
-    return first + row(report, light, "Exposure in stops, less that of similar views", marks)
+    return first + row(report, light, "Relative exposure, in stops", marks)
 
 
 def _table(report: CaptureReport) -> str:
-    heads = ("", "photo", "split", "sharp", "vs similar", "exposure", "vs similar", "clipped", "nearest view")
+    heads = (
+        "", "photo", "split", "sharpness", "relative sharpness", "exposure, stops", "relative exposure, stops",
+        "clipped", "most similar view",
+    )  # fmt: skip
     cells = "".join(f'<th class="{"n" if 3 <= k <= 7 else ""}">{head}</th>' for k, head in enumerate(heads))
     rows = "".join(_photo(report, p) for p in report.photos)
-    return f'<div class="scroll"><table><thead><tr>{cells}</tr></thead><tbody>{rows}</tbody></table></div>'
+    note = "Relative: compared with the median of similar views. Most similar view: among the training photos."
+    table = f"<table><thead><tr>{cells}</tr></thead><tbody>{rows}</tbody></table>"
+    return f'<p class="lead">{note}</p><div class="scroll">{table}</div>'
 
 
 def _photo(report: CaptureReport, p: PhotoFacts) -> str:

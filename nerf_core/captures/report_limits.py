@@ -35,13 +35,14 @@ def _limits_of_places(facts: Facts, odd: dict[str, tuple[int, ...]]) -> list[Fin
             "no photo from {where} ({width:.0f}° wide): what shows only from there is guessed",
             where=gap.text, width=gap.width,
         )  # fmt: skip
-        found.append(Finding("gap", COVERAGE * min(missed + 0.1, 1.0), text))
+        found.append(Finding("gap", COVERAGE * min(missed + 0.1, 1.0), text, phrase("add photos from there")))
     if where.kind == "one-sided":
         text = phrase(
-            "photos cover {around:.0f}° of 360° around the centre: the other side is missing, unless it is not meant",
+            "photos cover {around:.0f}° of 360° around the centre, so the other side cannot be shown",
             around=where.around,
         )
-        found.append(Finding("one-sided", COVERAGE * 0.1, text))
+        advice = phrase("train it if this side is enough; else add photos of the other side")
+        found.append(Finding("one-sided", COVERAGE * 0.1, text, advice))
     steps = np.array([facts.photos[k].separation for k in facts.train])
     wide = len(steps) < 2 or float(np.median(steps)) > STEP  # a few photos side by side are enough for a small window
     if len(facts.train) < FEW and wide:
@@ -56,7 +57,8 @@ def _limits_of_places(facts: Facts, odd: dict[str, tuple[int, ...]]) -> list[Fin
             "neighbouring photos differ by {step:.0f}°, where 10° to 15° are usual: surfaces are uncertain",
             step=float(np.median(steps)),
         )
-        found.append(Finding("steps", COVERAGE * min(float(np.median(steps)) / 90, 1.0), text))
+        score = COVERAGE * min(float(np.median(steps)) / 90, 1.0)
+        found.append(Finding("steps", score, text, phrase("add photos in between")))
     alone = [k for k in odd.get("alone", ()) if facts.photos[k].split in ("train", "")]
     if alone:
         text = phrases(
@@ -72,7 +74,8 @@ def _limits_of_places(facts: Facts, odd: dict[str, tuple[int, ...]]) -> list[Fin
             "{n} held-out photos are farther than {far:.0f}° from every training photo: they measure guesses",
             len(held), far=FAR_DEGREES,
         )  # fmt: skip
-        found.append(Finding("held out", LOOKS * len(held) / count, text, photos=tuple(held)))
+        advice = phrase("add training photos beside, or hold out other ones")
+        found.append(Finding("held out", LOOKS * len(held) / count, text, advice, tuple(held)))
     return found + _limits_of_poses(facts, odd)
 
 
@@ -92,7 +95,8 @@ def _limits_of_poses(facts: Facts, odd: dict[str, tuple[int, ...]]) -> list[Find
             "{n} photos stand far nearer or farther than most: {names}",
             len(odd["distance"]), names=names(facts, odd["distance"]),
         )  # fmt: skip
-        found.append(Finding("distance", LOOKS * len(odd["distance"]) / count, text, photos=odd["distance"]))
+        advice = phrase("check the poses, unless these are close-ups")
+        found.append(Finding("distance", LOOKS * len(odd["distance"]) / count, text, advice, odd["distance"]))
     twins = tuple(dict.fromkeys(odd.get("twin", ())))
     if twins:
         text = phrases(
@@ -100,14 +104,14 @@ def _limits_of_poses(facts: Facts, odd: dict[str, tuple[int, ...]]) -> list[Find
             "{n} photos have the pose of another: {names}",
             len(twins), names=names(facts, twins),
         )  # fmt: skip
-        advice = phrase("a tripod is fine; if the pictures differ, a pose is wrong")
+        advice = phrase("check the poses, unless the camera stood on a tripod")
         found.append(Finding("twin", LOOKS * len(twins) / count, text, advice, twins))
     return found
 
 
 def _of_looks(kind: str, n: int, who: str) -> tuple[str, str]:
     """What was found in n photos, and what to do."""
-    again = phrase("leave out or take again")
+    again = phrase("leave them out, or take them again")
     match kind:
         case "blank":
             return phrases("{n} photo shows nothing: {names}", "{n} photos show nothing: {names}", n, names=who), again
@@ -122,7 +126,7 @@ def _of_looks(kind: str, n: int, who: str) -> tuple[str, str]:
         n,
         names=who,
     )
-    return text, phrase("leave out, or even out the brightness")
+    return text, phrase("leave them out, or even out the brightness")
 
 
 def _limits_of_looks(facts: Facts, odd: dict[str, tuple[int, ...]]) -> list[Finding]:
@@ -134,7 +138,7 @@ def _limits_of_looks(facts: Facts, odd: dict[str, tuple[int, ...]]) -> list[Find
     steps = np.abs([p.relative_exposure for p in photos if np.isfinite(p.relative_exposure)])
     if len(steps) > 2 and np.median(steps) > DRIFT:
         text = phrase(
-            "the exposure changes from photo to photo, by {stops:.1f} stops as a rule: a model explains that with haze",
+            "the exposure changes from photo to photo, typically by {stops:.1f} stops: a model explains that with haze",
             stops=float(np.median(steps)),
         )
         found.append(Finding("drift", LOOKS * 0.5, text, phrase("lock the exposure")))
@@ -151,7 +155,7 @@ def _limits_of_pixels(facts: Facts) -> list[Finding]:
             pixels=longest,
             sharpness=float(np.nanmedian(sharp)),
         )
-        found.append(Finding("soft all", LOOKS * 0.3, text, phrase("downscale 2 loses little and is faster")))
+        found.append(Finding("soft all", LOOKS * 0.3, text, phrase("load them at half size: training is faster")))
     if longest < SMALL:
         text = phrase("photos are {pixels:.0f} pixels long: finer detail than that is not in them", pixels=longest)
         found.append(Finding("small", LOOKS * 0.2, text, phrase("load larger photos")))
@@ -170,6 +174,6 @@ def _limits_of_calibration(facts: Facts, odd: dict[str, tuple[int, ...]]) -> lis
             "{n} photos have another field of view than most: {names}",
             len(focal), names=names(facts, focal),
         )  # fmt: skip
-        advice = phrase("right for a zoom or another camera; else the calibration is wrong")
+        advice = phrase("calibrate again, unless the lens was zoomed or the camera another")
         found.append(Finding("focal", LOOKS * len(focal) / len(facts.photos), text, advice, focal))
     return found

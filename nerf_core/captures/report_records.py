@@ -86,14 +86,14 @@ class Finding:
 
     kind: of a fixed list, for programs.
     score: how much it limits, for the order.
-    text: what was found. advice: what to do; empty: nothing more than the text says.
+    text: what was found. advice: what to do.
     photos: indices of the photos that it is about.
     """
 
     kind: str
     score: float
     text: str
-    advice: str = ""
+    advice: str
     photos: tuple[int, ...] = ()
 
 
@@ -103,7 +103,8 @@ class CaptureReport:
 
     name, format: of the scene.
     kind: how the cameras stand.
-    summary: a sentence on that.
+    overall: what it is good for, what limits it most, and what to do next.
+    summary: a sentence on how the cameras stand.
     photos: all, in the scene's order.
     front: the index of the photo whose direction counts as the front; −1: the mean direction of view.
     center: (3,) of the scene; axes: (3, 3) rows right, away and up, in the scene's frame.
@@ -121,6 +122,7 @@ class CaptureReport:
     name: str
     format: str
     kind: Kind
+    overall: str
     summary: str
     photos: tuple[PhotoFacts, ...]
     front: int

@@ -26,7 +26,7 @@ MOST_ROWS = 12  # of the tables of exposures and of poses
 @COMMANDS.register("eval")
 @dataclass(frozen=True)
 class Eval:
-    """Compare a trained run with held-out photos: writes metrics.json and eval/ (rendering | photo)."""
+    """Compare a trained run with held-out photos: writes metrics.json, and photo | rendering | error in eval/."""
 
     order: ClassVar[int] = 1
 
@@ -59,7 +59,8 @@ class Eval:
         write_atomically(file, json.dumps(metrics, indent=2, allow_nan=False) + "\n")
         _print_metrics(metrics, count)
         _print_exposures(metrics.get("exposure", []))
-        _print_poses(metrics.get("poses", []))
+        if trainer.corrections is not None:
+            _print_poses(metrics["poses"], trainer.corrections.summary())
         tell([trainer.method.stage] if trainer.method.stage else [])
         say(f"wrote {file} and {run.path / 'eval'}")
         return 0
@@ -71,20 +72,24 @@ def _print_metrics(metrics: dict[str, Any], count: int) -> None:
     of = counted(count, f"{metrics['split']} image") + (f" ({metrics['subset']})" if "subset" in metrics else "")
     say(f"{of} at step {metrics['step']:,}: PSNR {mean['psnr']:.2f} dB, SSIM {mean['ssim']:.4f}, LPIPS {lpips}")
     if mean.get("psnr_matched") is not None:
-        say(f"right halves, with the exposure of the left ones: PSNR {mean['psnr_matched']:.2f} dB")
-    if mean.get("psnr_posed") is not None:
-        say(f"right halves, from poses fitted to the left ones: PSNR {mean['psnr_posed']:.2f} dB")
+        right = f"{mean['psnr_matched']:.2f} dB"
+        say(f"exposure of each photo fitted to its left half, measured on its right half: PSNR {right}")
+    if mean.get("psnr_posed") is not None and metrics["split"] == "train":
+        say(f"corrected pose of each photo, measured on its right half: PSNR {mean['psnr_posed']:.2f} dB")
+    elif mean.get("psnr_posed") is not None:
+        say(f"pose of each photo fitted to its left half, measured on its right half: PSNR {mean['psnr_posed']:.2f} dB")
 
 
-def _print_poses(poses: list[dict[str, Any]]) -> None:
-    """Print the corrections of training photos, of many only the largest."""
-    if not poses:
+def _print_poses(poses: list[dict[str, Any]], summary: str) -> None:
+    """Print how far the cameras of training photos moved; of many, only those that moved farthest."""
+    say(f"poses of training photos: {summary}")
+    rows = sorted((row for row in poses if row["degrees"] or row["percent"]), key=lambda row: -row["degrees"])
+    if not rows:
         return
-    rows = sorted(poses, key=lambda row: -row["degrees"])
-    say(f"corrected poses of {counted(len(rows), 'training photo')}, the largest first (metrics.json has all):")
-    say("    turned   shifted (of the radius)   last round   photo")
+    say("cameras that moved, the largest turn first (metrics.json has all):")
+    say("    turned   shifted (of the radius)   photo")
     for row in rows[:MOST_ROWS]:
-        say(f"  {row['degrees']:7.3f}°   {row['percent']:7.3f} %                 {row['outcome']:10}   {row['name']}")
+        say(f"  {row['degrees']:7.3f}°   {row['percent']:7.3f} %                 {row['name']}")
 
 
 def _print_exposures(exposures: list[dict[str, Any]]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -9,7 +10,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from nerf_core.captures.posing import find_poses
-from nerf_core.captures.raw_photos import is_capture, raw_photos
+from nerf_core.captures.raw_photos import RawPhotos, is_capture, raw_photos
 from nerf_core.captures.records import PoseOptions, PoseProgress
 from nerf_core.commands import COMMANDS
 from nerf_core.common.console import Display
@@ -20,6 +21,7 @@ from nerf_core.common.text import duration
 from nerf_core.common.user_paths import own_path
 from nerf_core.datasets.capture import PoseLens, Quality
 from nerf_core.datasets.images import SUFFIXES
+from nerf_core.datasets.recognise import without_photos
 
 
 @COMMANDS.register("pose")
@@ -51,7 +53,7 @@ class Pose:
             raise UserError(f"{source} does not exist: name a folder of photos, or a video")
         raw = raw_photos(source)
         if raw is None:
-            raise UserError(f"{source} {_lacks(source)}: name a folder of photos, or a video")
+            raise UserError(_lacks(source))
         signals.be_polite()
         options = PoseOptions(self.quality, self.frames, self.minutes, self.memory_gb, self.lens)
         with Display("finding poses") as display:
@@ -70,13 +72,25 @@ class Pose:
         found = "found again" if posed.again else f"found in {duration(posed.seconds)}"
         say(f"{posed.summary}; {found}")
         say(f"wrote {posed.folder}")
+        say(f"next: nerf-viewer {self._opens(raw, posed.folder)}")
         return 0
+
+    def _opens(self, raw: RawPhotos, folder: Path) -> str:
+        """The arguments with which the window opens the poses: their folder, or the photos if it finds them again."""
+        if self.out is not None or (raw.video is not None and self.frames):
+            return shlex.quote(str(folder))
+        words = [shlex.quote(str(self.photos))]
+        words += [] if self.quality == "normal" else ["--poses", self.quality]
+        words += [] if self.lens == "perspective" else ["--lens", self.lens]
+        return " ".join(words)
 
 
 def _lacks(source: Path) -> str:
-    """Why no poses are searched for, after its name."""
+    """Why no poses are searched for, and what to do."""
     if source.is_file():
-        return "is one photo" if source.suffix.lower() in SUFFIXES else "is no video"
-    if is_capture(source):
-        return "has poses already"
-    return "holds no photos"
+        found = "is one photo" if source.suffix.lower() in SUFFIXES else "is no video"
+    elif is_capture(source):
+        found = "has poses already"
+    else:
+        return without_photos(source)
+    return f"{source} {found}: name a folder of photos, or a video"

@@ -52,13 +52,14 @@ class Report:
                 display.show(done / total, f"{words}: {done:,} of {total:,}")
 
             report = capture_report(scene, progress=show)
+        say(report.overall)
         say(report.summary)
         for k, limit in enumerate(report.limits, 1):
-            say(f"{k}. {limit.text}{f' → {limit.advice}' if limit.advice else ''}")
+            say(f"{k}. {limit.text} → {limit.advice}")
         if not report.limits:
-            say("nothing that was checked limits the quality")
+            say("no limit was found")
         for text in report.next:
-            say(f"next: {text}")
+            say(f"to photograph next: {text}")
         for written in write_report(report, file):
             say(f"wrote {written}")
         return 0

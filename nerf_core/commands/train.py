@@ -29,7 +29,7 @@ from nerf_core.training.loop import Progress, train_run, train_steps
 from nerf_core.training.options import TrainOptions, run_name
 from nerf_core.training.run_folder import RunFolder, must_agree
 from nerf_core.training.settings import RunSettings
-from nerf_core.training.trainer import Trainer, choose_method, must_be_distributed
+from nerf_core.training.trainer import Trainer, check_constants, choose_method, must_be_distributed
 
 DATA_HELP = "Folder of the capture (or its .json, .xml or .csv file); none: the demo scene."
 
@@ -66,6 +66,8 @@ class Train:
         if self.resume:
             must_agree(settings, run)
             method = run.config()[1].method
+        else:
+            check_constants(settings)  # before poses are searched for
         if group.size > 1:
             must_be_distributed(method)  # before the photos are loaded
         began = time.monotonic()

@@ -16,6 +16,7 @@ import tyro
 from nerf_core import __version__
 from nerf_core.common.errors import UserError
 from nerf_core.common.output import say
+from nerf_core.common.text import closest
 from nerf_core.common.user_paths import absolute, own_path
 
 CONFIG = (
@@ -64,26 +65,52 @@ def parse(kind: Any, prog: str, arguments: Sequence[str] | None, description: st
     except SystemExit as end:
         if not end.code:
             raise
-        text = _sentence(said.getvalue())
-        whole = (
-            f"{prog} {arguments[0]}"
-            if get_args(kind) and arguments and arguments[0].replace("-", "").isalpha() and "--" in text
-            else prog
-        )
+        named = bool(get_args(kind) and arguments and arguments[0].isalpha())
+        text = _unknown(_command(kind, arguments[0]) if named else kind, arguments) or _sentence(said.getvalue())
+        whole = f"{prog} {arguments[0]}" if named and "--" in text else prog
         raise UserError(f"{text}; {whole} --help lists the options") from None
 
 
+def _unknown(kind: Any, arguments: Sequence[str]) -> str:
+    """The message about the first word that looks like an option and is none of `kind`; empty if all are known."""
+    known = {"--help", "--version", *(option for option, _ in _declared(kind))}
+    for argument in arguments:
+        option = argument.partition("=")[0]
+        if not re.match(r"--?[A-Za-z]", option) or option == "-h" or option.replace("_", "-") in known:
+            continue
+        near = closest(option.lstrip("-"), (one.removeprefix("--") for one in known))  # dashes would count as likeness
+        return f"{option}: no such option{f' (did you mean --{near}?)' if near else ''}"
+    return ""
+
+
+def _command(kind: Any, name: str) -> Any:
+    """The member of a union of subcommands that has a name; the union if none has it."""
+    for part in get_args(kind):
+        if any(getattr(one, "name", "") == name for one in get_args(part)[1:]):
+            return part
+    return kind
+
+
 def _repeatable(kind: Any) -> Iterator[str]:
-    """The options that may be given more than once: fields that are lists, in all dataclasses that `kind` contains."""
+    """The options that may be given more than once: fields that are lists."""
+    for option, declared in _declared(kind):
+        if get_origin(get_args(declared)[0] if get_origin(declared) is Annotated else declared) is list:
+            yield option
+
+
+def _declared(kind: Any) -> Iterator[tuple[str, Any]]:
+    """The options of all dataclasses that `kind` contains, with their types."""
     for part in get_args(kind) if get_origin(kind) in (Union, Annotated) else ():
-        yield from _repeatable(part)
+        yield from _declared(part)
     if not (isinstance(kind, type) and is_dataclass(kind)):
         return
-    types = get_type_hints(kind)
+    types = get_type_hints(kind, include_extras=True)
     for field in fields(kind):
-        if get_origin(types[field.name]) is list:
-            yield f"--{field.name.replace('_', '-')}"
-        yield from _repeatable(types[field.name])
+        declared = types[field.name]
+        inner = tuple(_declared(declared))
+        yield from inner
+        if not inner and tyro.conf.Positional not in get_args(declared):
+            yield f"--{field.name.replace('_', '-')}", declared
 
 
 def _at_home(argument: str) -> str:

@@ -13,6 +13,7 @@ from typing import Any, TypeVar, get_type_hints
 
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.language import phrase
+from nerf_core.common.text import closest
 
 C = TypeVar("C")
 WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a word"}
@@ -120,19 +121,37 @@ def changed(config: C, changes: Mapping[str, str], method: str) -> C:
         UserError: for a name that does not exist, and for a value that cannot be parsed or is out of range.
     """
     kinds = {name: kind for name, kind in get_type_hints(type(config)).items() if kind in WORDS}
-    values: dict[str, Any] = {}
-    for name, text in changes.items():
-        if name not in kinds:
-            raise UserError(f"--set {shorten(name)}: method {method} has no such constant; it has {', '.join(kinds)}")
-        kind = kinds[name]
-        try:
-            if kind is bool:
-                values[name] = {"true": True, "false": False}[text.lower()]
-            else:
-                values[name] = kind(text)
-        except (ValueError, KeyError):
-            raise UserError(f"--set {name}={shorten(text)}: expected {WORDS[kind]}") from None
+    values = {name: _parsed(name, text, kinds, method) for name, text in changes.items()}
     return replace(config, **values)  # pyright: ignore[reportArgumentType]: C is one of the configurations
+
+
+def check_changes(kind: type[Any], changes: Mapping[str, str], method: str) -> None:
+    """Check changes of constants before there is a scene to configure the method for.
+
+    Args:
+        kind: the configuration's class.
+        changes: new values as text by name; those of a nested configuration are named outer.inner.
+        method: the method's name in messages.
+
+    Raises:
+        UserError: for a name that does not exist, and for a value that cannot be parsed.
+    """
+    kinds = {name: type(default) for name, (default, _) in constants(kind).items()}
+    for name, text in changes.items():
+        _parsed(name, text, kinds, method)
+
+
+def _parsed(name: str, text: str, kinds: Mapping[str, type], method: str) -> Any:
+    """The value of a constant. kinds: the types of all constants. Raises UserError."""
+    if name not in kinds:
+        near = closest(name, kinds)
+        other = f"did you mean {near}?" if near else f"it has {', '.join(kinds)}"
+        raise UserError(f"--set {shorten(name)}: method {method} has no such constant; {other}")
+    kind = kinds[name]
+    try:
+        return {"true": True, "false": False}[text.lower()] if kind is bool else kind(text)
+    except (ValueError, KeyError):
+        raise UserError(f"--set {name}={shorten(text)}: expected {WORDS[kind]}") from None
 
 
 def restored(kind: type[C], config: Mapping[str, Any], method: str) -> C:

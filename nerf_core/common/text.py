@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -17,6 +18,11 @@ def number(value: float | None, significant: int = 4) -> str:
     if value is None or not math.isfinite(value):
         return NOTHING
     return digits(f"{value or 0.0:.{significant}g}".replace("-", "−"))  # a zero has no sign
+
+
+def closest(word: str, known: Iterable[str]) -> str:
+    """Return the known word that a misspelt one is most like; empty if it is like none."""
+    return next(iter(difflib.get_close_matches(word, tuple(known), 1)), "")
 
 
 def counted(count: int, noun: str) -> str:

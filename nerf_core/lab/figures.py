@@ -13,7 +13,7 @@ import numpy as np
 from nerf_core.geometry.scene import Scene
 from nerf_core.lab.records import Result
 from nerf_core.rendering.images import to_bytes
-from nerf_core.training.evaluate import picture_path
+from nerf_core.training.eval_pictures import picture_names
 
 INK, GRID = "0.25", "0.9"
 BLUE, ORANGE, GREEN, RED = "#0072b2", "#e69f00", "#009e73", "#d55e00"  # Okabe and Ito's
@@ -149,12 +149,13 @@ def comparison(
     from matplotlib.patches import Rectangle
     from PIL import Image
 
+    pngs = picture_names([view.name for view in scene.views])
     with mpl.rc_context(STYLE):
         page = blank_page(2.1 + 1.05 * (len(names) + 1), 2.25 * len(views))
         grid = page.add_gridspec(2 * len(views), 2 + len(names), width_ratios=[2.1, *([1.0] * (len(names) + 1))])
         for k, index in enumerate(views):
             truth = to_bytes(scene.images[index].astype(np.float32) / 65535)
-            files = {name: picture_path(pictures / name, scene.views[index].name) for name in names}
+            files = {name: pictures / name / pngs[scene.views[index].name] for name in names}
             shown = {name: np.asarray(Image.open(file).convert("RGB")) for name, file in files.items()}
             whole = page.add_subplot(grid[2 * k : 2 * k + 2, 0])
             whole.imshow(truth, interpolation="nearest")

@@ -23,7 +23,8 @@ from nerf_core.methods import METHODS
 from nerf_core.rendering.images import rendering, to_bytes
 from nerf_core.rendering.video import write_png
 from nerf_core.training import checkpoint
-from nerf_core.training.evaluate import Selection, evaluating, picture_path
+from nerf_core.training.eval_pictures import picture_names
+from nerf_core.training.evaluate import Selection, evaluating
 from nerf_core.training.loop import Goal
 from nerf_core.training.metrics import Lpips
 from nerf_core.training.run_folder import RunFolder
@@ -126,8 +127,12 @@ def measured(
     """
     newest: list[Look] = []
 
-    def keep(name: str, color: np.ndarray, truth: np.ndarray) -> None:
-        write_png(picture_path(bench.pictures, name), to_bytes(color))
+    names = [view.name for view in trainer.scene.views]
+    files = picture_names(names)
+
+    def keep(index: int, color: np.ndarray, truth: np.ndarray) -> None:
+        name = names[index]
+        write_png(bench.pictures / files[name], to_bytes(color))
         every = max(1, max(color.shape) // LOOK_SIDE)
         off = psnr_of(float(np.square(color - truth).mean()))
         newest[:] = [

@@ -12,8 +12,9 @@ import numpy as np
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.pieces import finished, mapped
 from nerf_core.geometry.scene import SPLITS, Scene
-from nerf_core.rendering.images import rendering, to_bytes
+from nerf_core.rendering.images import rendering
 from nerf_core.rendering.video import write_png
+from nerf_core.training.eval_pictures import picture_names, side_by_side
 from nerf_core.training.metrics import Lpips, psnr, psnr_matched, ssim
 from nerf_core.training.pose_records import OUTCOMES
 from nerf_core.training.pose_refinement import fitted
@@ -83,7 +84,7 @@ def evaluate(
         trainer: the trained model with its scene.
         selection: the photos.
         lpips: computes LPIPS; without it, "lpips" is null.
-        pictures: a folder for pictures that show the rendering at the left and the photo at the right.
+        pictures: a folder for pictures that show photo, rendering and error side by side.
         progress: called after every tile with the number of finished images and the fraction of all work; it may raise
             to cancel.
 
@@ -99,9 +100,14 @@ def evaluate(
         UserError: the images are too small for a metric, or the folder cannot be written.
     """
 
-    def keep(name: str, color: np.ndarray, truth: np.ndarray) -> None:
+    views, photos = trainer.scene.views, trainer.scene.photos
+    files = picture_names([view.name for view in views])
+
+    def keep(index: int, color: np.ndarray, truth: np.ndarray) -> None:
         if pictures is not None:
-            write_png(picture_path(pictures, name), to_bytes(np.concatenate([color, truth], 1)))
+            mask = photos.mask(index)
+            sheet = side_by_side(color, truth, mask, psnr(color, truth, mask))
+            write_png(pictures / files[views[index].name], sheet)
 
     def tell(piece: tuple[int, float]) -> None:
         if progress is not None:
@@ -114,13 +120,13 @@ def evaluating(
     trainer: Trainer,
     selection: Selection,
     lpips: Lpips | None,
-    keep: Callable[[str, np.ndarray, np.ndarray], None],
+    keep: Callable[[int, np.ndarray, np.ndarray], None],
 ) -> Generator[tuple[int, float], None, dict[str, Any]]:
     """Do what `evaluate` does in pieces. Yields after every tile the finished images and the fraction of all work.
 
     Args:
         trainer, selection, lpips: see `evaluate`.
-        keep: called with the name of each view, its rendering and its photo, (H, W, 3) float32 in [0, 1] each.
+        keep: called with the index of each view, its rendering and its photo, (H, W, 3) float32 in [0, 1] each.
     """
     images: list[dict[str, Any]] = []
     count = len(selection.views)
@@ -149,7 +155,7 @@ def evaluating(
                 )
             )
         )
-        keep(view.name, color, truth)
+        keep(index, color, truth)
     names = ["psnr", "ssim", "lpips"]
     names += [] if trainer.exposure is None else ["psnr_matched"]
     names += [] if trainer.refinement is None else ["psnr_posed"]
@@ -217,11 +223,6 @@ def exposures(trainer: Trainer) -> list[dict[str, Any]]:
         return []
     rows = zip(learnt.views, learnt.gains.tolist(), learnt.offsets.tolist(), strict=True)
     return [{"name": trainer.scene.views[i].name, "gain": gain, "offset": offset} for i, gain, offset in rows]
-
-
-def picture_path(folder: Path, name: str) -> Path:
-    """Return the file of a view's picture: the view's name, with ".png" appended if it has another suffix."""
-    return folder / (name if name.lower().endswith(".png") else f"{name}.png")
 
 
 def _mean(values: list[float | None]) -> float | None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nerf_core.common.language import marked, phrase
+from nerf_core.common.language import listed, marked, phrases
 
 UNTRIED, MOVED, REFUSED = range(3)
 OUTCOMES = "untried", "moved", "refused"
@@ -37,15 +37,22 @@ class PoseCorrections:
         return int(((self.turned == 0) & (self.shifted == 0)).sum())
 
     def summary(self) -> str:
-        """Describe them in a line: medians and how many cameras never moved, or why none did."""
+        """Describe them in a line: how many cameras moved, how far (medians of those), and why the others did not."""
         if not self.rounds:
             return marked("not corrected yet")
-        if self.stayed == len(self.views):
-            return marked("none is corrected: left-out pixels agree no better than by chance")
-        return phrase(
-            "corrected by {degrees:.2f}° and {percent:.2%} of the radius (median), {stayed:,} of {count:,} not moved",
-            degrees=float(np.median(self.turned)),
-            percent=float(np.median(self.shifted)),
-            stayed=self.stayed,
-            count=len(self.views),
+        stayed = phrases(
+            "{n:,} camera stayed where it was: pixels left out of the fit agreed no better elsewhere",
+            "{n:,} cameras stayed where they were: pixels left out of the fit agreed no better elsewhere",
+            self.stayed,
         )
+        if self.stayed == len(self.views):
+            return stayed
+        moved = (self.turned != 0) | (self.shifted != 0)
+        text = phrases(
+            "{n:,} camera moved, by {degrees:.2g}° and {percent:.2%} of the radius",
+            "{n:,} cameras moved, by a median of {degrees:.2g}° and {percent:.2%} of the radius",
+            int(moved.sum()),
+            degrees=float(np.median(self.turned[moved])),
+            percent=float(np.median(self.shifted[moved])),
+        )
+        return listed((text, stayed), "; ") if self.stayed else text

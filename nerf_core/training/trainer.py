@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nerf_core.common.configs import constants
+from nerf_core.common.configs import check_changes, constants
 from nerf_core.common.device import pick_device, usable_cores
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.language import marked, phrase
@@ -453,6 +453,12 @@ def choose_method(asked: str, device: torch.device) -> tuple[str, str]:
     if device.type == "cpu":
         return "voxels", marked("auto: it is the fast one on a CPU")
     return "hash", marked("auto: it is the fast one on a GPU")
+
+
+def check_constants(settings: RunSettings) -> None:
+    """Raise UserError for changes of constants that the method of a new run does not take, before a scene is loaded."""
+    method, _ = choose_method(settings.method, pick_device(settings.device))
+    check_changes(METHODS.get(method).constants, settings.changes, method)
 
 
 def psnr_of(mse: float) -> float:

@@ -279,7 +279,7 @@ def make_report() -> CaptureReport:
     ]
     where = phrase("{where}, {height}", where=phrase("behind"), height=phrase("above"))
     text = "no photo from {where} ({width:.0f}° wide): what shows only from there is guessed"
-    gap = Finding("gap", 1.0, phrase(text, where=where, width=80.0), phrase("add photos beside"))
+    gap = Finding("gap", 1.0, phrase(text, where=where, width=80.0), phrase("add photos from there"))
     return replace(report, photos=tuple(photos), limits=(gap, *report.limits))
 
 

@@ -16,6 +16,7 @@ import imageio_ffmpeg
 import pytest
 import torch
 from desk import PATIENCE
+from PIL import Image
 
 import nerf_core
 from nerf_core.cli import main
@@ -168,7 +169,13 @@ def test_wrong_arguments_give_an_error_of_one_line(
             ["train", "--steps", "many"],
             "nerf-core: --steps: cannot be read: 'many': a whole number is needed; nerf-core",
         ),
-        (["train", "--wings"], "--wings"),
+        (["train", "--wings"], "nerf-core: --wings: no such option; "),
+        (["train", "x", "--stpes", "100"], "nerf-core: --stpes: no such option (did you mean --steps?); "),
+        (["train", "x", "--save_evry=3"], "nerf-core: --save_evry: no such option (did you mean --save-every?); "),
+        (["train", "-steps", "3"], "nerf-core: -steps: no such option (did you mean --steps?); "),
+        (["probe", "run", "--pixl", "3", "4"], "nerf-core: --pixl: no such option (did you mean --pixel?); "),
+        (["lab", "image", "--stpes", "3"], "nerf-core: --stpes: no such option (did you mean --steps?); "),
+        (["train", "--data", "x"], "nerf-core: --data: no such option; "),
         (["train", "--ndc", "perhaps"], "--ndc"),
         (["eval"], "DIR"),
         (["probe", "run", "--pixel", "1", "1"], "nerf-core: --camera: is needed; nerf-core probe"),
@@ -185,6 +192,7 @@ def test_wrong_arguments_give_an_error_of_one_line(
             "nerf-core: --t: cannot be read: 'x': a number is needed; nerf-core probe",
         ),
         (["--wings"], "--wings"),
+        (["--stpes", "3"], "nerf-core: --stpes: no such option (did you mean --steps?); "),
         ([], SUBCOMMANDS),
     ],
 )
@@ -194,8 +202,30 @@ def test_a_command_that_cannot_be_parsed_gives_an_error_of_one_line(
     assert main(arguments) == 2
     line = error_line(capsys)
     assert text in line
-    about = f"nerf-core {arguments[0]}" if "--" in text else "nerf-core"
+    named = bool(arguments) and not arguments[0].startswith("-") and ("--" in text or "-steps" in text)
+    about = f"nerf-core {arguments[0]}" if named else "nerf-core"
     assert line.endswith(f"; {about} --help lists the options\n")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("train_imges=7", "--set 'train_imges': method voxels has no such constant; did you mean train_images?"),
+        ("train_images=seven", "--set train_images='seven': expected a whole number"),
+    ],
+)
+def test_a_wrong_constant_is_told_before_poses_are_searched_for(
+    change: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for k in range(3):
+        Image.new("RGB", (32, 32)).save(tmp_path / f"{k}.png")
+    monkeypatch.setattr("nerf_core.captures.opening.find_poses", lambda *_: pytest.fail("poses are searched for"))
+    run = tmp_path / "run"
+    assert main(["train", str(tmp_path), "--out", str(run), "--device", "cpu", "--set", change]) == 2
+    assert error_line(capsys) == f"nerf-core: {words}\n"
+    guided = ["train", "--method", "nerf-guided", "--out", str(run), "--set"]
+    assert main([*guided, "guide.stp=0.5"]) == 2
+    assert "did you mean guide.step?" in error_line(capsys)
 
 
 @pytest.mark.parametrize("name", COMMANDS.names())

@@ -162,7 +162,9 @@ class App:
                 self.state.raise_panel = "Capture"
             elif new.posing is None and old.posing is not None:
                 self.state.raise_panel = "Scene"
-                self.state.searched = old.posing if new.scene is None and old.posing.thumbnails else None
+                self.state.searched = old.posing if new.scene is None else None
+            elif new.status == "loading" != old.status:
+                self.state.searched = None
             if new.loaded != old.loaded and new.scene is not None:
                 self.state.camera.set_scene(new.scene)
                 self.state.inspect = self.state.current_view = None

@@ -18,8 +18,9 @@ from ..ui.theme import CLEAR
 from .panel_host import PanelUi
 
 STATES = {
-    "empty": marked("empty"), "loading": marked("loading"), "ready": marked("ready"), "training": marked("training"),
-    "paused": marked("paused"), "finished": marked("finished"), "failed": marked("failed"),
+    "empty": marked("nothing is open"), "loading": marked("loading"), "ready": marked("ready"),
+    "training": marked("training"), "paused": marked("paused"), "finished": marked("finished"),
+    "failed": marked("failed"),
 }  # fmt: skip  # of a run
 
 # ---- above --------------------------------------------------------------------------------------------------------
@@ -184,6 +185,8 @@ def _figures(ui: PanelUi, state: AppState) -> list[tuple[str, ImVec4]]:
         found.append((tr("failed"), theme.error))
     else:
         words = tr("nothing to train") if untrainable else tr(STATES[snapshot.status])
+        if snapshot.status == "empty" and state.searched is not None:
+            words = tr("no poses were found: nothing is open")
         found.append((tr(snapshot.loading) or words, theme.muted))
     if snapshot.memory_bytes:
         found.append((tr("{n} MB").format(n=figure(snapshot.memory_bytes / 2**20, ",.0f")), theme.muted))

@@ -189,7 +189,7 @@ class ViewportPanel:
         if snapshot.preview is None and state.show_left_off and snapshot.status == "empty":
             return  # the offer to continue says what can be opened
         if snapshot.preview is None:
-            searched = snapshot.status == "empty" and state.searched is not None
+            searched = snapshot.status == "empty" and state.searched is not None and state.searched.thumbnails
             _centred(ui, draw, origin, size, _why_empty(state), (1 + PHOTOS_SHARE) / 2 if searched else 0.5)
             return
         words = []

@@ -162,7 +162,7 @@ class AppState:
     model_file: str = ""  # *
     open_path: str = ""  # *
     not_opened: str = ""  # why the capture of the command line is not open
-    searched: PoseProgress | None = None  # the search for poses that found none, whose photos are shown
+    searched: PoseProgress | None = None  # the last search for poses, if it found none
     left_off: LeftOff = field(default_factory=LeftOff)
     show_left_off: bool = False  # * offer the autosaves
     settings: RunSettings = field(default_factory=RunSettings)  # * settings for the next capture

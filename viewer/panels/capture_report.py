@@ -164,18 +164,19 @@ class CaptureReportPanel:
 
 
 def _words(ui: Ui, report: CaptureReport) -> None:
-    imgui.text_wrapped(tr(report.summary))
+    imgui.text_wrapped(tr(report.overall))
+    imgui.dummy(ImVec2(0, 0.2 * ui.em))
+    hint(ui, tr(report.summary))
     _title(ui, tr("What limits the quality"))
     if not report.limits:
-        hint(ui, tr("Nothing that was checked."), ui.theme.good)
+        hint(ui, tr("No limit was found."), ui.theme.good)
     for k, limit in enumerate(report.limits, 1):
         imgui.text_colored(ui.theme.warning, f"{k}.")
         imgui.same_line()
         imgui.push_text_wrap_pos(0.0)
         imgui.text_unformatted(_sentence(limit.text))
         imgui.pop_text_wrap_pos()
-        if limit.advice:
-            hint(ui, f"→ {tr(limit.advice)}")
+        hint(ui, f"→ {tr(limit.advice)}")
     _title(ui, tr("What to photograph next"))
     for text in report.next or (marked("Nothing is missing."),):
         imgui.bullet()

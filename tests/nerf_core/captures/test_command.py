@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import pytest
 import textured_photos
 
+from nerf_core.captures.raw_photos import raw_photos
 from nerf_core.cli import main
+from nerf_core.datasets import LoadOptions, load_scene
 
 
 @pytest.fixture(autouse=True)
@@ -22,8 +25,11 @@ def test_a_folder_of_photos_becomes_a_run(tmp_path: Path, capsys: pytest.Capture
     assert "8 of 8 photos have a pose" in said
     assert "found in" in said
     run = str(tmp_path / "run")
-    train = ["train", photos, "--poses", "fast", "--downscale", "8", "--steps", "2", "--out", run, "--device", "cpu"]
+    opens = shlex.split(said.splitlines()[-1].removeprefix("next: nerf-viewer "))
+    assert opens == [photos, "--poses", "fast"]
+    train = ["train", *opens, "--downscale", "8", "--steps", "2", "--out", run, "--device", "cpu"]
     assert main(train) == 0  # they are found again
+    assert "finding features" not in capsys.readouterr().out
     assert main(["eval", run]) == 0
     assert "finding features" not in capsys.readouterr().out
     page = tmp_path / "report.html"
@@ -34,11 +40,23 @@ def test_a_folder_of_photos_becomes_a_run(tmp_path: Path, capsys: pytest.Capture
     assert "found again" in capsys.readouterr().out
 
 
+def test_the_next_command_opens_the_poses_in_a_folder_of_ones_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    photos = str(textured_photos.write(tmp_path / "photos", textured_photos.arc()))
+    assert main(["pose", photos, "--quality", "fast", "--out", str(tmp_path / "my poses")]) == 0
+    (folder,) = shlex.split(capsys.readouterr().out.splitlines()[-1].removeprefix("next: nerf-viewer "))
+    assert folder == str(tmp_path / "my poses")
+    assert raw_photos(Path(folder)) is None  # nothing is searched for again
+    assert len(load_scene(Path(folder), LoadOptions()).views) == 8
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (["gone"], "does not exist"),
-        (["empty"], "empty holds no photos: name a folder of photos, or a video"),
+        (["empty"], "empty is an empty folder: name a folder of photos, or a video"),
+        (["notes"], "notes holds no photos and no video: name a folder of photos, or a video"),
         (["two/photo 0.png"], "is one photo: name"),
         (["posed"], "has poses already"),
         (["text"], "text is no video: name"),
@@ -55,6 +73,8 @@ def test_errors_are_one_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "empty").mkdir()
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes/a.txt").write_text("")
     textured_photos.write(tmp_path / "two", textured_photos.arc(2))
     (tmp_path / "posed").mkdir()
     (tmp_path / "posed/transforms.json").write_text("{}")
@@ -62,3 +82,13 @@ def test_errors_are_one_line(
     assert main(["pose", *arguments]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert words in line
+
+
+def test_all_commands_say_the_same_of_an_empty_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    for command in (["train"], ["pose"], ["report"]):
+        assert main([*command, str(empty)]) == 2
+        assert (
+            capsys.readouterr().err == f"nerf-core: {empty} is an empty folder: name a folder of photos, or a video\n"
+        )

@@ -176,14 +176,14 @@ def test_one_side_is_said_and_has_no_gaps() -> None:
     report = capture_report(scene_of(around(np.arange(-60, 61, 6.0))))
     assert report.kind == "one-sided"
     assert [limit.kind for limit in report.limits if limit.kind != "small"] == ["one-sided"]
-    assert any("If the whole thing is meant" in text for text in report.next)
+    assert any(text.startswith("To show it from all sides") for text in report.next)
 
 
 def test_a_forward_facing_capture_has_no_gaps() -> None:
     cameras = [looking((x, -4, z), (x, 0, z)) for x in np.linspace(-0.6, 0.6, 6) for z in np.linspace(0, 0.4, 4)]
     report = capture_report(scene_of(cameras))
     assert report.kind == "forward-facing"
-    assert "Only this side is meant" in report.summary
+    assert "cannot be shown" in report.summary
     assert report.gaps == ()
     assert {limit.kind for limit in report.limits} <= {"small"}
 
@@ -212,6 +212,33 @@ def test_a_lens_that_folds_is_said() -> None:
     report = capture_report(scene_of([replace(c, lens=folding) for c in around(RING)]))
     assert any("fold" in line for line in report.calibration)
     assert report.limits[0].kind == "calibration"
+
+
+def test_the_page_begins_with_what_the_capture_is_good_for_what_limits_it_and_what_to_do(ring: Scene) -> None:
+    report = capture_report(ring)
+    small = report.limits[0]
+    assert report.overall == f"This capture is good for views from all sides. What limits it most: {small.text}. " \
+        f"Next: {small.advice}."  # fmt: skip
+    page = to_html(report)
+    assert page.index(report.overall) < page.index("<h2>")
+    side = capture_report(scene_of(around(np.arange(-60, 61, 6.0))))
+    assert side.overall.startswith("This capture is good for views from the side that was photographed. ")
+    few = capture_report(scene_of(around((0.0, 70.0, 200.0))))
+    assert few.overall.startswith("This capture is not yet good for ")
+    assert f"What limits it most: {few.limits[0].text}. Next: {few.limits[0].advice}." in few.overall
+
+
+def test_every_limit_says_what_to_do() -> None:
+    cameras = around(RING)
+    cameras[4] = looking(cameras[4].c2w[:, 3], 2 * cameras[4].c2w[:, 3] + np.array([0.1, 0, 0]))
+    cameras[6] = looking(5 * cameras[6].c2w[:, 3])
+    cameras[9] = replace(cameras[9], fx=2 * cameras[9].fx, fy=2 * cameras[9].fy)
+    cameras = [*cameras[:20], cameras[15]]
+    train = tuple(k for k in range(21) if k not in (1, 2, 3))
+    report = capture_report(scene_of(cameras, splits={"train": train, "test": (1, 2, 3)}))
+    found = {limit.kind for limit in report.limits}
+    assert {"gap", "pose", "distance", "focal", "twin"} <= found
+    assert all(limit.advice for limit in report.limits)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
@@ -262,6 +289,12 @@ def test_the_page_is_whole_and_names_are_escaped(ring: Scene) -> None:
     assert all(src.startswith("data:image/webp;base64,") for src in pictures)
     assert odd in "".join(root.itertext())
     assert len(page) < 1_000_000
+
+
+def test_no_heading_of_the_table_appears_twice(ring: Scene) -> None:
+    root = ElementTree.fromstring(to_html(capture_report(ring)).split("\n", 1)[1])
+    heads = [e.text for e in root.iter("th")]
+    assert len(set(heads)) == len(heads)
 
 
 def test_the_numbers_are_json(ring: Scene) -> None:

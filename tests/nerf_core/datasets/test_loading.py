@@ -196,7 +196,7 @@ def test_a_path_that_is_no_dataset_is_refused(tmp_path: Path, transforms_folder:
     shutil.copy(folder / "transforms.json", folder / "outer/inner")
     refused(folder / "outer", r"outer is not a dataset itself, but .*inner is one: open that")
     (folder / "empty").mkdir()
-    refused(folder / "empty", "empty holds no photos and no video; captures .* known: .*blender")
+    refused(folder / "empty", "empty is an empty folder: name a folder of photos, or a video$")
 
 
 def test_names_with_spaces_and_emoji_and_long_paths(transforms_folder: Folder) -> None:

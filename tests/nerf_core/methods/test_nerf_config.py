@@ -71,7 +71,8 @@ def test_changes_override_the_preset(scene: Scene) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ({"rayz": "3"}, "--set 'rayz': method nerf has no such constant; it has rays, "),
+        ({"rayz": "3"}, "--set 'rayz': method nerf has no such constant; did you mean rays?"),
+        ({"wings": "3"}, "--set 'wings': method nerf has no such constant; it has rays, "),
         ({"rays": "many"}, "--set rays='many': expected a whole number"),
         ({"rays": "0"}, "--set rays=0: must be at least 1"),
         ({"coarse_samples": "2"}, "--set coarse_samples=2: must be at least 3"),

@@ -15,7 +15,8 @@ from nerf_core.common.errors import UserError
 from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene
 from nerf_core.rendering.images import render_camera, to_bytes
-from nerf_core.training.evaluate import evaluate, picture_path, select
+from nerf_core.training.eval_pictures import MOST_ERROR, PAGE, picture_names, side_by_side
+from nerf_core.training.evaluate import evaluate, select
 from nerf_core.training.metrics import psnr, ssim
 from nerf_core.training.trainer import Trainer
 
@@ -64,8 +65,8 @@ def test_metrics_are_those_of_the_float_picture(make_trainer: Make, tmp_path: Pa
         assert image["psnr"] == psnr(color, truth)
         assert image["ssim"] == ssim(color, truth)
         assert image["lpips"] is None
-        both = np.asarray(Image.open(tmp_path / image["name"]))
-        assert np.array_equal(both, np.concatenate([to_bytes(color), to_bytes(truth)], 1))
+        sheet = np.asarray(Image.open(tmp_path / image["name"]))
+        assert np.array_equal(sheet, side_by_side(color, truth, None, image["psnr"]))
     for name in ("psnr", "ssim"):
         assert result["mean"][name] == pytest.approx(np.mean([image[name] for image in result["images"]]))
     assert result["mean"]["lpips"] is None
@@ -94,9 +95,36 @@ def test_cancelled_between_tiles(make_trainer: Make, tmp_path: Path) -> None:
     assert not (tmp_path / "eval").exists()
 
 
-def test_pictures_keep_the_photos_names() -> None:
-    names = {"test/r_0.png": "test/r_0.png", "a/b.jpg": "a/b.jpg.png", "a/b": "a/b.png"}
-    assert {n: picture_path(Path("e"), n).relative_to("e").as_posix() for n in names} == names
+def test_photo_rendering_and_error_lie_apart_under_their_labels() -> None:
+    rng = np.random.default_rng(0)
+    truth = rng.random((30, 500, 3), np.float32)
+    color = np.clip(truth + np.float32(0.1), 0, 1)
+    color[5:] = truth[5:]
+    mask = np.ones((30, 500), bool)
+    mask[20:] = False
+    sheet = side_by_side(color, truth, mask, 27.04)
+    gap = (sheet.shape[1] - 3 * 500) // 4
+    top = sheet.shape[0] - gap - 30
+    parts = [sheet[top : top + 30, gap + k * (500 + gap) :][:, :500] for k in range(3)]
+    assert gap > 8
+    assert np.array_equal(parts[0], to_bytes(truth))
+    assert np.array_equal(parts[1], to_bytes(color))
+    assert (parts[2][5:20] == parts[2][5, 0]).all()  # no error
+    assert parts[2][:5].mean() > parts[2][5:20].mean() + 50
+    assert (parts[2][20:] == PAGE).all()
+    for k in range(4):  # the gaps are empty, and every part has a label
+        assert (sheet[top:, k * (500 + gap) :][:, :gap] == PAGE).all()
+    assert all((sheet[:top, gap + k * (500 + gap) :][:, :500] != PAGE).any() for k in range(3))
+    tiny = side_by_side(color[:8, :8], truth[:8, :8], None, 100.0)
+    assert tiny.shape[1] > 3 * 100  # labels are wider than the photos, and none is cut
+    assert MOST_ERROR > 0.1
+
+
+def test_pictures_have_the_photos_names_with_one_suffix() -> None:
+    plain = {"test/r_0.png": "test/r_0.png", "a/b.JPG": "a/b.png", "a/c": "a/c.png", "a/v1.2": "a/v1.2.png"}
+    assert picture_names(list(plain)) == plain
+    alike = {"a/b.jpg": "a/b.jpg.png", "a/b.tif": "a/b.tif.png", "c/b.jpg": "c/b.png"}
+    assert picture_names(list(alike)) == alike
 
 
 def test_masked_pixels_are_not_counted(make_trainer: Make) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 
+from nerf_core.commands.evaluate import _print_metrics, _print_poses
 from nerf_core.common.errors import UserError
 from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.geometry.photos import Photos
@@ -114,11 +115,32 @@ def test_a_summary_says_why_no_camera_moved(demo: Scene) -> None:
     refinement = PoseRefinement(demo, demo.split("train"), 0)
     assert refinement.corrections().summary() == "not corrected yet"
     refinement.rounds = 1
-    assert refinement.corrections().summary() == "none is corrected: left-out pixels agree no better than by chance"
+    count, why = len(refinement.views), "pixels left out of the fit agreed no better elsewhere"
+    assert refinement.corrections().summary() == f"{count} cameras stayed where they were: {why}"
     refinement.poses[0] = disturbed(refinement.poses[0], 0)
-    count = len(refinement.views)
-    assert refinement.corrections().summary().startswith("corrected by 0.00°")
-    assert refinement.corrections().summary().endswith(f"(median), {count - 1} of {count} not moved")
+    found = refinement.corrections()
+    moved = f"1 camera moved, by {found.turned[0]:.2g}° and {found.shifted[0]:.2%} of the radius"
+    assert found.turned[0] > 0.1
+    assert found.summary() == f"{moved}; {count - 1} cameras stayed where they were: {why}"
+
+
+def test_eval_says_which_cameras_moved_and_what_the_second_psnr_is(capsys: pytest.CaptureFixture[str]) -> None:
+    still = {"name": "a.png", "degrees": 0.0, "percent": 0.0, "outcome": "refused"}
+    _print_poses([still], "1 camera stayed where it was")
+    assert capsys.readouterr().out == "poses of training photos: 1 camera stayed where it was\n"
+    _print_poses([still, {"name": "b.png", "degrees": 0.25, "percent": 0.5, "outcome": "refused"}], "1 camera moved")
+    told = capsys.readouterr().out
+    assert "0.250°" in told
+    assert "b.png" in told
+    assert "a.png" not in told
+    assert "refused" not in told
+    mean = {"psnr": 20.0, "ssim": 0.5, "lpips": None, "psnr_posed": 21.0}
+    for split, words in (
+        ("test", "pose of each photo fitted to its left half, measured on its right half: PSNR 21.00 dB"),
+        ("train", "corrected pose of each photo, measured on its right half: PSNR 21.00 dB"),
+    ):
+        _print_metrics({"mean": mean, "split": split, "step": 1}, 1)
+        assert words in capsys.readouterr().out
 
 
 def test_a_photo_of_something_else_moves_no_camera(demo: Scene, good: Trainer) -> None:

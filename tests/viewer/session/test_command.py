@@ -72,6 +72,17 @@ def process(*arguments: str, cwd: Path | None = None, env: dict[str, str] | None
     )
 
 
+def test_a_misspelt_constant_or_option_is_told_before_a_window_opens(monkeypatch: pytest.MonkeyPatch) -> None:
+    for opener in ("open_offscreen", "open_window"):
+        monkeypatch.setattr(f"viewer.window.{opener}", lambda *_: pytest.fail("a window opens"))
+    done = viewer("photos", "--device", "cpu", "--set", "train_imges=7")
+    words = "--set 'train_imges': method voxels has no such constant; did you mean train_images?"
+    assert (done.returncode, done.stderr) == (2, f"nerf-viewer: {words}\n")
+    done = viewer("photos", "--stpes", "100")
+    words = "--stpes: no such option (did you mean --steps?); nerf-viewer --help lists the options"
+    assert (done.returncode, done.stderr) == (2, f"nerf-viewer: {words}\n")
+
+
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a run that asks for every kind of file at once."""
