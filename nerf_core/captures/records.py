@@ -61,7 +61,7 @@ class PoseProgress:
     placed: those that have a pose.
     seconds_left: of this stage; None: not known yet.
     growing: the newest model.
-    thumbnails: (h, w, 4) uint8 each, of photos that have been read; of `thumbnails_of(photos)` in the end.
+    thumbnails: (h, w, 4) uint8 each, of those of `thumbnails_of` that could be read so far.
     """
 
     stage: str

@@ -11,7 +11,7 @@ import numpy as np
 from nerf_core.captures.report_records import Gap, Kind
 from nerf_core.common.language import marked, phrase
 from nerf_core.geometry.scene import Scene
-from nerf_core.geometry.turntable import horizontal_axes, widest_gap
+from nerf_core.geometry.turntable import STEEP, horizontal_axes
 
 # Matching and interpolation both fail between views that differ more: the repeatability of local features falls below a
 # half at about 30° (Mikolajczyk & Schmid, A performance evaluation of local descriptors, 2005).
@@ -21,7 +21,6 @@ ONE_WAY = 35.0  # of 95 % of the optical axes from their mean: LLFF's forward-fa
 TOWARDS = 45.0
 INWARD = 0.7  # share of the cameras that look towards the centre, of those that stand around it
 HALF_ROUND = 200.0  # degrees of azimuth: a walk to and fro in front of a wall reaches 180° at most, with some slack
-TOP = 75.0  # elevation from which azimuth says little: a step there changes it by four times its angle
 CLEAR = 0.3  # length of the mean horizontal direction from which it is a front, and not chance: a ring has about 0
 NEIGHBOURS = 6  # similar views that a photo is compared with: a median of 6 bears two odd ones
 CELL = 5.0  # degrees of the grid on which directions are checked
@@ -109,7 +108,7 @@ def _seen_from_the_front(
     distance = np.linalg.norm(positions, axis=1)
     azimuth = np.degrees(np.arctan2(positions[:, 0], -positions[:, 1]))
     elevation = np.degrees(np.arcsin(np.clip(positions[:, 2] / np.maximum(distance, 1e-12), -1, 1)))
-    start, gap = widest_gap(azimuth[train][elevation[train] < TOP])
+    start, gap = _largest_hole(azimuth[train][elevation[train] < STEEP])
     if kind == "around" and gap > 360 - HALF_ROUND:
         kind = "one-sided"
     middle = ((start + gap + (360 - gap) / 2) + 180) % 360 - 180
@@ -132,6 +131,16 @@ def angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the angles in degrees between vectors (…, 3); 90 where one has no length."""
     lengths = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
     return np.degrees(np.arccos(np.clip((a * b).sum(-1) / np.maximum(lengths, 1e-12), -1, 1)))
+
+
+def _largest_hole(azimuth: np.ndarray) -> tuple[float, float]:
+    """Where the largest gap between azimuths begins, and its width, in degrees."""
+    if len(azimuth) < 2:
+        return (float(azimuth[0]) if len(azimuth) else 0.0), 360.0
+    ordered = np.sort(azimuth)
+    gaps = np.diff(np.append(ordered, ordered[0] + 360))
+    k = int(np.argmax(gaps))
+    return float(ordered[k]), float(gaps[k])
 
 
 # ---- neighbours -------------------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ import numpy as np
 
 # Closer to the pole than this (the sine of the angle) the direction of view no longer tells an azimuth.
 POLE = 1e-6
+STEEP = 75.0  # degrees of elevation from which azimuth says little: a step there changes it by four times its angle
 
 
 def horizontal_axes(up: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -64,16 +65,3 @@ def looking_along(direction: np.ndarray, rotation: np.ndarray, up: np.ndarray) -
     flat = math.hypot(x, y)
     azimuth = math.atan2(y, x) if flat > POLE else angles_from(rotation, up)[0]
     return rotation_from(azimuth, math.atan2(z, flat), 0.0, up)
-
-
-def widest_gap(azimuths: np.ndarray) -> tuple[float, float]:
-    """Return where the widest gap between azimuths (N,) begins, and its width, in degrees.
-
-    It goes all around if there is one azimuth, and begins at 0 if there is none.
-    """
-    if len(azimuths) < 2:
-        return (float(azimuths[0]) if len(azimuths) else 0.0), 360.0
-    ordered = np.sort(azimuths)
-    gaps = np.diff(np.append(ordered, ordered[0] + 360))
-    k = int(np.argmax(gaps))
-    return float(ordered[k]), float(gaps[k])

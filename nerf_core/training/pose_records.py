@@ -40,19 +40,27 @@ class PoseCorrections:
         """Describe them in a line: how many cameras moved, how far (medians of those), and why the others did not."""
         if not self.rounds:
             return marked("not corrected yet")
-        stayed = phrases(
-            "{n:,} camera stayed where it was: pixels left out of the fit agreed no better elsewhere",
-            "{n:,} cameras stayed where they were: pixels left out of the fit agreed no better elsewhere",
-            self.stayed,
-        )
-        if self.stayed == len(self.views):
-            return stayed
         moved = (self.turned != 0) | (self.shifted != 0)
-        text = phrases(
-            "{n:,} camera moved, by {degrees:.2g}° and {percent:.2%} of the radius",
-            "{n:,} cameras moved, by a median of {degrees:.2g}° and {percent:.2%} of the radius",
-            int(moved.sum()),
-            degrees=float(np.median(self.turned[moved])),
-            percent=float(np.median(self.shifted[moved])),
-        )
-        return listed((text, stayed), "; ") if self.stayed else text
+        untried = int((~moved & (self.outcome == UNTRIED)).sum())
+        parts = []
+        if moved.any():
+            parts.append(
+                phrases(
+                    "{n:,} camera moved, by {degrees:.2g}° and {percent:.2%} of the radius",
+                    "{n:,} cameras moved, by a median of {degrees:.2g}° and {percent:.2%} of the radius",
+                    int(moved.sum()),
+                    degrees=float(np.median(self.turned[moved])),
+                    percent=float(np.median(self.shifted[moved])),
+                )
+            )
+        if (stayed := self.stayed - untried) > 0:
+            parts.append(
+                phrases(
+                    "{n:,} camera stayed where it was: pixels left out of the fit agreed no better elsewhere",
+                    "{n:,} cameras stayed where they were: pixels left out of the fit agreed no better elsewhere",
+                    stayed,
+                )
+            )
+        if untried:
+            parts.append(phrases("{n:,} camera not tried yet", "{n:,} cameras not tried yet", untried))
+        return listed(tuple(parts), "; ")

@@ -169,11 +169,8 @@ class PoseRefinement:
         self._targets: tuple[int, list[Target]] = 0, []
 
     def due(self, rays: int) -> bool:
-        """Return whether a round is due before a training step of so many rays. It changes nothing.
-
-        None is for one photo alone: all of its correction is common to all cameras.
-        """
-        return len(self.views) > 1 and self._rays + SHARE * rays >= MOST * (FITTED + 2 * LEFT_OUT)
+        """Return whether a round is due before a training step of so many rays. It changes nothing."""
+        return self._rays + SHARE * rays >= MOST * (FITTED + 2 * LEFT_OUT)
 
     def trained(self, rays: int) -> None:
         """Count the rays of a training step, which pay for a round."""

@@ -195,6 +195,11 @@ class Trainer:
                 f"--refine-poses: {self.scene.name} has too many photos to compare all at once: leave the option out, "
                 "or open a part of them"
             )
+        if len(self.batches.views) < 2:
+            raise UserError(
+                f"--refine-poses: {self.scene.name} trains on one photo, which cannot tell that its pose is wrong: "
+                "leave the option out"
+            )
         self.refinement = PoseRefinement(self.scene, self.batches.views, self.seed)
 
     def _pose(self) -> None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import time as clock
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from imgui_bundle import ImVec2, imgui, implot
 
+from nerf_core.captures.records import PLACED
 from nerf_core.common.errors import UserError
 from nerf_core.common.language import ENGLISH, language, phrase, use_language
 from nerf_core.common.names import printable
@@ -162,9 +164,9 @@ class App:
                 self.state.raise_panel = "Capture"
             elif new.posing is None and old.posing is not None:
                 self.state.raise_panel = "Scene"
-                self.state.searched = old.posing if new.scene is None else None
+                self.state.searched = None if old.posing.stage == PLACED else replace(old.posing, growing=None)
             elif new.status == "loading" != old.status:
-                self.state.searched = None
+                self.state.searched, self.state.not_opened = None, ""
             if new.loaded != old.loaded and new.scene is not None:
                 self.state.camera.set_scene(new.scene)
                 self.state.inspect = self.state.current_view = None

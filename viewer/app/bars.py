@@ -185,7 +185,7 @@ def _figures(ui: PanelUi, state: AppState) -> list[tuple[str, ImVec4]]:
         found.append((tr("failed"), theme.error))
     else:
         words = tr("nothing to train") if untrainable else tr(STATES[snapshot.status])
-        if snapshot.status == "empty" and state.searched is not None:
+        if snapshot.status == "empty" and state.unposed is not None:
             words = tr("no poses were found: nothing is open")
         found.append((tr(snapshot.loading) or words, theme.muted))
     if snapshot.memory_bytes:

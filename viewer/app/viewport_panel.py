@@ -112,8 +112,8 @@ class ViewportPanel:
             self.stale, self._photo_name = False, ""
             _draw_photos(ui, posing, origin, (camera.width, camera.height))
             return
-        if snapshot.status == "empty" and state.searched is not None and not state.show_left_off:
-            _draw_photos(ui, state.searched, origin, (camera.width, PHOTOS_SHARE * camera.height))
+        if snapshot.status == "empty" and state.unposed is not None and not state.show_left_off:
+            _draw_photos(ui, state.unposed, origin, (camera.width, PHOTOS_SHARE * camera.height))
         self.stale, self._photo_name = False, ""
         for texture in self._named:
             self._renderer.remove(texture)
@@ -189,8 +189,8 @@ class ViewportPanel:
         if snapshot.preview is None and state.show_left_off and snapshot.status == "empty":
             return  # the offer to continue says what can be opened
         if snapshot.preview is None:
-            searched = snapshot.status == "empty" and state.searched is not None and state.searched.thumbnails
-            _centred(ui, draw, origin, size, _why_empty(state), (1 + PHOTOS_SHARE) / 2 if searched else 0.5)
+            below = snapshot.status == "empty" and state.unposed is not None and state.unposed.thumbnails
+            _centred(ui, draw, origin, size, _why_empty(state), (1 + PHOTOS_SHARE) / 2 if below else 0.5)
             return
         words = []
         if self.stale:
@@ -291,7 +291,7 @@ def _why_empty(state: AppState) -> tuple[str, str]:
 def _draw_photos(ui: PanelUi, posing: PoseProgress, origin: ImVec2, room: tuple[float, float]) -> None:
     """Draw the photos of a search for poses. Those in which features are still to be found are dim."""
     reading, looking = posing.stage == COPYING, posing.stage == STAGES["features"]
-    count = len(thumbnails_of(posing.total if reading else posing.photos))
+    count = len(thumbnails_of(posing.total)) if reading else len(posing.thumbnails)
     seen = 0.0 if reading else posing.done / max(posing.total, 1) if looking else 1.0
     mosaic(ui, posing.thumbnails, count, seen, origin, room)
 

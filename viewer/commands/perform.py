@@ -52,7 +52,7 @@ class Actions:
         self._state = state
         self._link = link
         self.screenshots: list[Path] = []  # written when the frame is complete
-        # the commands whose success changes the settings, by number, until they are answered
+        # the commands whose success changes the settings, or whose failure leaves nothing open, by number
         self._asked: dict[int, OpenScene | UseMethod] = {}
 
     def perform(self, action: Action) -> int:
@@ -66,9 +66,12 @@ class Actions:
     def hear(self, notice: Notice) -> None:
         """Take a notice of the worker, and show it."""
         asked = self._asked.pop(notice.command, None) if notice.kind in ("loaded", "failed") else None
-        if notice.kind == "loaded" and asked is not None:
+        if notice.kind == "loaded" and not (asked is None or (isinstance(asked, OpenScene) and not asked.checkpoint)):
             self._take_over(asked)
         self.tell(notice)
+        if notice.kind == "failed" and isinstance(asked, OpenScene) and self._state.snapshot.scene is None:
+            self._state.not_opened = notice.text
+            self._state.notices[-1].dismissed = True  # the viewport says it
 
     def _take_over(self, done: OpenScene | UseMethod) -> None:
         """Open what is opened next like this one."""
@@ -110,7 +113,7 @@ class Actions:
         command = self._prepared(command)
         number = self._link.send(command)
         for one in command.commands if isinstance(command, InOrder) else (command,):
-            if isinstance(one, UseMethod) or (isinstance(one, OpenScene) and one.checkpoint is not None):
+            if isinstance(one, UseMethod | OpenScene):
                 self._asked[number] = one
         return number
 

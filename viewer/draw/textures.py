@@ -10,6 +10,7 @@ from imgui_bundle import imgui
 
 from .imgui_renderer import ImguiRenderer
 
+IDLE_FRAMES = 600  # a texture that is not drawn for so long gives its memory back
 _numbers = itertools.count()
 
 
@@ -21,9 +22,18 @@ class TextureCache:
         self._held: dict[str, tuple[np.ndarray, moderngl.Texture]] = {}
         self._uploads: dict[int, int] = {}  # by texture: the number of its last upload
         self._retired: list[moderngl.Texture] = []
+        self._frame = 0
+        self._drawn: dict[str, int] = {}  # by name: the last frame
 
     def begin_frame(self) -> None:
-        """Free the textures that were replaced in the last frame, whose draw commands still referred to them."""
+        """Free the textures that were replaced in the last frame, whose draw commands still referred to them.
+
+        Those that were not drawn for IDLE_FRAMES go, too.
+        """
+        self._frame += 1
+        for key in [key for key, frame in self._drawn.items() if self._frame - frame > IDLE_FRAMES]:
+            del self._drawn[key]
+            self._retired.append(self._held.pop(key)[1])
         for texture in self._retired:
             self._renderer.remove(texture)
             texture.release()
@@ -36,6 +46,7 @@ class TextureCache:
         """
         if rgba.ndim != 3 or rgba.shape[2] != 4 or rgba.dtype != np.uint8 or 0 in rgba.shape:
             raise ValueError(f"texture {key!r}: got {rgba.dtype} {rgba.shape}, wants uint8 (h, w, 4)")
+        self._drawn[key] = self._frame
         held, texture = self._held.get(key, (None, None))
         if texture is not None and texture.size != (rgba.shape[1], rgba.shape[0]):
             self._retired.append(self._held.pop(key)[1])
@@ -54,4 +65,5 @@ class TextureCache:
     def release(self) -> None:
         self._retired += [texture for _, texture in self._held.values()]
         self._held.clear()
+        self._drawn.clear()
         self.begin_frame()

@@ -161,8 +161,8 @@ class AppState:
     rays_file: str = "rays.json"  # *
     model_file: str = ""  # *
     open_path: str = ""  # *
-    not_opened: str = ""  # why the capture of the command line is not open
-    searched: PoseProgress | None = None  # the last search for poses, if it found none
+    not_opened: str = ""  # why what should have been opened is not, if nothing is open
+    searched: PoseProgress | None = None  # the last search for poses, if it ended without all that it looks for
     left_off: LeftOff = field(default_factory=LeftOff)
     show_left_off: bool = False  # * offer the autosaves
     settings: RunSettings = field(default_factory=RunSettings)  # * settings for the next capture
@@ -189,6 +189,11 @@ class AppState:
     current_view: int | None = None  # the photo at whose camera the user looks, until the camera moves
     time: float = 0.0  # seconds on the app's clock
     has_display: bool = True
+
+    @property
+    def unposed(self) -> PoseProgress | None:
+        """The search for poses for want of which nothing is open; None: that is not the reason."""
+        return self.searched if self.not_opened else None
 
 
 def nothing_to_train_in(snapshot: Snapshot) -> str:

@@ -4,47 +4,93 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from nerf_core.common.language import marked
 from nerf_core.geometry.camera import Camera
+from nerf_core.geometry.lens import EQUIRECTANGULAR
 from nerf_core.geometry.paths import PATHS, Option
 from nerf_core.geometry.paths.llff import llff_path
 from nerf_core.geometry.paths.steps import capture_distance, checked, pinhole, training_views
 from nerf_core.geometry.scene import Scene
-from nerf_core.geometry.turntable import angles_from, rotation_from, widest_gap
+from nerf_core.geometry.turntable import STEEP, horizontal_axes, rotation_from
 
 WIDE_GAP = 90.0  # degrees of azimuth without a photo, from which an orbit leaves a side out: no photo saw what it shows
-STEEP = 75.0  # degrees of elevation from which azimuth says little
+LEAST_ARC = 20.0  # degrees: photos that look from one place alone would give a film in which nothing moves
+ALIKE = 1e-6  # degrees by which the gaps of a regular ring differ through rounding
+FROM_ABOVE = 25.0  # degrees of elevation if no photo tells one
 
 
-def _photo_angles(scene: Scene) -> np.ndarray:
-    """Azimuths and elevations (2, N) of the training cameras, as seen from what they look at, in degrees."""
-    angles = [angles_from(view.camera.c2w[:, :3], scene.up)[:2] for view in training_views(scene)]
-    return np.degrees(np.array(angles).T)
+class Side(NamedTuple):
+    """From where photos show the scene's centre, in degrees.
+
+    start: the azimuth of the first training photo. middle, arc: the azimuth in the middle of the side, and its width.
+    elevation: the median.
+    """
+
+    start: float
+    middle: float
+    arc: float
+    elevation: float
 
 
-def _middle_and_arc(scene: Scene) -> tuple[float, float]:
-    """The middle azimuth and the width of the side that photos show, in degrees."""
-    azimuths, elevations = _photo_angles(scene)
-    begin, gap = widest_gap(azimuths[np.abs(elevations) < STEEP])
-    return begin + gap + (360 - gap) / 2, 360 - gap
+def photographed(scene: Scene) -> Side:
+    """Find the side from which training photos show the scene: all around, unless gaps of azimuth are too wide.
+
+    Between wide gaps, the side with most photos counts; of equals that of the first photo. Photos that mostly look
+    straight down or up show it from all around.
+    """
+    outwards = _outwards(scene)
+    if not len(outwards):
+        return Side(0.0, 0.0, 360.0, FROM_ABOVE)
+    e1, e2, up = horizontal_axes(scene.up)
+    x, y, height = outwards @ e1, outwards @ e2, outwards @ up
+    azimuth, elevation = np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(height, np.hypot(x, y)))
+    start, median = float(azimuth[0]), float(np.median(elevation))
+    flat = np.abs(elevation) < STEEP
+    if flat.mean() < 0.5:
+        return Side(start, start, 360.0, median)
+    order = np.argsort(azimuth[flat], kind="stable")
+    ordered = azimuth[flat][order]
+    gaps = np.diff(np.append(ordered, ordered[0] + 360))
+    wide = np.flatnonzero(gaps > WIDE_GAP + ALIKE)
+    if not len(wide):
+        return Side(start, start, 360.0, median)
+    begins, ends = (np.roll(wide, 1) + 1) % len(ordered), wide  # of each side, as positions in `ordered`
+    counts = (ends - begins) % len(ordered) + 1
+    first = (int(np.flatnonzero(order == 0)[0]) - begins) % len(ordered) < counts  # whether the first photo is there
+    best = int(np.argmax(counts + 0.5 * first))
+    arc = float(ordered[ends[best]] - ordered[begins[best]]) % 360
+    return Side(start, float(ordered[begins[best]]) + arc / 2, max(arc, LEAST_ARC), median)
+
+
+def _outwards(scene: Scene) -> np.ndarray:
+    """Unit vectors (N, 3) from the scene's centre to where training photos show it from.
+
+    A photo whose camera looks away from the centre shows what lies behind it, as cameras in the middle of a room do:
+    there it is the camera's direction. A panorama around the centre shows it from everywhere, and is left out.
+    """
+    cameras = [view.camera for view in training_views(scene)]
+    poses = np.stack([camera.c2w for camera in cameras])
+    offsets, backs = poses[:, :, 3] - scene.center, poses[:, :, 2]
+    apart = np.linalg.norm(offsets, axis=1)
+    around = np.array([camera.lens.kind == EQUIRECTANGULAR for camera in cameras])
+    placed = apart > 1e-6 * scene.radius
+    towards = placed & (around | ((offsets * backs).sum(1) > 0))
+    outwards = np.where(towards[:, None], offsets / np.where(placed, apart, 1)[:, None], backs)
+    return outwards[towards | ~around]
 
 
 def photographed_arc(scene: Scene) -> float:
-    """Return the degrees of azimuth that an orbit covers by default: 360, less a wide gap that no photo looks from.
-
-    Photos that all look the same way leave no arc. They get a whole turn.
-    """
-    arc = _middle_and_arc(scene)[1]
-    return arc if 1 <= arc <= 360 - WIDE_GAP else 360.0
+    """Return the degrees of azimuth that an orbit covers by default; see `photographed`."""
+    return photographed(scene).arc
 
 
 def photographed_elevation(scene: Scene) -> float:
-    """Return the median elevation in degrees from which the training cameras look."""
-    return float(np.median(_photo_angles(scene)[1]))
+    """Return the median elevation in degrees from which training photos show the scene."""
+    return photographed(scene).elevation
 
 
 ARC = Option(
@@ -96,7 +142,7 @@ class Orbit:
         Raises:
             UserError: for values without a path.
         """
-        whole = ARC.chosen("arc", arc, scene)
+        width_of_arc = ARC.chosen("arc", arc, scene)
         tilt = math.radians(ELEVATION.chosen("elevation", elevation, scene))
         distance = RADIUS.chosen("radius", radius, scene)
         if scene.ndc is not None:
@@ -104,18 +150,16 @@ class Orbit:
         lens = pinhole(scene, width, height)
         count = checked(Orbit.default_frames if frames is None else frames, "frames")
         path = []
-        for azimuth in np.radians(_azimuths(scene, count, whole)):
+        for azimuth in np.radians(_azimuths(photographed(scene), count, width_of_arc)):
             rotation = rotation_from(azimuth, tilt, 0.0, scene.up)
             path.append(lens.moved(np.column_stack([rotation, scene.center + distance * rotation[:, 2]])))
         return tuple(path)
 
 
-def _azimuths(scene: Scene, count: int, arc: float) -> np.ndarray:
+def _azimuths(side: Side, count: int, arc: float) -> np.ndarray:
     """The azimuth (count,) of each frame, in degrees."""
-    start = _photo_angles(scene)[0, 0]
     turn = np.arange(count) / count
     if arc == 360:
-        return start + 360 * turn
-    middle = _middle_and_arc(scene)[0]
-    off = (start - middle + 180) % 360 - 180
-    return middle + arc / 2 * np.sin(math.asin(np.clip(2 * off / arc, -1, 1)) + 2 * math.pi * turn)
+        return side.start + 360 * turn
+    off = (side.start - side.middle + 180) % 360 - 180
+    return side.middle + arc / 2 * np.sin(math.asin(np.clip(2 * off / arc, -1, 1)) + 2 * math.pi * turn)

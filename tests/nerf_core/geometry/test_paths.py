@@ -15,11 +15,11 @@ import pytest
 
 from nerf_core.common.errors import UserError
 from nerf_core.geometry.camera import Camera
-from nerf_core.geometry.lens import Lens
+from nerf_core.geometry.lens import EQUIRECTANGULAR, Lens
 from nerf_core.geometry.ndc import Ndc
 from nerf_core.geometry.paths import DEFAULT_PATH, PATHS
 from nerf_core.geometry.paths.held_out import HeldOut
-from nerf_core.geometry.paths.orbit import ARC, Orbit
+from nerf_core.geometry.paths.orbit import ARC, ELEVATION, Orbit
 from nerf_core.geometry.paths.spiral import Spiral
 from nerf_core.geometry.paths.steps import capture_distance
 from nerf_core.geometry.photos import Photos
@@ -128,12 +128,88 @@ def test_orbit_stays_before_the_side_that_photos_show() -> None:
     assert abs(path[-1, 0] - path[0, 0]) <= np.abs(np.diff(path[:, 0])).max()  # it closes
 
 
-def test_orbit_takes_a_whole_turn_where_photos_leave_no_wide_gap_or_one_is_asked_for() -> None:
-    assert ARC.default_in(one_sided(156)) == 360
-    assert ARC.default_in(one_sided(120)) == pytest.approx(210)  # the outermost photos are held out
-    assert ARC.default_in(make_scene([view.camera.c2w for view in around().views[:1]])) == 360
-    azimuths = [angles_from(c.c2w[:, :3], one_sided().up)[0] for c in Orbit.cameras(one_sided(), 8, arc=360)]
-    np.testing.assert_allclose(np.diff(np.unwrap(azimuths)), np.pi / 4)
+def seen_from(azimuths: list[float], elevation: float = 10.0, **changes: object) -> Scene:
+    """Cameras at these degrees around the centre that look at it; all are trained on."""
+    scene = around()
+    rotations = [rotation_from(np.radians(a), np.radians(elevation), 0.0, scene.up) for a in azimuths]
+    poses = [np.column_stack([r, scene.center + 4 * r[:, 2]]) for r in rotations]
+    return make_scene(poses, splits={"train": tuple(range(len(poses)))}, **changes)
+
+
+def farthest(scene: Scene, azimuths: list[float]) -> float:
+    """By how many degrees of azimuth the default orbit leaves the photos at most."""
+    path = np.degrees([angles_from(c.c2w[:, :3], scene.up)[0] for c in Orbit.cameras(scene, 90)])
+    apart = np.abs((path[:, None] - np.array(azimuths) + 180) % 360 - 180)
+    return float(apart.min(1).max())
+
+
+SIDES = {
+    "front and back": ([*range(-30, 31, 5), *range(150, 211, 5)], 60.0),
+    "three places": ([*range(0, 21, 5), *range(120, 146, 5), *range(240, 261, 5)], 25.0),
+    "a stray photo": ([*range(-50, 51, 2), 180], 100.0),
+    "across 180": ([*range(140, 180, 5), *range(-180, -140, 5)], 75.0),
+    "parallel": ([0.0, 0.3, 0.9], 20.0),
+    "one": ([70.0], 20.0),
+    "ring of 3": ([0.0, 120.0, 240.0], 20.0),
+}
+
+
+@pytest.mark.parametrize(("azimuths", "arc"), SIDES.values(), ids=SIDES)
+def test_orbit_shows_no_side_that_no_photo_saw(azimuths: list[float], arc: float) -> None:
+    scene = seen_from(azimuths)
+    assert ARC.default_in(scene) == pytest.approx(arc)
+    assert farthest(scene, azimuths) <= 10.1  # half of the least arc
+
+
+@pytest.mark.parametrize("azimuths", [[0, 90, 180, 270], [*range(0, 275, 5)], [*range(0, 360, 24)]])
+def test_orbit_takes_a_whole_turn_where_photos_leave_no_wide_gap(azimuths: list[float]) -> None:
+    scene = seen_from(azimuths)
+    assert ARC.default_in(scene) == 360
+    turn = [angles_from(c.c2w[:, :3], scene.up)[0] for c in Orbit.cameras(scene, 8)]
+    np.testing.assert_allclose(np.diff(np.unwrap(turn)), np.pi / 4)
+
+
+def test_orbit_takes_a_whole_turn_if_one_is_asked_for() -> None:
+    turn = [angles_from(c.c2w[:, :3], one_sided().up)[0] for c in Orbit.cameras(one_sided(), 8, arc=360)]
+    np.testing.assert_allclose(np.diff(np.unwrap(turn)), np.pi / 4)
+
+
+def test_photos_along_a_wall_show_it_from_where_they_stand() -> None:
+    scene, up = around(), np.array([0.0, 0.0, 1.0])
+    rotation = rotation_from(0.0, 0.0, 0.0, up)
+    places = [scene.center + 2.0 * rotation[:, 2] + x * rotation[:, 0] for x in np.linspace(-1.5, 1.5, 12)]
+    wall = make_scene([np.column_stack([rotation, p]) for p in places], up=up, splits={"train": tuple(range(12))})
+    assert ARC.default_in(wall) == pytest.approx(2 * np.degrees(np.arctan2(1.5, 2)))
+
+
+def test_photos_from_above_show_all_sides() -> None:
+    scene = seen_from([*range(95), 0, 4, 7, 10])
+    steep = [
+        replace(v, camera=seen_from([float(k)], 86.0).views[0].camera) if k < 95 else v
+        for k, v in enumerate(scene.views)
+    ]
+    above = replace(scene, views=tuple(steep))
+    assert ARC.default_in(above) == 360
+    assert ELEVATION.default_in(above) == pytest.approx(86.0)
+
+
+def test_cameras_in_the_middle_of_a_room_show_what_they_look_at() -> None:
+    up = np.array([0.0, 0.0, 1.0])
+    rotations = [rotation_from(a, 0.1, 0.0, up) for a in np.radians(np.arange(0, 100, 10))]
+    room = make_scene(
+        [np.column_stack([r, np.array([0.3, -0.2, 0.5]) - 0.2 * r[:, 2]]) for r in rotations], up=up,
+        splits={"train": tuple(range(10))},
+    )  # fmt: skip
+    assert ARC.default_in(room) == pytest.approx(90)
+    assert ELEVATION.default_in(room) == pytest.approx(np.degrees(0.1))
+
+
+def test_a_panorama_in_the_middle_shows_all_around() -> None:
+    scene = around(distance=0.0)
+    lens = Lens(kind=EQUIRECTANGULAR)
+    views = tuple(replace(v, camera=replace(v.camera, lens=lens)) for v in scene.views[:3])
+    panoramas = replace(scene, views=views, splits={"train": (0, 1, 2)})
+    assert (ARC.default_in(panoramas), ELEVATION.default_in(panoramas)) == (360, 25)
 
 
 def test_distance_of_a_panorama_is_the_scenes_radius() -> None:

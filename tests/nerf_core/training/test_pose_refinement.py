@@ -20,7 +20,7 @@ from nerf_core.geometry.scene import Scene
 from nerf_core.training import checkpoint
 from nerf_core.training.evaluate import Selection, evaluate
 from nerf_core.training.pose_fit import Comparison, Target, between, gain, moved, rotation, turn_of
-from nerf_core.training.pose_records import REFUSED
+from nerf_core.training.pose_records import REFUSED, UNTRIED
 from nerf_core.training.pose_refinement import PoseRefinement, better, fitted
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
@@ -115,6 +115,8 @@ def test_a_summary_says_why_no_camera_moved(demo: Scene) -> None:
     refinement = PoseRefinement(demo, demo.split("train"), 0)
     assert refinement.corrections().summary() == "not corrected yet"
     refinement.rounds = 1
+    assert refinement.corrections().summary() == f"{len(refinement.views)} cameras not tried yet"
+    refinement.outcome[:] = REFUSED
     count, why = len(refinement.views), "pixels left out of the fit agreed no better elsewhere"
     assert refinement.corrections().summary() == f"{count} cameras stayed where they were: {why}"
     refinement.poses[0] = disturbed(refinement.poses[0], 0)
@@ -122,6 +124,9 @@ def test_a_summary_says_why_no_camera_moved(demo: Scene) -> None:
     moved = f"1 camera moved, by {found.turned[0]:.2g}° and {found.shifted[0]:.2%} of the radius"
     assert found.turned[0] > 0.1
     assert found.summary() == f"{moved}; {count - 1} cameras stayed where they were: {why}"
+    refinement.outcome[1:3] = UNTRIED
+    stayed = f"{count - 3} cameras stayed where they were: {why}"
+    assert refinement.corrections().summary() == f"{moved}; {stayed}; 2 cameras not tried yet"
 
 
 def test_eval_says_which_cameras_moved_and_what_the_second_psnr_is(capsys: pytest.CaptureFixture[str]) -> None:

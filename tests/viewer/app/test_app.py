@@ -13,7 +13,6 @@ import scripted
 from imgui_bundle import imgui, implot
 from PIL import Image
 
-from nerf_core.captures.records import PoseProgress
 from nerf_core.common.errors import UserError
 from nerf_core.geometry.paths import PATHS
 from nerf_core.geometry.photos import Photos
@@ -944,28 +943,6 @@ def test_a_picture_without_depth_is_nothing_only_if_the_method_has_samples(start
     assert viewport_panel._sees_nothing(blank)
     assert not viewport_panel._sees_nothing(replace(blank, method="nearest-view"))
     assert not viewport_panel._sees_nothing(worker.current)
-
-
-def test_the_status_bar_says_that_no_poses_were_found(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
-    app, worker = start(scene=False)
-    texts: list[str] = []
-    draw_text = imgui.text_colored
-    monkeypatch.setattr(imgui, "text_colored", lambda color, text: [texts.append(text), draw_text(color, text)])
-    none = "no poses were found: nothing is open"
-    loading = replace(Snapshot(), status="loading", loading="placing photos: 3 of 10")
-    for snapshot, shown in (
-        (Snapshot(), "nothing is open"),
-        (replace(loading, posing=PoseProgress("placing photos", 3, 10)), "placing photos: 3 of 10"),
-        (Snapshot(), none),
-        (loading, "placing photos: 3 of 10"),  # of another capture, which has poses and fails as well
-        (Snapshot(), "nothing is open"),
-    ):
-        texts.clear()
-        worker.current = replace(snapshot)
-        app.settle()
-        assert shown in texts
-        assert (none in texts) == (shown == none)
-        assert "empty" not in texts
 
 
 def test_nothing_to_train_is_said_in_the_bars(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,9 +11,11 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 import scripted
+from imgui_bundle import imgui
 
-from nerf_core.captures.records import COPYING, MOST_SHOWN, STAGES, PoseProgress, thumbnails_of
-from nerf_core.live.messages import Snapshot
+from nerf_core.captures.records import COPYING, MOST_SHOWN, PLACED, STAGES, PoseProgress, thumbnails_of
+from nerf_core.live.messages import Notice, OpenScene, Snapshot
+from nerf_core.training.settings import RunSettings
 from viewer.app.app import App
 from viewer.draw.mosaic import places
 from viewer.window import Window
@@ -27,6 +29,18 @@ def app(offscreen: Callable[..., Window]) -> Iterator[App]:
     app = App(offscreen((1280, 800), 1.0), scripted.ScriptedWorker())
     yield app
     app.close()
+
+
+@pytest.fixture
+def texts(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The texts of the bars and of the viewport."""
+    found: list[str] = []
+    colored, plain = imgui.text_colored, imgui.ImDrawList.add_text
+    monkeypatch.setattr(imgui, "text_colored", lambda color, text: [found.append(text), colored(color, text)])
+    monkeypatch.setattr(
+        imgui.ImDrawList, "add_text", lambda self, *args: [found.append(args[-1]), plain(self, *args)][1]
+    )
+    return found
 
 
 def shows(app: App, file: Path, **changes: Any) -> list[float]:
@@ -55,12 +69,45 @@ def test_photos_light_up_as_features_are_found(app: App, tmp_path: Path) -> None
     assert shows(app, file, status="loading", loading="pairs", posing=matching) == [1] * 6
 
 
-def test_photos_stay_where_no_poses_are_found(app: App, tmp_path: Path) -> None:
+def fails(app: App, words: str) -> None:
+    """Let the worker refuse to open what the user asks for."""
+    assert isinstance(app.link, scripted.ScriptedWorker)
+    app.perform(OpenScene(Path("holiday"), RunSettings()))
+    app.link.waiting_notices.append(Notice("error", words, kind="failed", command=len(app.link.sent)))
+
+
+def test_photos_stay_where_no_poses_are_found_with_the_reason(app: App, tmp_path: Path, texts: list[str]) -> None:
     file = tmp_path / "window.png"
     matching = replace(SEARCH, stage=STAGES["matches"], done=15, total=15)
     shows(app, file, status="loading", loading="pairs", posing=matching)
+    fails(app, "holiday: no poses were found")
     assert shows(app, file, status="empty") == [1] * 6
+    assert "holiday: no poses were found" in texts
+    assert "no poses were found: nothing is open" in texts
     assert shows(app, file, status="loading", loading="photos: 1 of 9") == [0] * 6
+    texts.clear()
+    fails(app, "party: it has no photos")  # another capture, with poses
+    assert shows(app, file, status="empty") == [0] * 6
+    assert "no poses were found: nothing is open" not in texts
+    assert "party: it has no photos" in texts
+
+
+def test_a_search_that_is_cancelled_or_succeeds_is_not_said_to_fail(app: App, tmp_path: Path, texts: list[str]) -> None:
+    file = tmp_path / "window.png"
+    shows(app, file, status="loading", loading="pairs", posing=SEARCH)
+    assert shows(app, file, status="empty") == [0] * 6  # cancelled: the worker does not fail
+    placed = replace(SEARCH, stage=PLACED, done=6)
+    shows(app, file, status="loading", loading="preparing the method", posing=placed)
+    fails(app, "holiday: the photos are too large")
+    assert shows(app, file, status="empty") == [0] * 6
+    assert "no poses were found: nothing is open" not in texts
+
+
+def test_damaged_photos_leave_no_gaps(app: App, tmp_path: Path) -> None:
+    many = replace(SEARCH, done=50, total=100, photos=100)  # six thumbnails could be made
+    assert (
+        shows(app, tmp_path / "window.png", status="loading", loading="features", posing=many) == [1] * 3 + [0.35] * 3
+    )
 
 
 @pytest.mark.parametrize("aspect", [0.5, 1.0, 1.8])
