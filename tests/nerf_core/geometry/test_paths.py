@@ -128,12 +128,12 @@ def test_orbit_stays_before_the_side_that_photos_show() -> None:
     assert abs(path[-1, 0] - path[0, 0]) <= np.abs(np.diff(path[:, 0])).max()  # it closes
 
 
-def seen_from(azimuths: list[float], elevation: float = 10.0, **changes: object) -> Scene:
+def seen_from(azimuths: list[float], elevation: float = 10.0) -> Scene:
     """Cameras at these degrees around the centre that look at it; all are trained on."""
     scene = around()
     rotations = [rotation_from(np.radians(a), np.radians(elevation), 0.0, scene.up) for a in azimuths]
     poses = [np.column_stack([r, scene.center + 4 * r[:, 2]]) for r in rotations]
-    return make_scene(poses, splits={"train": tuple(range(len(poses)))}, **changes)
+    return make_scene(poses, splits={"train": tuple(range(len(poses)))})
 
 
 def farthest(scene: Scene, azimuths: list[float]) -> float:
