@@ -220,6 +220,7 @@ def test_a_command_that_cannot_be_parsed_gives_an_error_of_one_line(
     [
         ("train_imges=7", "--set 'train_imges': method voxels has no such constant; did you mean train_images?"),
         ("train_images=seven", "--set train_images='seven': expected a whole number"),
+        ("train_images=-5", "--set train_images=-5: must be at least 0"),
     ],
 )
 def test_a_wrong_constant_is_told_before_poses_are_searched_for(
@@ -234,6 +235,10 @@ def test_a_wrong_constant_is_told_before_poses_are_searched_for(
     guided = ["train", "--method", "nerf-guided", "--out", str(run), "--set"]
     assert main([*guided, "guide.stp=0.5"]) == 2
     assert "did you mean guide.step?" in error_line(capsys)
+    nerf = ["train", str(tmp_path), "--method", "nerf", "--out", str(run), "--set"]
+    for low, least in (("rays=0", 1), ("coarse_samples=2", 3)):
+        assert main([*nerf, low]) == 2
+        assert error_line(capsys) == f"nerf-core: --set {low}: must be at least {least}\n"
 
 
 @pytest.mark.parametrize("name", COMMANDS.names())
