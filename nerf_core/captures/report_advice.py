@@ -4,20 +4,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from nerf_core.captures.report_odd import Facts, names
 from nerf_core.captures.report_records import Finding, Gap, PhotoFacts
-from nerf_core.captures.report_views import directions
+from nerf_core.captures.report_views import coverage, directions, layout
 from nerf_core.common.language import digits, phrase, phrases
 from nerf_core.common.text import number
 from nerf_core.datasets.calibration import oddities
+from nerf_core.datasets.rig import common_focus
 
 FEW = 20  # the least that a scene of LLFF's captures has
 WIDE_STEP = 20.0  # degrees between neighbours: guides to photogrammetry ask for 10° to 15°
 STEP = 12.0  # degrees between photos that are advised: 30 for a ring
-SERIOUS = 1.0  # score of a limit from which the capture is not good yet: that of a fault in the looks of all photos
+# A fault of single photos makes a capture unfit if this share of the training photos has one: neighbours fill in for
+# one photo in ten, but not for one in four.
+SPOILT = 0.25
+SPOILS = ("blank", "soft", "clipped", "pose")
+# Limits of the whole make it unfit from this score: a gap of 144° at one height, half of FEW photos, steps of 45°, half
+# of the photos alone, a calibration that cannot be right. Other limits never do.
+SERIOUS = 1.0
+OF_THE_WHOLE = ("gap", "few", "steps", "alone", "calibration")
 PRINCIPAL = 0.05  # image sizes from the centre: phones have 0.01, cropped photos more
 
 
@@ -31,26 +40,55 @@ def overall(facts: Facts, found: Sequence[Finding]) -> str:
     Returns:
         Two or three short sentences, a phrase.
     """
-    use = _use(facts)
+    use = _use(facts, found)
     if not found:
         return phrase("This capture is good for {use}; no limit was found. Next: train it.", use=use)
-    worst = found[0]
-    if worst.score >= SERIOUS:
+    spoils = _spoils(facts, found)
+    if spoils is not None:
         return phrase(
             "This capture is not yet good for {use}. What limits it most: {limit}. Next: {advice}.",
-            use=use, limit=worst.text, advice=worst.advice,
+            use=use, limit=spoils.text, advice=spoils.advice,
         )  # fmt: skip
+    worst = found[0]
     return phrase(
         "This capture is good for {use}. What limits it most: {limit}. Next: {advice}.",
         use=use, limit=worst.text, advice=worst.advice,
     )  # fmt: skip
 
 
-def _use(facts: Facts) -> str:
-    """Which views the cameras allow, as they stand."""
-    match facts.where.kind:
+def _spoils(facts: Facts, found: Sequence[Finding]) -> Finding | None:
+    """The worst limit that makes a capture unfit, alone or together with other faults of single photos; or None."""
+    of_photos = [one for one in found if one.kind in SPOILS]
+    for one in found:
+        if one.kind in OF_THE_WHOLE and one.score >= SERIOUS:
+            return one
+        if one.kind in SPOILS and _share(facts, [one]) >= SPOILT:
+            return one
+    return of_photos[0] if _share(facts, of_photos) >= SPOILT else None
+
+
+def _share(facts: Facts, found: Sequence[Finding]) -> float:
+    """The share of the training photos that some findings are about."""
+    return float(np.isin(facts.train, _photos(found)).mean())
+
+
+def _photos(found: Sequence[Finding]) -> list[int]:
+    return [k for one in found for k in one.photos]
+
+
+def _use(facts: Facts, found: Sequence[Finding]) -> str:
+    """Which views the cameras allow, as they stand. Photos that show nothing, and wrong poses, do not count."""
+    void = _photos([one for one in found if one.kind in ("blank", "pose")])
+    train = facts.train[~np.isin(facts.train, void)]
+    if not len(train):
+        return phrase("new views")
+    scene = facts.scene
+    focus = common_focus(scene.poses[train]) if len(train) < len(facts.train) else None
+    where = layout(scene if focus is None else replace(scene, center=focus), train)
+    match where.kind:
         case "around":
-            return phrase("views from most sides") if facts.covered.gaps else phrase("views from all sides")
+            gaps = coverage(where, train).gaps
+            return phrase("views from most sides") if gaps else phrase("views from all sides")
         case "one-sided":
             return phrase("views from the side that was photographed")
         case "forward-facing":

@@ -51,7 +51,9 @@ def _limits_of_places(facts: Facts, odd: dict[str, tuple[int, ...]]) -> list[Fin
             "only {n} training photos: captures of this kind have {few} to 100",
             len(facts.train), few=FEW,
         )  # fmt: skip
-        found.append(Finding("few", COVERAGE * (1 - len(facts.train) / FEW), text, phrase("add photos in between")))
+        one = len(facts.train) == 1
+        advice = phrase("add photos from other places") if one else phrase("add photos in between")
+        found.append(Finding("few", COVERAGE * (1 - len(facts.train) / FEW), text, advice))
     if len(steps) > 1 and np.median(steps) > WIDE_STEP:
         text = phrase(
             "neighbouring photos differ by {step:.0f}°, where 10° to 15° are usual: surfaces are uncertain",

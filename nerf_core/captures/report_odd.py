@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nerf_core.captures.report_records import PhotoFacts
-from nerf_core.captures.report_views import FAR_DEGREES, Covered, Layout, Near
+from nerf_core.captures.report_views import FAR_DEGREES, Covered, Layout, Near, angles
 from nerf_core.common.language import phrase, phrases
+from nerf_core.datasets.rig import common_focus
 from nerf_core.geometry.scene import Scene
 
 # The robust z-score 0.6745 (x − median) / MAD, and its limit, are those of Iglewicz & Hoaglin, How to detect and handle
@@ -23,6 +24,7 @@ OFF_STOPS = 0.67  # two steps of a camera's exposure; similar views differ by up
 OFF_RENDERED = 1.0  # rendered photos have one exposure; what differs is what they show
 OFF_DISTANCE = 2.0  # times the usual distance: half or double the detail
 OFF_CENTRE = 60.0  # degrees: outside of the picture of any lens but a fisheye
+ONE_CENTRE = 20.0  # degrees: in a room, half of the optical axes pass any one place by more than that
 OFF_FOCAL = 0.05  # of the usual field of view: solvers repeat it to 1 % or better, and zooms move it by more
 CLIPPED = 0.25  # of the pixels: a quarter of the picture without detail
 SHOWN_NAMES = 3  # of the photos of a finding: the table has all
@@ -107,7 +109,7 @@ def _odd_places(facts: Facts, tell: Tell) -> None:
     photos, where = facts.photos, facts.where
     far = np.log2(np.maximum(where.distance, 1e-12))
     odd_distance = (np.abs(robust_z(far, 0.03)) > Z_LIMIT) & (np.abs(far - np.median(far)) > math.log2(OFF_DISTANCE))
-    away = (robust_z(where.off_centre, 1.0) > Z_LIMIT) & (where.off_centre > OFF_CENTRE)
+    past, away = _past_centre(facts)
     view = np.array([p.field_of_view for p in photos])
     for k, p in enumerate(photos):
         if p.separation > FAR_DEGREES:
@@ -117,14 +119,30 @@ def _odd_places(facts: Facts, tell: Tell) -> None:
             times = p.distance / float(np.median(where.distance))
             text = phrase("{times:.2g} times as far from the centre as most: a close-up, or a wrong pose", times=times)
             tell("distance", k, text)
-        if facts.inward and away[k]:
-            text = phrase("looks {angle:.0f}° past the centre: its pose may be wrong", angle=p.off_centre)
+        if away[k]:
+            text = phrase("looks {angle:.0f}° past the centre: its pose may be wrong", angle=past[k])
             tell("pose", k, text)
         if abs(view[k] / np.median(view) - 1) > OFF_FOCAL:
             tell("focal", k, phrase("a field of view of {angle:.0f}°, unlike the others", angle=view[k]))
     for one, other in facts.near.twins:
         for k, twin in ((one, other), (other, one)):
             tell("twin", k, phrase("has the same pose as {name}", name=photos[twin].name))
+
+
+def _past_centre(facts: Facts) -> tuple[np.ndarray, np.ndarray]:
+    """Angles (N,) in degrees by which photos look past the centre, and which of them (N,) do so unlike the others.
+
+    If a third of the poses is wrong, the cameras count as free, and have no centre. Then it is the point that half of
+    them look at, if there is one.
+    """
+    off, known = facts.where.off_centre, facts.inward
+    if facts.where.kind == "free":
+        poses = facts.scene.poses
+        focus = common_focus(poses[facts.train], 0.5)
+        if focus is not None:
+            off = angles(focus - poses[:, :, 3], -poses[:, :, 2])
+            known = float(np.median(off[facts.train])) < ONE_CENTRE
+    return off, known & (robust_z(off, 1.0) > Z_LIMIT) & (off > OFF_CENTRE)
 
 
 def names(facts: Facts, indices: Sequence[int]) -> str:

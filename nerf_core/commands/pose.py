@@ -50,10 +50,10 @@ class Pose:
     def run(self, signals: Signals) -> int:
         source = own_path(self.photos)
         if not source.exists():
-            raise UserError(f"{source} does not exist: name a folder of photos, or a video")
+            raise UserError(f"{self.photos} does not exist: name a folder of photos, or a video")
         raw = raw_photos(source)
         if raw is None:
-            raise UserError(_lacks(source))
+            raise UserError(f"{self.photos} {_lacks(source)}: name a folder of photos, or a video")
         signals.be_polite()
         options = PoseOptions(self.quality, self.frames, self.minutes, self.memory_gb, self.lens)
         with Display("finding poses") as display:
@@ -86,11 +86,7 @@ class Pose:
 
 
 def _lacks(source: Path) -> str:
-    """Why no poses are searched for, and what to do."""
+    """Why no poses are searched for."""
     if source.is_file():
-        found = "is one photo" if source.suffix.lower() in SUFFIXES else "is no video"
-    elif is_capture(source):
-        found = "has poses already"
-    else:
-        return without_photos(source)
-    return f"{source} {found}: name a folder of photos, or a video"
+        return "is one photo" if source.suffix.lower() in SUFFIXES else "is no video"
+    return "has poses already" if is_capture(source) else without_photos(source)

@@ -65,26 +65,44 @@ def parse(kind: Any, prog: str, arguments: Sequence[str] | None, description: st
     except SystemExit as end:
         if not end.code:
             raise
-        named = bool(get_args(kind) and arguments and arguments[0].isalpha())
-        text = _unknown(_command(kind, arguments[0]) if named else kind, arguments) or _sentence(said.getvalue())
-        whole = f"{prog} {arguments[0]}" if named and "--" in text else prog
+        command = _command(kind, arguments[0] if arguments else "")
+        text = _unknown(command, arguments) or _sentence(said.getvalue())
+        whole = prog if command is kind else f"{prog} {arguments[0]}"
         raise UserError(f"{text}; {whole} --help lists the options") from None
 
 
 def _unknown(kind: Any, arguments: Sequence[str]) -> str:
-    """The message about the first word that looks like an option and is none of `kind`; empty if all are known."""
-    known = {"--help", "--version", *(option for option, _ in _declared(kind))}
-    for argument in arguments:
+    """The message about the first word that looks like an option and is none of `kind`; empty if all are known.
+
+    A word with one dash may also be a value: a number such as -inf, or what follows an option that takes one. Only a
+    whole option's name without its second dash is taken for a slip, because a file may be called -notes.
+    """
+    known = {"--help": bool, "--version": bool, **dict(_declared(kind))}
+    for before, argument in zip(["", *arguments], arguments, strict=False):
         option = argument.partition("=")[0]
-        if not re.match(r"--?[A-Za-z]", option) or option == "-h" or option.replace("_", "-") in known:
+        full = f"--{option.lstrip('-').replace('_', '-')}"
+        if not re.match(r"--?[A-Za-z]", option) or option == "-h" or (option.startswith("--") and full in known):
             continue
-        near = closest(option.lstrip("-"), (one.removeprefix("--") for one in known))  # dashes would count as likeness
+        if option.startswith("--"):
+            near = closest(full[2:], (one[2:] for one in known))  # dashes would count as likeness
+        elif _is_number(argument) or _base(known.get(before.replace("_", "-"), bool)) is not bool:
+            continue
+        else:
+            near = full[2:] if full in known else ""
         return f"{option}: no such option{f' (did you mean --{near}?)' if near else ''}"
     return ""
 
 
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
 def _command(kind: Any, name: str) -> Any:
-    """The member of a union of subcommands that has a name; the union if none has it."""
+    """The member of a union of subcommands that has a name; `kind` itself if none has it."""
     for part in get_args(kind):
         if any(getattr(one, "name", "") == name for one in get_args(part)[1:]):
             return part
@@ -94,8 +112,13 @@ def _command(kind: Any, name: str) -> Any:
 def _repeatable(kind: Any) -> Iterator[str]:
     """The options that may be given more than once: fields that are lists."""
     for option, declared in _declared(kind):
-        if get_origin(get_args(declared)[0] if get_origin(declared) is Annotated else declared) is list:
+        if get_origin(_base(declared)) is list:
             yield option
+
+
+def _base(declared: Any) -> Any:
+    """The type of an option without its annotations."""
+    return get_args(declared)[0] if get_origin(declared) is Annotated else declared
 
 
 def _declared(kind: Any) -> Iterator[tuple[str, Any]]:

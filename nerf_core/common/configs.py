@@ -84,24 +84,27 @@ def constants(kind: type[Any]) -> dict[str, tuple[Any, Constant]]:
 def check_ranges(config: Any) -> None:
     """Raise UserError for a field outside its declared range, and for one that is NaN or infinite."""
     for f in fields(config):
-        known: Constant | None = f.metadata.get("constant")
-        value = getattr(config, f.name)
-        if known is None or isinstance(value, bool):
-            continue
-        if known.choices:
-            if value not in known.choices:
-                raise UserError(f"--set {f.name}={shorten(value)}: choose {' or '.join(known.choices)}")
-            continue
-        if isinstance(value, str):  # a text that its owner checks
-            continue
-        if not value >= known.least:
-            raise UserError(f"--set {f.name}={value}: must be at least {known.least:g}")
-        if value > known.most:
-            raise UserError(f"--set {f.name}={shorten(value)}: must be at most {known.most:.10g}")
-        if not math.isfinite(value):
-            raise UserError(f"--set {f.name}={value}: must be a finite number")
-        if known.share and not _in_share(value, known.share):
-            raise UserError(f"--set {f.name}={value}: {SHARES[known.share]}")
+        _check_range(f.name, getattr(config, f.name), f.metadata.get("constant"))
+
+
+def _check_range(name: str, value: Any, known: Constant | None) -> None:
+    """Raise UserError if a field's value is outside its declared range. known: None: it has none."""
+    if known is None or isinstance(value, bool):
+        return
+    if known.choices:
+        if value not in known.choices:
+            raise UserError(f"--set {name}={shorten(value)}: choose {' or '.join(known.choices)}")
+        return
+    if isinstance(value, str):  # a text that its owner checks
+        return
+    if not value >= known.least:
+        raise UserError(f"--set {name}={value}: must be at least {known.least:g}")
+    if value > known.most:
+        raise UserError(f"--set {name}={shorten(value)}: must be at most {known.most:.10g}")
+    if not math.isfinite(value):
+        raise UserError(f"--set {name}={value}: must be a finite number")
+    if known.share and not _in_share(value, known.share):
+        raise UserError(f"--set {name}={value}: {SHARES[known.share]}")
 
 
 def _in_share(value: float, share: str) -> bool:
@@ -120,7 +123,7 @@ def changed(config: C, changes: Mapping[str, str], method: str) -> C:
     Raises:
         UserError: for a name that does not exist, and for a value that cannot be parsed or is out of range.
     """
-    kinds = {name: kind for name, kind in get_type_hints(type(config)).items() if kind in WORDS}
+    kinds = {name: kind for name, kind in _kinds(type(config)).items() if "." not in name}
     values = {name: _parsed(name, text, kinds, method) for name, text in changes.items()}
     return replace(config, **values)  # pyright: ignore[reportArgumentType]: C is one of the configurations
 
@@ -134,11 +137,24 @@ def check_changes(kind: type[Any], changes: Mapping[str, str], method: str) -> N
         method: the method's name in messages.
 
     Raises:
-        UserError: for a name that does not exist, and for a value that cannot be parsed.
+        UserError: for a name that does not exist, and for a value that cannot be parsed or is out of range.
     """
-    kinds = {name: type(default) for name, (default, _) in constants(kind).items()}
+    kinds, known = _kinds(kind), constants(kind)
     for name, text in changes.items():
-        _parsed(name, text, kinds, method)
+        value = _parsed(name, text, kinds, method)
+        _check_range(name, value, known[name][1] if name in known else None)
+
+
+def _kinds(kind: type[Any]) -> dict[str, type]:
+    """The types of all fields that can be changed by name; those of a nested configuration are named outer.inner."""
+    found: dict[str, type] = {}
+    hints = get_type_hints(kind)
+    for f in fields(kind):
+        if hints[f.name] in WORDS:
+            found[f.name] = hints[f.name]
+        elif isinstance(f.default_factory, type) and is_dataclass(f.default_factory):
+            found |= {f"{f.name}.{name}": inner for name, inner in _kinds(f.default_factory).items()}
+    return found
 
 
 def _parsed(name: str, text: str, kinds: Mapping[str, type], method: str) -> Any:

@@ -58,10 +58,9 @@ def _nothing(path: Path) -> str:
     photos = sum(f.suffix.lower() in SUFFIXES for folder in (path, *inside) for f in folder.iterdir())
     if photos:
         return f"{path} holds {counted(photos, 'photo')} without poses; formats that carry poses: {known}"
-    return without_photos(path)
+    return f"{path} {without_photos(path)}: name a folder of photos, or a video"
 
 
 def without_photos(folder: Path) -> str:
-    """Return the message for a folder that holds neither photos nor a video, or nothing at all."""
-    found = "holds no photos and no video" if any(folder.iterdir()) else "is an empty folder"
-    return f"{folder} {found}: name a folder of photos, or a video"
+    """Say what is wrong with a folder that holds neither photos nor a video, or nothing at all."""
+    return "holds no photos and no video" if any(folder.iterdir()) else "is an empty folder"

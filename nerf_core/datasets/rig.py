@@ -28,11 +28,11 @@ def spread(poses: np.ndarray) -> float:
     return value if value > 1e-9 * np.abs(centers).max() else 0.0
 
 
-def common_focus(poses: np.ndarray) -> np.ndarray | None:
+def common_focus(poses: np.ndarray, seen: float = FOCUS_SEEN) -> np.ndarray | None:
     """Return the point (3,) nearest to all optical axes of poses (N, 3, 4).
 
     It minimises the sum of the distances to the axes (least squares, reweighted by 1/distance), so that a few cameras
-    that look elsewhere do not move it. None if the axes do not meet in front of the cameras.
+    that look elsewhere do not move it. None if the axes do not meet in front of the share `seen` of the cameras.
     """
     size = spread(poses)
     if size == 0:
@@ -50,7 +50,7 @@ def common_focus(poses: np.ndarray) -> np.ndarray | None:
         distance = np.linalg.norm(np.einsum("nij,nj->ni", across, point - centers), axis=1)
         weights = 1 / np.maximum(distance, FOCUS_FLOOR)
     depth = ((point - centers) * forward).sum(1)
-    return point * size + middle if (depth > distance).mean() >= FOCUS_SEEN else None
+    return point * size + middle if (depth > distance).mean() >= seen else None
 
 
 def as_held(rotation: np.ndarray, orientation: int) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,7 +14,7 @@ from nerf_core.rendering.images import to_bytes
 PAGE, INK = (251, 251, 250), (29, 31, 33)
 MOST_ERROR = 0.2  # of the range of colours: the brightest colour of the error; larger ones hide where details differ
 LETTERS = 40  # of a label, in widths of its font's size, fit above a photo
-SMALLEST, LARGEST = 12, 36  # pixels: the size of the labels
+SMALLEST, LARGEST = 12, 120  # pixels: the size of the labels; 100 of a sheet of 12,144 are 16 of a screen of 1,920
 
 
 def side_by_side(color: np.ndarray, truth: np.ndarray, mask: np.ndarray | None, psnr: float) -> np.ndarray:
@@ -56,16 +55,18 @@ def side_by_side(color: np.ndarray, truth: np.ndarray, mask: np.ndarray | None, 
 
 
 def picture_names(names: Sequence[str]) -> dict[str, str]:
-    """Return the file of each view's picture: the view's name with the suffix .png.
+    """Return the file of each view's picture: the view's name with the suffix .png instead of its own.
 
-    Photos whose names differ only in the suffix keep it: a.jpg and a.tif become a.jpg.png and a.tif.png.
+    If two pictures would share a file, all names keep their suffix: a.jpg and a.tif become a.jpg.png and a.tif.png.
+    Names that differ only in capitals, which some disks do not distinguish, are numbered as well.
 
     Args:
         names: of all views.
     """
-    stems = {name: _stem(name) for name in names}
-    count = Counter(stems.values())
-    return {name: f"{stem if count[stem] == 1 else name}.png" for name, stem in stems.items()}
+    for files in ([f"{_stem(name)}.png" for name in names], [f"{name}.png" for name in names]):
+        if len({file.casefold() for file in files}) == len(names):
+            return dict(zip(names, files, strict=True))
+    return {name: f"{name}-{k}.png" for k, name in enumerate(names)}
 
 
 def _stem(name: str) -> str:

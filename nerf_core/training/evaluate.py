@@ -103,10 +103,9 @@ def evaluate(
     views, photos = trainer.scene.views, trainer.scene.photos
     files = picture_names([view.name for view in views])
 
-    def keep(index: int, color: np.ndarray, truth: np.ndarray) -> None:
+    def keep(index: int, color: np.ndarray, truth: np.ndarray, found: float) -> None:
         if pictures is not None:
-            mask = photos.mask(index)
-            sheet = side_by_side(color, truth, mask, psnr(color, truth, mask))
+            sheet = side_by_side(color, truth, photos.mask(index), found)
             write_png(pictures / files[views[index].name], sheet)
 
     def tell(piece: tuple[int, float]) -> None:
@@ -120,13 +119,14 @@ def evaluating(
     trainer: Trainer,
     selection: Selection,
     lpips: Lpips | None,
-    keep: Callable[[int, np.ndarray, np.ndarray], None],
+    keep: Callable[[int, np.ndarray, np.ndarray, float], None],
 ) -> Generator[tuple[int, float], None, dict[str, Any]]:
     """Do what `evaluate` does in pieces. Yields after every tile the finished images and the fraction of all work.
 
     Args:
         trainer, selection, lpips: see `evaluate`.
-        keep: called with the index of each view, its rendering and its photo, (H, W, 3) float32 in [0, 1] each.
+        keep: called with the index of each view, its rendering and its photo, (H, W, 3) float32 in [0, 1] each, and the
+            PSNR in dB.
     """
     images: list[dict[str, Any]] = []
     count = len(selection.views)
@@ -155,7 +155,7 @@ def evaluating(
                 )
             )
         )
-        keep(index, color, truth)
+        keep(index, color, truth, images[-1]["psnr"])
     names = ["psnr", "ssim", "lpips"]
     names += [] if trainer.exposure is None else ["psnr_matched"]
     names += [] if trainer.refinement is None else ["psnr_posed"]

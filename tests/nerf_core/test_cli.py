@@ -176,6 +176,14 @@ def test_wrong_arguments_give_an_error_of_one_line(
         (["probe", "run", "--pixl", "3", "4"], "nerf-core: --pixl: no such option (did you mean --pixel?); "),
         (["lab", "image", "--stpes", "3"], "nerf-core: --stpes: no such option (did you mean --steps?); "),
         (["train", "--data", "x"], "nerf-core: --data: no such option; "),
+        (["train", "-notes"], "nerf-core: -notes: no such option; "),
+        (["train", "-h2"], "nerf-core: -h2: no such option; "),
+        (["eval", "-r"], "nerf-core: -r: no such option; "),
+        (["train", "x", "--set", "-a=3"], "nerf-core: Missing value for argument '--set'. Expected 1 values; "),
+        (
+            ["probe", "run", "--camera", "x", "--pixel", "1", "--t", "-inf"],
+            "nerf-core: Missing value for argument '--pixel'. Expected 2 values; ",
+        ),
         (["train", "--ndc", "perhaps"], "--ndc"),
         (["eval"], "DIR"),
         (["probe", "run", "--pixel", "1", "1"], "nerf-core: --camera: is needed; nerf-core probe"),
@@ -202,7 +210,7 @@ def test_a_command_that_cannot_be_parsed_gives_an_error_of_one_line(
     assert main(arguments) == 2
     line = error_line(capsys)
     assert text in line
-    named = bool(arguments) and not arguments[0].startswith("-") and ("--" in text or "-steps" in text)
+    named = bool(arguments) and not arguments[0].startswith("-")
     about = f"nerf-core {arguments[0]}" if named else "nerf-core"
     assert line.endswith(f"; {about} --help lists the options\n")
 
@@ -212,6 +220,7 @@ def test_a_command_that_cannot_be_parsed_gives_an_error_of_one_line(
     [
         ("train_imges=7", "--set 'train_imges': method voxels has no such constant; did you mean train_images?"),
         ("train_images=seven", "--set train_images='seven': expected a whole number"),
+        ("train_images=-5", "--set train_images=-5: must be at least 0"),
     ],
 )
 def test_a_wrong_constant_is_told_before_poses_are_searched_for(
@@ -226,6 +235,10 @@ def test_a_wrong_constant_is_told_before_poses_are_searched_for(
     guided = ["train", "--method", "nerf-guided", "--out", str(run), "--set"]
     assert main([*guided, "guide.stp=0.5"]) == 2
     assert "did you mean guide.step?" in error_line(capsys)
+    nerf = ["train", str(tmp_path), "--method", "nerf", "--out", str(run), "--set"]
+    for low, least in (("rays=0", 1), ("coarse_samples=2", 3)):
+        assert main([*nerf, low]) == 2
+        assert error_line(capsys) == f"nerf-core: --set {low}: must be at least {least}\n"
 
 
 @pytest.mark.parametrize("name", COMMANDS.names())

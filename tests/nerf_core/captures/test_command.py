@@ -84,11 +84,13 @@ def test_errors_are_one_line(
     assert words in line
 
 
-def test_all_commands_say_the_same_of_an_empty_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    empty = tmp_path / "empty"
-    empty.mkdir()
-    for command in (["train"], ["pose"], ["report"]):
-        assert main([*command, str(empty)]) == 2
-        assert (
-            capsys.readouterr().err == f"nerf-core: {empty} is an empty folder: name a folder of photos, or a video\n"
-        )
+def test_the_commands_say_the_same_of_a_folder_by_the_name_that_it_was_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    for given in ("empty", "../" + tmp_path.name + "/empty", str(tmp_path / "empty")):
+        for command in ("train", "pose", "report"):
+            assert main([command, given]) == 2
+            words = f"nerf-core: {given} is an empty folder: name a folder of photos, or a video\n"
+            assert capsys.readouterr().err == words

@@ -228,6 +228,55 @@ def test_the_page_begins_with_what_the_capture_is_good_for_what_limits_it_and_wh
     assert f"What limits it most: {few.limits[0].text}. Next: {few.limits[0].advice}." in few.overall
 
 
+def dark(count: int) -> list[np.ndarray]:
+    """The photos of a ring, the first `count` of which are black."""
+    return [np.zeros_like(textured()) if k < count else textured(k) for k in range(len(RING))]
+
+
+def astray(*wrong: int) -> list[Camera]:
+    """The cameras of a ring, some of which look away from the centre."""
+    return [
+        looking(c.c2w[:, 3], 2 * c.c2w[:, 3] + [0.1, 0, 0]) if k in wrong else c for k, c in enumerate(around(RING))
+    ]
+
+
+def test_a_capture_most_photos_of_which_show_nothing_is_not_good() -> None:
+    few = capture_report(scene_of(around(RING), dark(27))).overall
+    assert few.startswith("This capture is not yet good for ")
+    assert "What limits it most: 27 photos show nothing: " in few
+    assert "all sides" not in few  # three photos side by side do not show them
+    none = capture_report(scene_of(around(RING), dark(30))).overall
+    assert none.startswith("This capture is not yet good for new views. What limits it most: 30 photos show nothing: ")
+    one = capture_report(scene_of(around(RING), dark(1))).overall
+    assert one.startswith("This capture is good for views from all sides. ")
+
+
+@pytest.mark.parametrize(("count", "step"), [(9, 1), (10, 3), (12, 2)])
+def test_a_capture_a_third_of_whose_poses_are_wrong_is_not_good(count: int, step: int) -> None:
+    wrong = tuple(range(0, count * step, step))
+    cameras = astray(*wrong)
+    middle = np.mean([c.c2w[:, 3] for c in cameras], 0)  # what a capture has as its centre if so many look elsewhere
+    report = capture_report(scene_of(cameras, center=np.zeros(3) if count < 10 else middle))
+    assert {limit.kind: limit.photos for limit in report.limits}["pose"] == wrong
+    assert report.overall.startswith("This capture is not yet good for views from ")
+    assert f"What limits it most: {count} photos look past the centre: " in report.overall
+    assert "where the photos were taken" not in report.overall
+    assert capture_report(scene_of(astray(4))).overall.startswith("This capture is good for views from all sides. ")
+
+
+def test_faults_of_different_photos_add_up() -> None:
+    """A sixth of the photos shows nothing, and another sixth looks past the centre."""
+    whole = capture_report(scene_of(astray(*range(10, 15)), dark(5))).overall
+    assert whole.startswith("This capture is not yet good for ")
+    assert capture_report(scene_of(around(RING), dark(5))).overall.startswith("This capture is good for ")
+
+
+def test_one_photo_has_nothing_to_add_photos_between() -> None:
+    report = capture_report(scene_of(around(RING[:1])))
+    assert "Next: add photos from other places." in report.overall
+    assert "in between" not in "".join([report.overall, *(limit.advice for limit in report.limits), *report.next])
+
+
 def test_every_limit_says_what_to_do() -> None:
     cameras = around(RING)
     cameras[4] = looking(cameras[4].c2w[:, 3], 2 * cameras[4].c2w[:, 3] + np.array([0.1, 0, 0]))

@@ -15,7 +15,7 @@ from nerf_core.common.errors import UserError
 from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene
 from nerf_core.rendering.images import render_camera, to_bytes
-from nerf_core.training.eval_pictures import MOST_ERROR, PAGE, picture_names, side_by_side
+from nerf_core.training.eval_pictures import PAGE, picture_names, side_by_side
 from nerf_core.training.evaluate import evaluate, select
 from nerf_core.training.metrics import psnr, ssim
 from nerf_core.training.trainer import Trainer
@@ -66,7 +66,10 @@ def test_metrics_are_those_of_the_float_picture(make_trainer: Make, tmp_path: Pa
         assert image["ssim"] == ssim(color, truth)
         assert image["lpips"] is None
         sheet = np.asarray(Image.open(tmp_path / image["name"]))
-        assert np.array_equal(sheet, side_by_side(color, truth, None, image["psnr"]))
+        column = (sheet.shape[1] - 4 * 12) // 3  # the labels of small photos have 12 pixels, and so have the gaps
+        parts = [sheet[2 * 12 : 2 * 12 + 16, 12 + k * (column + 12) :][:, :16] for k in range(2)]
+        assert np.array_equal(parts[0], to_bytes(truth))
+        assert np.array_equal(parts[1], to_bytes(color))
     for name in ("psnr", "ssim"):
         assert result["mean"][name] == pytest.approx(np.mean([image[name] for image in result["images"]]))
     assert result["mean"]["lpips"] is None
@@ -117,14 +120,59 @@ def test_photo_rendering_and_error_lie_apart_under_their_labels() -> None:
     assert all((sheet[:top, gap + k * (500 + gap) :][:, :500] != PAGE).any() for k in range(3))
     tiny = side_by_side(color[:8, :8], truth[:8, :8], None, 100.0)
     assert tiny.shape[1] > 3 * 100  # labels are wider than the photos, and none is cut
-    assert MOST_ERROR > 0.1
+
+
+def test_errors_are_brighter_up_to_that_of_the_label() -> None:
+    truth = np.zeros((30, 500, 3), np.float32)
+
+    def brightness(error: float) -> float:
+        return float(side_by_side(truth + np.float32(error), truth, None, 20.0)[-30:, -400:-100].mean())
+
+    shown = [brightness(error) for error in (0, 0.05, 0.1, 0.2, 0.4)]
+    assert shown[0] < shown[1] < shown[2] < shown[3] == shown[4]
+
+
+def test_labels_can_be_read_when_a_sheet_fits_the_screen() -> None:
+    for wide in (300, 800, 4000):
+        photo = np.zeros((20, wide, 3), np.float32)
+        sheet = side_by_side(photo, photo, None, 30.0)
+        label = (sheet.shape[0] - 20) / 3  # a gap has the size of the label, and there are two more above the photos
+        assert label * min(1, 1920 / sheet.shape[1]) > 10
+
+
+def test_the_psnr_of_a_label_is_that_of_the_table(
+    make_trainer: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured, labels = [], []
+    monkeypatch.setattr("nerf_core.training.evaluate.psnr", lambda *pair: measured.append(pair) or 31.5)
+    monkeypatch.setattr(
+        "nerf_core.training.evaluate.side_by_side",
+        lambda *sheet: labels.append(sheet[3]) or np.zeros((4, 4, 3), np.uint8),
+    )
+    trainer = make_trainer()
+    result = evaluate(trainer, select(trainer.scene, "train", 2), pictures=tmp_path)
+    assert [image["psnr"] for image in result["images"]] == labels == [31.5, 31.5]
+    assert len(measured) == 2
 
 
 def test_pictures_have_the_photos_names_with_one_suffix() -> None:
     plain = {"test/r_0.png": "test/r_0.png", "a/b.JPG": "a/b.png", "a/c": "a/c.png", "a/v1.2": "a/v1.2.png"}
     assert picture_names(list(plain)) == plain
-    alike = {"a/b.jpg": "a/b.jpg.png", "a/b.tif": "a/b.tif.png", "c/b.jpg": "c/b.png"}
+    alike = {"a/b.jpg": "a/b.jpg.png", "a/b.tif": "a/b.tif.png", "c/b.jpg": "c/b.jpg.png"}
     assert picture_names(list(alike)) == alike
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["a.jpg", "a.tif", "a.jpg.png"], ["A.jpg", "a.tif"], ["a.jpg", "A.jpg", "a.png"],
+        ["a.jpg", "A.jpg", "A.JPG", "a.jpg-1"],
+    ],
+)  # fmt: skip
+def test_no_two_pictures_share_a_file_on_any_disk(names: list[str]) -> None:
+    files = picture_names(names)
+    assert list(files) == names
+    assert len({file.casefold() for file in files.values()}) == len(names)
 
 
 def test_masked_pixels_are_not_counted(make_trainer: Make) -> None:
