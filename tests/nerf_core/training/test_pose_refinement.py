@@ -335,7 +335,7 @@ def test_methods_that_compare_no_poses_are_named(scene: Scene) -> None:
     with pytest.raises(UserError, match="--refine-poses: method nearest-view"):
         Trainer(scene, RunSettings(method="nearest-view", refine_poses=True))
     assert Trainer(scene, RunSettings(method="voxels", changes=FEW)).corrections is None
-    with pytest.raises(UserError, match="--refine-poses: .* trains on one photo"):
+    with pytest.raises(UserError, match=r"--refine-poses: .* trains on one photo"):
         Trainer(scene, RunSettings(method="voxels", changes=FEW | {"train_images": "1"}, refine_poses=True))
 
 
