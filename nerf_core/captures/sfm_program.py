@@ -40,6 +40,9 @@ STRONG = 100  # verified matches that chance does not make
 CANNOT_MATCH = 75.0  # degrees between two views of one surface: SIFT matches up to some 50
 IN_ORDER = 10  # photos that follow one another, when only those are matched
 MOSTLY = 0.9  # of the photos: fewer are not worth a way without jumps
+# photos up to which one thread places them: sums of several threads are rounded differently each time, and a model that
+# was trained on other poses cannot go on. For so few, threads save no time.
+REPEATED = 200
 LEAST_MODEL = 3  # photos; COLMAP's 10 would give up small captures
 
 
@@ -102,6 +105,14 @@ def _features(pycolmap: Any, task: dict[str, Any]) -> None:
     if task["masked"]:
         reading.mask_path = "masks"
     say(stage="features", done=0, total=len(task["copies"]))
+    # In their order: extraction numbers them as its threads end, and the numbers decide what is tried first, so that
+    # the same photos would get other poses each time.
+    with pycolmap.Database.open("database.db"):
+        pass  # it is made
+    pycolmap.import_images(
+        "database.db", "photos", camera_mode=pycolmap.CameraMode.PER_FOLDER, image_names=task["copies"],
+        options=reading,
+    )  # fmt: skip
     pycolmap.extract_features(
         "database.db", "photos", image_names=task["copies"], camera_mode=pycolmap.CameraMode.PER_FOLDER,
         reader_options=reading, extraction_options=options, device=pycolmap.Device.cpu,
@@ -209,7 +220,8 @@ def _map(pycolmap: Any, task: dict[str, Any]) -> list[Any]:
     total = len(task["copies"])
     say(stage="poses", done=0, total=total)
     options = pycolmap.IncrementalPipelineOptions()
-    options.num_threads, options.min_model_size = task["threads"], min(10, max(LEAST_MODEL, total // 3))
+    alone = total <= REPEATED
+    options.num_threads, options.min_model_size = 1 if alone else task["threads"], min(10, max(LEAST_MODEL, total // 3))
     options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = task["seed"]
     options.image_path, options.max_num_models = "photos", 5
     shown = 0.0

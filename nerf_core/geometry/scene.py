@@ -159,6 +159,11 @@ class Scene:
         """Return the end of an error message: how this scene differs from a checkpoint's, and what to do."""
         name, there, here = description["scene_name"], description["scene_summary"], self.summary()
         if there == here:
+            if name == self.name:
+                return (
+                    f"trained on {shorten(name)} with other photos, poses or bounds: open it as it was then, or train "
+                    "again if its poses were found anew"
+                )
             return f"trained on {shorten(name)}, whose photos, poses or bounds differ from {self.name}'s: open that one"
         advice = "open that one"
         if name == self.name:

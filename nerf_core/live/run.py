@@ -79,6 +79,7 @@ class Run:
         self.loaded = 0
         self.until: int | None = None  # the step at which training pauses; None: it does not train
         self._until_seconds = math.inf
+        self._limited = False  # whether the user said how long it trains
         self._saved: tuple[Path, int] | None = None  # the newest checkpoint that was written or loaded, and its step
         self.rays_per_step = 0
         self._told_of = 0  # the number of the scene, in `loaded`, of which it was told that all photos are read
@@ -317,11 +318,15 @@ class Run:
             return
         self.failed, self.skipped = False, None
         self._until_seconds = math.inf if seconds is None else trainer.seconds + seconds
+        self._limited = steps is not None or seconds is not None
         self.until = trainer.total_steps if steps is None else trainer.step_count + steps
 
     def seconds_left(self, rays_per_second: float) -> float | None:
-        """Return how long training goes on at this rate; None if it is paused or the rate is unknown."""
-        if self.trainer is None or self.until is None or not rays_per_second:
+        """Return how long training goes on at this rate; None if that is unknown, or nobody said when it ends.
+
+        All the steps of a schedule are more than anybody needs to wait for.
+        """
+        if self.trainer is None or self.until is None or not self._limited or not rays_per_second:
             return None
         by_steps = (self.until - self.trainer.step_count) * self.rays_per_step / rays_per_second
         return max(0.0, min(by_steps, self._until_seconds - self.trainer.seconds))

@@ -70,7 +70,7 @@ class Actions:
             self._take_over(asked)
         self.tell(notice)
         if notice.kind == "failed" and isinstance(asked, OpenScene) and self._state.snapshot.scene is None:
-            self._state.not_opened = notice.text
+            self._state.not_opened, self._state.show_left_off = notice.text, False
             self._state.notices[-1].dismissed = True  # the viewport says it
 
     def _take_over(self, done: OpenScene | UseMethod) -> None:

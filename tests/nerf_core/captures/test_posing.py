@@ -65,6 +65,17 @@ def test_what_is_done_is_told_while_it_is_done(found: tuple[RawPhotos, Posed, li
     assert len(growing[-1].points) == len(growing[-1].colors) > 50
 
 
+@pytest.mark.thorough(8)
+def test_a_second_search_finds_the_same_poses(
+    found: tuple[RawPhotos, Posed, list[PoseProgress]], tmp_path: Path
+) -> None:
+    """A model that was trained on others could not go on."""
+    raw, posed, _ = found
+    again = find_poses(raw, tmp_path / "again", FAST, quiet)
+    for name in ("images.bin", "cameras.bin", "points3D.bin"):
+        assert (again.folder / "sparse/0" / name).read_bytes() == (posed.folder / "sparse/0" / name).read_bytes(), name
+
+
 def test_poses_are_found_again_while_the_photos_stay(
     found: tuple[RawPhotos, Posed, list[PoseProgress]], monkeypatch: pytest.MonkeyPatch
 ) -> None:

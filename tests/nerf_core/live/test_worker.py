@@ -319,6 +319,15 @@ def test_the_time_left_is_not_longer_than_what_was_asked_for(open_desk: OpenDesk
     assert 0 < left <= 200
 
 
+def test_no_time_left_is_shown_unless_an_end_was_asked_for(open_desk: OpenDesk) -> None:
+    desk = open_desk(steps=1_000_000)
+    desk.send(Train())
+    shown = desk.until(lambda s: s.status == "training" and s.rays_per_second > 0 and s.step > 3)
+    assert shown.seconds_left is None
+    desk.send(Pause(), Train(steps=100_000))
+    assert desk.until(lambda s: s.seconds_left is not None)
+
+
 def test_an_installation_that_cannot_train_is_told_of(tiny: RunSettings, monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(_worker: Worker, _number: int) -> None:
         raise ImportError("no torch here")
