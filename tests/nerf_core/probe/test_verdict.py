@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from balls import Ball, looking, model_of, ring_scene
 
+from nerf_core.common.language import said
 from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method
 from nerf_core.probe import TrainingViews, Verdict, judge, open_pixel, open_ray
-from nerf_core.probe.standing import Tone
+from nerf_core.probe.standing import DEEP, HAZY, THICK, Tone
 from nerf_core.probe.verdicts import VERDICTS, Facts
+from nerf_core.probe.verdicts.fog import _fog_reasons
 
 RED = Ball((0.0, 0.0, 0.0), 0.7, (0.8, 0.2, 0.15))
 FLOATER = Ball((1.5, 0.0, 0.35), 0.25, (0.1, 0.2, 0.9))
@@ -132,6 +134,16 @@ def test_true_haze_is_no_floater() -> None:
     verdict = verdict_of(model_of(scene, haze), scene)
     assert verdict.kind == "fog"
     assert all(s.missing == s.voters for s in verdict.standings)
+
+
+def test_fog_says_under_which_limits_it_would_be_a_surface(scene: Scene) -> None:
+    one = verdict_of(model_of(scene, RED, FLOATER), scene).standings[0]
+    grain = one.layer.grain
+    thick = replace(one.layer, thickness=10 * grain)
+    disputed, agreed = (_fog_reasons([replace(one, layer=thick, error=e)], 0.0)[1] for e in (0.04, 0.01))
+    limit = f"under {THICK * grain:.3g}, or under {DEEP * grain:.3g} with an error under {HAZY:g}"
+    assert said(disputed).endswith(limit)
+    assert said(agreed).endswith(f"under {DEEP * grain:.3g}")
 
 
 def test_the_photos_votes_decide_whether_a_layer_floats(scene: Scene) -> None:
