@@ -94,3 +94,26 @@ def test_the_commands_say_the_same_of_a_folder_by_the_name_that_it_was_given(
             assert main([command, given]) == 2
             words = f"nerf-core: {given} is an empty folder: name a folder of photos, or a video\n"
             assert capsys.readouterr().err == words
+
+
+@pytest.mark.parametrize(
+    ("out", "words"),
+    [
+        ("photos", "photos holds the photos or lies among them: choose another --out"),
+        ("photos/run", "photos/run holds the photos or lies among them: choose another --out"),
+        (".", ". holds the photos or lies among them: choose another --out"),
+        ("notes", "notes is not empty and holds no run: choose another --out"),
+    ],
+)
+def test_a_training_writes_nothing_where_other_files_are(
+    out: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The folder is refused before poses are searched for, and stays as it was."""
+    monkeypatch.chdir(tmp_path)
+    textured_photos.write(tmp_path / "photos", textured_photos.arc(3))
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes/list.txt").write_text("bread")
+    before = sorted(tmp_path.rglob("*"))
+    assert main(["train", "photos", "--device", "cpu", "--out", out]) == 2
+    assert capsys.readouterr().err == f"nerf-core: {words}\n"
+    assert sorted(tmp_path.rglob("*")) == before
