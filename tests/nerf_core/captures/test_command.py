@@ -117,3 +117,23 @@ def test_a_training_writes_nothing_where_other_files_are(
     assert main(["train", "photos", "--device", "cpu", "--out", out]) == 2
     assert capsys.readouterr().err == f"nerf-core: {words}\n"
     assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--method", "nerf", "--preset", "quik"], "method nerf has no such preset; did you mean quick?"),
+        (["--method", "voxels", "--preset", "quick"], "method voxels has none but auto; change constants with --set"),
+    ],
+)
+def test_a_misspelt_preset_is_told_before_poses_are_searched_for(
+    options: list[str],
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("nerf_core.captures.opening.find_poses", lambda *_: pytest.fail("poses are searched for"))
+    photos = str(textured_photos.write(tmp_path / "photos", textured_photos.arc(3)))
+    assert main(["train", photos, "--device", "cpu", "--out", str(tmp_path / "run"), *options]) == 2
+    assert capsys.readouterr().err == f"nerf-core: --preset '{options[-1]}': {words}\n"
