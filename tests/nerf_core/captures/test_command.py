@@ -61,6 +61,11 @@ def test_the_next_command_opens_the_poses_in_a_folder_of_ones_own(
         (["posed"], "has poses already"),
         (["text"], "text is no video: name"),
         (["two"], "holds 2 photos: at least 3 are needed"),
+        (
+            ["damaged"],
+            "damaged/a.jpg: no image that can be read), which leaves 0 photos: at least 3 are needed, and 30 to 100",
+        ),
+        (["damaged"], "damaged: 3 of 3 photos cannot be read (first "),
         (["two", "--minutes", "0"], "--minutes is 0.0"),
     ],
 )
@@ -79,6 +84,9 @@ def test_errors_are_one_line(
     (tmp_path / "posed").mkdir()
     (tmp_path / "posed/transforms.json").write_text("{}")
     (tmp_path / "text").write_text("")
+    (tmp_path / "damaged").mkdir()
+    for name in "abc":
+        (tmp_path / f"damaged/{name}.jpg").write_bytes(b"no JPEG")
     assert main(["pose", *arguments]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert words in line
