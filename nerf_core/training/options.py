@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -131,6 +131,14 @@ class TrainOptions(LoadingOptions):
                 raise UserError(f"--set {name}: given as {shorten(changes[name])} and {shorten(value)}; choose one")
             changes[name] = value
         return changes
+
+
+def loading_words(load: LoadOptions) -> list[str]:
+    """Return the words of a command line that give these options of loading; those at their defaults are left out."""
+    given = [
+        (f.name.replace("_", "-"), getattr(load, f.name)) for f in fields(load) if getattr(load, f.name) != f.default
+    ]
+    return [word for name, value in given for word in (f"--{name}", str(value))]
 
 
 def _check_name(option: str, value: str, names: Callable[[], tuple[str, ...]]) -> None:

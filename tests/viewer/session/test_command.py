@@ -321,7 +321,8 @@ def test_weights_that_their_file_does_not_take_are_saved_elsewhere(taken: str, t
     else:
         (path,) = saved
         assert path.is_relative_to(data if taken == "the user's data" else temporary)
-        assert f"saved to {path}; continue with --load {path}" in out
+        command = f"nerf-viewer --downscale 8 --device cpu --load {path}"
+        assert f"saved to {path}; continue with {command}" in out
     assert not list(tmp_path.rglob("*.part"))
 
 
