@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.text import suggestion
 from nerf_core.datasets import LoadOptions, check_options
 from nerf_core.datasets.capture import DATASETS, PoseLens, Quality
 from nerf_core.methods import METHODS
@@ -143,7 +144,8 @@ def loading_words(load: LoadOptions) -> list[str]:
 
 def _check_name(option: str, value: str, names: Callable[[], tuple[str, ...]]) -> None:
     if value != "auto" and value not in names():
-        raise UserError(f"--{option} {shorten(value)}: choose from auto, {', '.join(names())}")
+        near = suggestion(value, names())
+        raise UserError(f"--{option} {shorten(value)}{near}: choose from auto, {', '.join(names())}")
 
 
 def run_name(data: Path | None, method: str) -> str:
