@@ -186,7 +186,9 @@ def test_a_path_that_is_no_dataset_is_refused(tmp_path: Path, transforms_folder:
         assert "\n" not in str(caught.value)
 
     refused(folder / "none", "none does not exist: name the folder")
-    refused(folder / "images/0000.png", r"0000\.png is not a folder: name the folder of a dataset, or its \.json")
+    refused(folder / "images/0000.png", r"0000\.png is one photo: name a folder of photos, or a video$")
+    (folder / "notes.txt").write_text("")
+    refused(folder / "notes.txt", r"notes\.txt is not a folder: name the folder of a dataset, or its \.json")
     refused(
         folder / "images",
         r"images holds 10 photos without poses; formats that carry poses: .*blender \(tran.*colmap.*llff",
