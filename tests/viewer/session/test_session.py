@@ -111,10 +111,11 @@ def stopped(window: Window, photos: Path, settings: RunSettings, until: Callable
         session = Session(window, settings, signals, said.append)
         real = session.app.frame
 
-        def frame(force: bool = False) -> None:
-            real(force)
+        def frame(force: bool = False) -> bool:
+            drawn = real(force)
             if signals.received is None and until(session.app.state.snapshot):
                 os.kill(os.getpid(), signal.SIGINT)
+            return drawn
 
         session.app.frame = frame
         try:
