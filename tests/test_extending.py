@@ -86,7 +86,7 @@ def test_a_dataset_format(load: Load, tmp_path: Path) -> None:
 def test_a_render_mode(load: Load) -> None:
     load("nerf_core/rendering/modes/opacity.py", MODES)
     assert "opacity" in mode_names()
-    scene = load_scene(None, LoadOptions(downscale=20))
+    scene = load_scene(None, LoadOptions(downscale=12))
     method = Trainer(scene, RunSettings(method="nerf", changes=SMALL_NERF)).method
     rays = camera_rays(scene.views[0].camera, scene.near, scene.far)
     assert isinstance(method, Traceable)
@@ -140,7 +140,7 @@ def test_a_kernel_implementation(load: Load, monkeypatch: pytest.MonkeyPatch) ->
 def test_a_model_export(load: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     EXPORTS.names()
     monkeypatch.setattr(EXPORTS, "_items", {})  # as if none was there
-    scene = load_scene(None, LoadOptions(downscale=20))
+    scene = load_scene(None, LoadOptions(downscale=12))
     trainer = Trainer(scene, RunSettings(method="voxels", changes={"start": "8", "resolution": "16"}))
     for _ in range(5):
         trainer.step()

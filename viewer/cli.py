@@ -157,7 +157,9 @@ def run(options: ViewerOptions, signals: Signals) -> int:
     wishes.check()
     if options.load is not None:
         _agrees(options.load, settings)
-    elif settings.changes:  # before anything slow; only then does the window wait for torch
+    elif (
+        settings.changes or settings.preset != "auto"
+    ):  # before anything slow; only then does the window wait for torch
         from nerf_core.training.trainer import check_constants
 
         check_constants(settings)

@@ -33,7 +33,7 @@ from nerf_core.captures.records import (
 from nerf_core.captures.video_frames import write_frames
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.memory import free_memory
-from nerf_core.common.text import duration
+from nerf_core.common.text import counted, duration
 from nerf_core.datasets.capture import Photo
 from nerf_core.datasets.images import BROKEN, UnreadableError, measure, read_photo
 from nerf_core.datasets.masks import kept_pixels
@@ -112,7 +112,8 @@ class Job:
             copies.append(lens)
             self.names.append(photo.relative_to(self.images).as_posix())
         if few := too_few(len(self.names)):
-            raise UserError(f"{self.raw.source} has {few} that can be read ({self.damaged[0][1]})")
+            damaged = f"{len(self.damaged)} of {counted(len(self.photos), 'photo')} cannot be read"
+            raise UserError(f"{self.raw.source}: {damaged} (first {self.damaged[0][1]}), which leaves {few}")
         if self.panoramas > len(copies) / 2:
             raise UserError(
                 f"{self.raw.source} holds 360° panoramas, whose poses are not searched for: cut perspective views out "

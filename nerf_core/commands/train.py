@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
@@ -11,6 +12,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from nerf_core.captures.opening import open_capture
+from nerf_core.captures.raw_photos import raw_photos
 from nerf_core.commands import COMMANDS
 from nerf_core.commands.shared import loading, restored, tell, warn
 from nerf_core.common.console import Display
@@ -68,6 +70,8 @@ class Train:
             method = run.config()[1].method
         else:
             check_constants(settings)  # before poses are searched for
+        if first and not self.resume:
+            self._must_be_free(run, settings)
         if group.size > 1:
             must_be_distributed(method)  # before the photos are loaded
         began = time.monotonic()
@@ -89,6 +93,24 @@ class Train:
                 if first:
                     run.begin(self.data, settings, trainer)
             return self._train(run, trainer, signals, time.monotonic() - began)
+
+    def _must_be_free(self, run: RunFolder, settings: RunSettings) -> None:
+        """Raise UserError if --out has to do with the photos' folder, or holds something and is no run folder."""
+        raw = raw_photos(self.data) if settings.load.format == "auto" else None
+        if self.out is not None and raw is not None:
+            own = self.out.resolve()
+            for theirs in {raw.source.resolve(), *(photo.parent.resolve() for photo in raw.photos)}:
+                if own == theirs or own in theirs.parents or theirs in own.parents:
+                    raise UserError(f"{self.out} holds the photos or lies among them: choose another --out")
+        if run.checkpoints() or not run.path.is_dir():
+            return
+        run.must_be_new()
+        try:
+            foreign = set(os.listdir(run.path)) - {".lock", "checkpoints"}  # of a training that has just begun
+        except OSError as error:
+            raise UserError(f"{run.path}: cannot be read ({error.strerror or error}): choose another --out") from None
+        if foreign and not run.config_file.exists():
+            raise UserError(f"{run.path} is not empty and holds no run: choose another --out")
 
     def _train(self, run: RunFolder, trainer: Trainer, signals: Signals, loading: float) -> int:
         if not trainer.total_steps:

@@ -52,6 +52,11 @@ def entry_folder(kind: str, key: str, name: str) -> Path:
     return cache_folder() / kind / key / (printable(name)[:60] or "photos")
 
 
+def holds(kind: str, folder: Path) -> bool:
+    """Return whether a folder lies in the cache, among the entries of this kind."""
+    return folder.absolute().is_relative_to((cache_folder() / kind).absolute())
+
+
 def entries() -> list[Entry]:
     """Return all entries, the one that was used last first.
 

@@ -14,9 +14,9 @@ from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 import tyro
 
 from nerf_core import __version__
-from nerf_core.common.errors import UserError
+from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.output import say
-from nerf_core.common.text import closest
+from nerf_core.common.text import closest, suggestion
 from nerf_core.common.user_paths import absolute, own_path
 
 CONFIG = (
@@ -28,6 +28,10 @@ CONFIG = (
 UNREAD = (  # tyro's messages about values that it cannot parse, and the words that replace them
     (r"Could not parse arguments \[(.*)\] into .*\bint\b.*", r"cannot be read: \1: whole numbers are needed"),
     (r"Could not parse arguments \[(.*)\] into .*", r"cannot be read: \1"),
+    (r"invalid literal for int\(\) with base 10: (.*)", r"cannot be read: \1: a whole number is needed"),
+    (r"could not convert string to float: (.*)", r"cannot be read: \1: a number is needed"),
+    (r"Missing value for argument '(.*)'\. Expected 1 values", r"\1: needs a value"),
+    (r"Missing value for argument '(.*)'\. Expected (\d+) values", r"\1: needs \2 values"),
     (r"no type matching INT could be instantiated from \[(.*)\]", r"cannot be read: \1: a whole number is needed"),
     (r"no type matching FLOAT could be instantiated from \[(.*)\]", r"cannot be read: \1: a number is needed"),
 )
@@ -162,9 +166,14 @@ def _sentence(box: str) -> str:
         elif words:
             break
     text = " ".join(words).partition(" Got errors:")[0].rstrip(".")
-    missing = re.match(r"Missing from [^:]*: (--[\w-]+) ", text)  # the rest is the option's whole help
+    missing = re.match(r"Missing from [^:]*: (--[\w-]+|[A-Z]+) ", text)  # the rest is the option's whole help
     if missing:
         return f"{missing[1]}: is needed"
+    wrong = re.match(r"invalid choice '(.*)' for argument '(.*)'\. Expected one of \((.*)\)", text)
+    if wrong:
+        choices = re.findall(r"'(.*?)'", wrong[3])
+        near = suggestion(wrong[1], choices)
+        return f"{wrong[2]} {shorten(wrong[1])}{near}: choose from {', '.join(choices)}"
     for theirs, ours in UNREAD:
         text = re.sub(theirs, ours, text)
     return text.removeprefix("Error parsing ")

@@ -145,6 +145,24 @@ def check_changes(kind: type[Any], changes: Mapping[str, str], method: str) -> N
         _check_range(name, value, known[name][1] if name in known else None)
 
 
+def check_preset(presets: Sequence[str], preset: str, method: str) -> None:
+    """Raise UserError for a preset that a method does not have, before there is a scene to configure the method for.
+
+    Args:
+        presets: the names of the method's presets besides "auto".
+        preset: the one that is asked for.
+        method: the method's name in messages.
+    """
+    if preset in ("auto", *presets):
+        return
+    asked = f"--preset {shorten(preset)}"
+    if not presets:
+        raise UserError(f"{asked}: method {method} has none but auto; change constants with --set")
+    near = closest(preset, presets)
+    other = f"did you mean {near}?" if near else f"it has auto, {', '.join(presets)}"
+    raise UserError(f"{asked}: method {method} has no such preset; {other}")
+
+
 def _kinds(kind: type[Any]) -> dict[str, type]:
     """The types of all fields that can be changed by name; those of a nested configuration are named outer.inner."""
     found: dict[str, type] = {}

@@ -12,6 +12,7 @@ from importlib.util import find_spec
 from typing import Any, Generic, TypeVar
 
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.text import suggestion
 
 T = TypeVar("T")
 S = TypeVar("S")
@@ -60,7 +61,8 @@ class Registry(Generic[T]):
         """The plug-in called `name`. Raises UserError that lists the choices."""
         self._load()
         if name not in self._items:
-            raise UserError(f"unknown {self.kind} {shorten(name)}: choose one of {', '.join(self.names())}")
+            near = suggestion(name, self.names())
+            raise UserError(f"unknown {self.kind} {shorten(name)}{near}: choose one of {', '.join(self.names())}")
         return self._items[name]
 
     def name_of(self, item: T) -> str:

@@ -25,6 +25,12 @@ def closest(word: str, known: Iterable[str]) -> str:
     return next(iter(difflib.get_close_matches(word, tuple(known), 1)), "")
 
 
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """Return " (did you mean …?)" for a misspelt word, to be put behind it; empty if no known word is like it."""
+    near = closest(word, known)
+    return f" (did you mean {near}?)" if near else ""
+
+
 def counted(count: int, noun: str) -> str:
     """Format a number with its noun, whose plural ends in s: "1 photo", "1,200 photos"."""
     return f"{count:,} {noun}{'' if count == 1 else 's'}"

@@ -26,6 +26,7 @@ from nerf_core.geometry.scene import Scene, View
 WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 MOST_POINTS = 20_000  # of a sparse model that a scene keeps, to show: more are a cloud just the same
 LARGEST_SIDE = 1_000_000  # in pixels: no photo has more
+LEAST_SIDE = 16  # pixels of the longer side that --downscale must leave: fewer show nothing
 
 
 def load_scene(path: Path | None, options: LoadOptions, progress: Progress | None = None) -> Scene:
@@ -160,6 +161,7 @@ def _sized(
     downscale = max(
         1.0, options.downscale / capture.reduced
     )  # the folder may hold smaller photos than the user asked for
+    _refuse_tiny(max(shapes, key=max), options.downscale, capture.reduced)
     masked = any(p.mask is not None for p in capture.photos)  # one more byte a pixel
     further, sizes = 1, [_target(shape, options, downscale) for shape in shapes]
     while True:
@@ -184,6 +186,25 @@ def _sized(
         for p, size, h, turn in zip(capture.photos, sizes, headers, upright, strict=True)
     )
     return replace(capture, photos=photos), upright, eight_bits, notes
+
+
+def _refuse_tiny(size: tuple[int, int], downscale: int, reduced: int) -> None:
+    """Raise UserError if --downscale leaves hardly a pixel of the largest photo.
+
+    Args:
+        size: its pixels in the file.
+        downscale: how many times smaller than full size the user asked for.
+        reduced: how many times smaller than full size the file is.
+    """
+    longest = max(size) * reduced
+    if downscale <= reduced or round(longest / downscale) >= LEAST_SIDE:
+        return
+    most = max(int(longest / (LEAST_SIDE - 0.5)), 1)  # sides are rounded
+    left = "×".join(str(round(side * reduced / downscale)) for side in size)
+    raise UserError(
+        f"--downscale is {downscale}: it leaves {left} of the {size[0] * reduced}×{size[1] * reduced} pixels of a "
+        f"photo: give at most {most}"
+    )
 
 
 def _refuse_heavy(capture: Capture, headers: Sequence[Header], upright: Sequence[bool], options: LoadOptions) -> None:

@@ -27,6 +27,8 @@ def recognise(path: Path | None, wanted: str) -> tuple[Path, str, tuple[str, ...
         raise UserError(f"--format {DEMO} opens the scene that is installed: leave out {path}")
     if not path.exists():
         raise UserError(f"{path} does not exist: name the folder of a dataset")
+    if path.is_file() and path.suffix.lower() in SUFFIXES:
+        raise UserError(f"{path} is one photo: name a folder of photos, or a video")
     if not path.is_dir() and path.suffix.lower() not in CALIBRATIONS:
         raise UserError(f"{path} is not a folder: name the folder of a dataset, or its .json, .xml or .csv file")
     if wanted != "auto":

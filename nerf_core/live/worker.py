@@ -10,11 +10,12 @@ import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nerf_core.common.errors import UserError
 from nerf_core.common.language import marked, phrase
-from nerf_core.datasets.capture import DATASETS
+from nerf_core.datasets.capture import DATASETS, LoadOptions
 from nerf_core.lab.study import STUDIES
 from nerf_core.live import messages
 from nerf_core.live.drawing import Drawing
@@ -114,6 +115,13 @@ class Worker:
     @property
     def alive(self) -> bool:
         return self._thread.is_alive()
+
+    def opened(self, run: int = FIRST_RUN) -> tuple[Path | None, LoadOptions]:
+        """Return what opens a run's scene again: its capture (None: the demo scene), and the options of loading.
+
+        Call it after the thread has ended.
+        """
+        return self._runs[run].capture, self._runs[run].settings.load
 
     # ---- the thread -------------------------------------------------------------------------------------------------
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from nerf_core.common.errors import UserError, shorten
+from nerf_core.common.text import suggestion
 from nerf_core.datasets import LoadOptions, check_options
 from nerf_core.datasets.capture import DATASETS, PoseLens, Quality
 from nerf_core.methods import METHODS
@@ -133,9 +134,18 @@ class TrainOptions(LoadingOptions):
         return changes
 
 
+def loading_words(load: LoadOptions) -> list[str]:
+    """Return the words of a command line that give these options of loading; those at their defaults are left out."""
+    given = [
+        (f.name.replace("_", "-"), getattr(load, f.name)) for f in fields(load) if getattr(load, f.name) != f.default
+    ]
+    return [word for name, value in given for word in (f"--{name}", str(value))]
+
+
 def _check_name(option: str, value: str, names: Callable[[], tuple[str, ...]]) -> None:
     if value != "auto" and value not in names():
-        raise UserError(f"--{option} {shorten(value)}: choose from auto, {', '.join(names())}")
+        near = suggestion(value, names())
+        raise UserError(f"--{option} {shorten(value)}{near}: choose from auto, {', '.join(names())}")
 
 
 def run_name(data: Path | None, method: str) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nerf_core.common.configs import check_changes, constants
+from nerf_core.common.configs import check_changes, check_preset, constants
 from nerf_core.common.device import pick_device, usable_cores
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.language import marked, phrase
@@ -461,8 +461,9 @@ def choose_method(asked: str, device: torch.device) -> tuple[str, str]:
 
 
 def check_constants(settings: RunSettings) -> None:
-    """Raise UserError for changes of constants that the method of a new run does not take, before a scene is loaded."""
+    """Raise UserError for a preset or changes that the method of a new run does not take, before a scene is loaded."""
     method, _ = choose_method(settings.method, pick_device(settings.device))
+    check_preset(METHODS.get(method).presets, settings.preset, method)
     check_changes(METHODS.get(method).constants, settings.changes, method)
 
 

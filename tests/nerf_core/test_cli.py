@@ -117,6 +117,7 @@ def test_the_demo_scene_needs_no_name(
         (["--set", "rays"], "--set 'rays': write NAME=VALUE"),
         (["--set", "wings=2"], "--set 'wings': method voxels has no such constant"),
         (["--method", "magic"], f"--method 'magic': choose from auto, {', '.join(METHODS.names())}"),
+        (["--method", "voxel"], "--method 'voxel' (did you mean voxels?): choose from auto, "),
         (["--format", "doc"], f"--format 'doc': choose from auto, {', '.join(DATASETS.names())}"),
         (["--downscale", "0"], "--downscale is 0"),
         (["--device", "abacus"], "--device abacus: choose auto, cpu, cuda or cuda:N"),
@@ -142,9 +143,10 @@ def test_wrong_options_give_an_error_of_one_line(
             "--radius belongs to --path orbit, not to test",
         ),
         (["fly"], f"nerf-core: unknown command 'fly': choose one of {', '.join(COMMANDS.names())}"),
+        (["poses"], "nerf-core: unknown command 'poses' (did you mean pose?): choose one of "),
         (
             ["export", "none", "a.ply"],  # a command as soon as a model export is registered
-            "none: not a run" if EXPORTS.names() else "nerf-core: unknown command 'export': choose one of",
+            "none: not a run" if EXPORTS.names() else "nerf-core: unknown command 'export'",
         ),
         (["train", "none", "--out", "out"], "none does not exist: name the folder of a dataset"),
     ],
@@ -179,13 +181,28 @@ def test_wrong_arguments_give_an_error_of_one_line(
         (["train", "-notes"], "nerf-core: -notes: no such option; "),
         (["train", "-h2"], "nerf-core: -h2: no such option; "),
         (["eval", "-r"], "nerf-core: -r: no such option; "),
-        (["train", "x", "--set", "-a=3"], "nerf-core: Missing value for argument '--set'. Expected 1 values; "),
+        (["train", "x", "--set", "-a=3"], "nerf-core: --set: needs a value; "),
         (
             ["probe", "run", "--camera", "x", "--pixel", "1", "--t", "-inf"],
-            "nerf-core: Missing value for argument '--pixel'. Expected 2 values; ",
+            "nerf-core: --pixel: needs 2 values; ",
         ),
-        (["train", "--ndc", "perhaps"], "--ndc"),
-        (["eval"], "DIR"),
+        (["train", "--ndc", "perhaps"], "nerf-core: --ndc 'perhaps': choose from auto, on, off; nerf-core train"),
+        (
+            ["train", "--downscale", "four"],
+            "nerf-core: --downscale: cannot be read: 'four': a whole number is needed; nerf-core train",
+        ),
+        (
+            ["pose", "x", "--memory-gb", "much"],
+            "nerf-core: --memory-gb: cannot be read: 'much': a number is needed; nerf-core pose",
+        ),
+        (["pose", "x", "--quality"], "nerf-core: --quality: needs a value; nerf-core pose"),
+        (
+            ["pose", "x", "--quality", "fats"],
+            "nerf-core: --quality 'fats' (did you mean fast?): choose from fast, normal, high; nerf-core pose",
+        ),
+        (["cache", "--clear", "pose"], "nerf-core: --clear 'pose' (did you mean poses?): choose from "),
+        (["pose"], "nerf-core: PHOTOS: is needed; nerf-core pose"),
+        (["eval"], "nerf-core: DIR: is needed; nerf-core eval"),
         (["probe", "run", "--pixel", "1", "1"], "nerf-core: --camera: is needed; nerf-core probe"),
         (
             ["probe", "run", "--camera", "a", "--pixel", "1.5", "1"],

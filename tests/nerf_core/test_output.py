@@ -14,7 +14,7 @@ from desk import PATIENCE
 from nerf_core.training import checkpoint
 
 TRAIN = [
-    "train", "--method", "nerf", "--device", "cpu", "--threads", "1", "--downscale", "16", "--set", "rays=16",
+    "train", "--method", "nerf", "--device", "cpu", "--threads", "1", "--downscale", "12", "--set", "rays=16",
     "--set", "coarse_samples=8", "--set", "fine_samples=8", "--set", "depth=2", "--set", "width=16",
 ]  # fmt: skip
 

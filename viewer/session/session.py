@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import signal
 import time
 from collections.abc import Callable
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import platformdirs
 
+from nerf_core.captures.records import PLACED
 from nerf_core.common.errors import UserError
 from nerf_core.common.files import clear_leftovers
 from nerf_core.common.output import complain
@@ -18,6 +20,7 @@ from nerf_core.live.messages import CancelExport, SaveUnsaved, Train
 from nerf_core.live.worker import Worker
 from nerf_core.training.autosaves import any_autosave, clear_spare_leftovers, forget_old_autosaves
 from nerf_core.training.last_save import telling
+from nerf_core.training.options import loading_words
 from nerf_core.training.settings import RunSettings
 
 from ..app.app import App
@@ -154,6 +157,8 @@ class Session:
         It takes as long as it takes: a second signal ends it.
         """
         snapshot = self.worker.snapshot()
+        if snapshot.posing is not None and snapshot.posing.stage != PLACED:
+            _complain("the search for poses was stopped: nothing of it is kept")
         if snapshot.scene is None or not unsaved_steps(snapshot):
             return
         self.worker.send(CancelExport())
@@ -165,13 +170,20 @@ class Session:
         replies = [notice for notice in self.worker.notices() if notice.command == number]
         for notice in replies:
             if notice.kind == "saved":
-                self.say(f"saved to {notice.path}; continue with --load {notice.path}")
+                self.say(f"saved to {notice.path}; continue with {self._continues(str(notice.path))}")
                 if snapshot.scene is not None:
                     forget_old_autosaves(snapshot.scene, KEPT)  # only now, because a save may fail
             else:
                 _complain(notice.text)
         if not replies and unsaved_steps(snapshot):
             _complain(f"step {snapshot.step:,} is not saved: the thread that trains has ended before")
+
+    def _continues(self, checkpoint: str) -> str:
+        """The command that opens the same scene with a checkpoint, from any folder. The worker has ended."""
+        capture, load = self.worker.opened()
+        words = [APP, *([] if capture is None else [str(capture)]), *loading_words(load)]
+        words += [] if self.settings.device == "auto" else ["--device", self.settings.device]
+        return shlex.join([*words, "--load", checkpoint])
 
     def close(self) -> None:
         """Free what the session holds. A worker that does not end is left to `viewer.cli.command`."""

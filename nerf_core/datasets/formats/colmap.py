@@ -12,6 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from nerf_core.common import cache
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.json_files import read_json
 from nerf_core.common.language import phrase
@@ -185,7 +186,7 @@ def _photo_folder(root: Path, model: Path, names: Sequence[str], downscale: int)
         )
 
     chosen, notes = choose_folder(folders, downscale, len(wanted), present)
-    if len(chosen.files) > len(names):
+    if len(chosen.files) > len(names) and not cache.holds("poses", root):  # who found those poses says what each lacks
         notes += (
             phrase(
                 "{count} of the {total} photos in {folder} are registered; the others have no pose",

@@ -61,6 +61,11 @@ def test_the_next_command_opens_the_poses_in_a_folder_of_ones_own(
         (["posed"], "has poses already"),
         (["text"], "text is no video: name"),
         (["two"], "holds 2 photos: at least 3 are needed"),
+        (
+            ["damaged"],
+            "damaged/a.jpg: no image that can be read), which leaves 0 photos: at least 3 are needed, and 30 to 100",
+        ),
+        (["damaged"], "damaged: 3 of 3 photos cannot be read (first "),
         (["two", "--minutes", "0"], "--minutes is 0.0"),
     ],
 )
@@ -79,6 +84,9 @@ def test_errors_are_one_line(
     (tmp_path / "posed").mkdir()
     (tmp_path / "posed/transforms.json").write_text("{}")
     (tmp_path / "text").write_text("")
+    (tmp_path / "damaged").mkdir()
+    for name in "abc":
+        (tmp_path / f"damaged/{name}.jpg").write_bytes(b"no JPEG")
     assert main(["pose", *arguments]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert words in line
@@ -94,3 +102,46 @@ def test_the_commands_say_the_same_of_a_folder_by_the_name_that_it_was_given(
             assert main([command, given]) == 2
             words = f"nerf-core: {given} is an empty folder: name a folder of photos, or a video\n"
             assert capsys.readouterr().err == words
+
+
+@pytest.mark.parametrize(
+    ("out", "words"),
+    [
+        ("photos", "photos holds the photos or lies among them: choose another --out"),
+        ("photos/run", "photos/run holds the photos or lies among them: choose another --out"),
+        (".", ". holds the photos or lies among them: choose another --out"),
+        ("notes", "notes is not empty and holds no run: choose another --out"),
+    ],
+)
+def test_a_training_writes_nothing_where_other_files_are(
+    out: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The folder is refused before poses are searched for, and stays as it was."""
+    monkeypatch.chdir(tmp_path)
+    textured_photos.write(tmp_path / "photos", textured_photos.arc(3))
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes/list.txt").write_text("bread")
+    before = sorted(tmp_path.rglob("*"))
+    assert main(["train", "photos", "--device", "cpu", "--out", out]) == 2
+    assert capsys.readouterr().err == f"nerf-core: {words}\n"
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--method", "nerf", "--preset", "quik"], "method nerf has no such preset; did you mean quick?"),
+        (["--method", "voxels", "--preset", "quick"], "method voxels has none but auto; change constants with --set"),
+    ],
+)
+def test_a_misspelt_preset_is_told_before_poses_are_searched_for(
+    options: list[str],
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("nerf_core.captures.opening.find_poses", lambda *_: pytest.fail("poses are searched for"))
+    photos = str(textured_photos.write(tmp_path / "photos", textured_photos.arc(3)))
+    assert main(["train", photos, "--device", "cpu", "--out", str(tmp_path / "run"), *options]) == 2
+    assert capsys.readouterr().err == f"nerf-core: --preset '{options[-1]}': {words}\n"

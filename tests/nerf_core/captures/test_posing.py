@@ -220,6 +220,10 @@ def test_lost_and_damaged_photos_are_told_with_the_reason(tmp_path: Path) -> Non
     assert reasons["broken.jpg"] == "it cannot be read"
     (first, *_) = posed.notes
     assert first.startswith("8 of 11 photos have a pose")
+    counts = [note for note in open_capture(folder, LoadOptions(poses="fast")).notes if " of " in note]
+    assert len(counts) == 1  # what each lacks says more than how many are registered
+    assert counts[0].startswith("8 of 11 photos have a pose")
+    assert any("8 of the 11 photos in" in note for note in load_scene(tmp_path / "out", LoadOptions()).notes)
 
 
 def test_photos_of_all_kinds_keep_names_masks_and_the_way_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ from nerf_core.methods import METHODS
 
 
 def test_an_unknown_name_lists_the_choices() -> None:
-    with pytest.raises(UserError, match=r"unknown method 'nurf': choose one of .*nerf"):
+    with pytest.raises(UserError, match=r"unknown method 'nurf' \(did you mean nerf\?\): choose one of .*nerf"):
         METHODS.get("nurf")
 
 

@@ -25,6 +25,12 @@ def frames(names: list[str]) -> list[Document]:
     return [{"file_path": n, "transform_matrix": orbit_pose(0.3 + 0.5 * i).tolist()} for i, n in enumerate(names)]
 
 
+@pytest.fixture(autouse=True)
+def tiny_photos(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let --downscale leave any pixel: photos here have 24×16, so that they are written quickly."""
+    monkeypatch.setattr("nerf_core.datasets.loading.LEAST_SIDE", 1)
+
+
 @pytest.fixture
 def transforms_folder(tmp_path: Path) -> tuple[Path, Document]:
     """Ten photos of 24×16 with transforms.json: the folder, and its document to change and write again."""

@@ -9,7 +9,7 @@ from captures import write_photo
 from PIL import Image
 
 from nerf_core.common.errors import UserError
-from nerf_core.datasets import DATASETS, LoadOptions, load_scene
+from nerf_core.datasets import DATASETS, LoadOptions, load_scene, loading
 from nerf_core.geometry.scene import Scene
 
 Folder = tuple[Path, dict[str, Any]]
@@ -125,7 +125,7 @@ def test_memory_decides_the_size(transforms_folder: Folder) -> None:
     ("options", "text"),
     [
         (LoadOptions(downscale=0), "--downscale is 0"),
-        (LoadOptions(downscale=100), "24×16 pixels has none left at --downscale 100"),
+        (LoadOptions(downscale=33), "24×16 pixels has none left at --downscale 33"),
         (LoadOptions(max_size=-1), "--max-size is -1"),
         (LoadOptions(memory_gb=0), "--memory-gb is 0"),
         (LoadOptions(memory_gb=float("nan")), "--memory-gb is nan"),
@@ -186,7 +186,9 @@ def test_a_path_that_is_no_dataset_is_refused(tmp_path: Path, transforms_folder:
         assert "\n" not in str(caught.value)
 
     refused(folder / "none", "none does not exist: name the folder")
-    refused(folder / "images/0000.png", r"0000\.png is not a folder: name the folder of a dataset, or its \.json")
+    refused(folder / "images/0000.png", r"0000\.png is one photo: name a folder of photos, or a video$")
+    (folder / "notes.txt").write_text("")
+    refused(folder / "notes.txt", r"notes\.txt is not a folder: name the folder of a dataset, or its \.json")
     refused(
         folder / "images",
         r"images holds 10 photos without poses; formats that carry poses: .*blender \(tran.*colmap.*llff",
@@ -252,3 +254,43 @@ def test_fox(scenes: Path) -> None:
     assert {image.shape for image in scene.images} == {(240, 135, 3)}
     assert scene.views[0].camera.lens.k1 == 0.0578421
     assert "17 of 67 listed photos are missing" in notes(scene)
+
+
+@pytest.mark.parametrize(
+    ("size", "reduced", "downscale", "words"),
+    [
+        ((1080, 1920), 1, 400, "it leaves 3×5 of the 1080×1920 pixels of a photo: give at most 123"),
+        ((1080, 1920), 1, 124, "it leaves 9×15 of the 1080×1920 pixels of a photo: give at most 123"),
+        ((1080, 1920), 1, 123, ""),
+        ((40, 24), 4, 11, "it leaves 15×9 of the 160×96 pixels of a photo: give at most 10"),
+        ((40, 24), 4, 10, ""),
+        ((40, 24), 4, 2, ""),
+        ((12, 10), 1, 2, "it leaves 6×5 of the 12×10 pixels of a photo: give at most 1"),
+        ((12, 10), 1, 1, ""),
+    ],
+)
+def test_a_downscale_that_leaves_hardly_a_pixel_is_refused(
+    size: tuple[int, int],
+    reduced: int,
+    downscale: int,
+    words: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(loading, "LEAST_SIDE", 16)
+    if not words:
+        loading._refuse_tiny(size, downscale, reduced)
+        return
+    with pytest.raises(UserError) as caught:
+        loading._refuse_tiny(size, downscale, reduced)
+    assert str(caught.value) == f"--downscale is {downscale}: {words}"
+
+
+def test_a_downscale_is_refused_before_photos_are_read(
+    transforms_folder: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(loading, "LEAST_SIDE", 16)
+    monkeypatch.setattr(loading, "read_photo", lambda *_: pytest.fail("a photo is read"))
+    with pytest.raises(
+        UserError, match="--downscale is 2: it leaves 12×8 of the 24×16 pixels of a photo: give at most 1"
+    ):
+        load_scene(transforms_folder[0], LoadOptions(downscale=2))

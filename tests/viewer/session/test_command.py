@@ -72,11 +72,14 @@ def process(*arguments: str, cwd: Path | None = None, env: dict[str, str] | None
     )
 
 
-def test_a_misspelt_constant_or_option_is_told_before_a_window_opens(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_misspelt_constant_preset_or_option_is_told_before_a_window_opens(monkeypatch: pytest.MonkeyPatch) -> None:
     for opener in ("open_offscreen", "open_window"):
         monkeypatch.setattr(f"viewer.window.{opener}", lambda *_: pytest.fail("a window opens"))
     done = viewer("photos", "--device", "cpu", "--set", "train_imges=7")
     words = "--set 'train_imges': method voxels has no such constant; did you mean train_images?"
+    assert (done.returncode, done.stderr) == (2, f"nerf-viewer: {words}\n")
+    done = viewer("photos", "--device", "cpu", "--method", "nerf", "--preset", "quik")
+    words = "--preset 'quik': method nerf has no such preset; did you mean quick?"
     assert (done.returncode, done.stderr) == (2, f"nerf-viewer: {words}\n")
     done = viewer("photos", "--stpes", "100")
     words = "--stpes: no such option (did you mean --steps?); nerf-viewer --help lists the options"
@@ -318,7 +321,8 @@ def test_weights_that_their_file_does_not_take_are_saved_elsewhere(taken: str, t
     else:
         (path,) = saved
         assert path.is_relative_to(data if taken == "the user's data" else temporary)
-        assert f"saved to {path}; continue with --load {path}" in out
+        command = f"nerf-viewer --downscale 8 --device cpu --load {path}"
+        assert f"saved to {path}; continue with {command}" in out
     assert not list(tmp_path.rglob("*.part"))
 
 

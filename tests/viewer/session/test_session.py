@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shlex
 import signal
 from collections.abc import Callable, Iterator
 from itertools import count
@@ -9,14 +11,16 @@ from pathlib import Path
 
 import pytest
 import scripted
+import textured_photos
 
 from nerf_core.common.errors import UserError
 from nerf_core.common.signals import Signals
-from nerf_core.datasets.capture import DATASETS
-from nerf_core.live.messages import Command, Inspect, Notice, Train
+from nerf_core.datasets.capture import DATASETS, LoadOptions
+from nerf_core.live.messages import Command, Inspect, Notice, Snapshot, Train
 from nerf_core.methods import METHODS
 from nerf_core.training.settings import RunSettings
 from viewer.app.app import App
+from viewer.cli import main
 from viewer.session.script import Script
 from viewer.session.session import Session
 from viewer.session.wishes import Wishes
@@ -98,3 +102,58 @@ def test_an_error_before_a_film_is_begun_ends_the_script(script: Script) -> None
     script.app.state.film.fps = 0.0
     with pytest.raises(UserError, match="a film of 0 frames per second"):
         script._film(Path("film.mp4"), None)
+
+
+def stopped(window: Window, photos: Path, settings: RunSettings, until: Callable[[Snapshot], bool]) -> list[str]:
+    """Open photos without poses and train, send SIGINT as soon as `until`, and return what the session says."""
+    said: list[str] = []
+    with Signals() as signals:
+        session = Session(window, settings, signals, said.append)
+        real = session.app.frame
+
+        def frame(force: bool = False) -> bool:
+            drawn = real(force)
+            if signals.received is None and until(session.app.state.snapshot):
+                os.kill(os.getpid(), signal.SIGINT)
+            return drawn
+
+        session.app.frame = frame
+        try:
+            assert session.run(photos, Wishes(steps=100_000)) == 128 + signal.SIGINT
+        finally:
+            session.close()
+    return said
+
+
+def test_what_is_said_after_a_signal_continues_the_training(
+    offscreen: Callable[..., Window], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The whole command is said: the capture with its options, quoted, and the file."""
+    for name in ("XDG_CACHE_HOME", "XDG_DATA_HOME"):
+        monkeypatch.setenv(name, str(tmp_path / "home"))
+    photos = textured_photos.write(tmp_path / "my photos", textured_photos.arc())
+    load = LoadOptions(poses="fast", downscale=4)
+    settings = RunSettings(load, method="voxels", device="cpu", threads=1)
+    *_, last = stopped(offscreen((320, 200)), photos, settings, lambda s: s.step > 2)
+    before, words, command = last.partition("; continue with ")
+    assert words, last
+    file = before.removeprefix("saved to ")
+    name, *arguments = shlex.split(command)
+    options = ["--downscale", "4", "--poses", "fast", "--device", "cpu"]
+    assert (name, arguments) == ("nerf-viewer", [str(photos), *options, "--load", file])
+    picture = tmp_path / "picture.npy"
+    assert main([*arguments, "--headless", "--size", "320x200", "--render", str(picture)]) == 0
+    assert picture.is_file()
+
+
+def test_a_stopped_search_for_poses_is_told(
+    offscreen: Callable[..., Window],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    photos = textured_photos.write(tmp_path / "photos", textured_photos.arc())
+    stopped(offscreen((320, 200)), photos, RunSettings(device="cpu", threads=1), lambda s: s.posing is not None)
+    assert capsys.readouterr().err == "nerf-viewer: the search for poses was stopped: nothing of it is kept\n"
+    assert not list((tmp_path / "cache").rglob("poses.json"))
