@@ -65,6 +65,16 @@ def test_what_is_done_is_told_while_it_is_done(found: tuple[RawPhotos, Posed, li
     assert len(growing[-1].points) == len(growing[-1].colors) > 50
 
 
+def test_a_videos_poses_may_lie_beside_it(tmp_path: Path) -> None:
+    video = tmp_path / "walk.mp4"
+    video.write_bytes(b"")
+    posing._must_be_free(tmp_path / "poses", RawPhotos(video, tmp_path, (), video))
+    with pytest.raises(UserError, match="holds the photos"):
+        posing._must_be_free(tmp_path, RawPhotos(video, tmp_path, (), video))
+    with pytest.raises(UserError, match="lies among them"):
+        posing._must_be_free(tmp_path / "poses", RawPhotos(tmp_path, tmp_path, (tmp_path / "a.jpg",)))
+
+
 @pytest.mark.thorough(8)
 def test_a_second_search_finds_the_same_poses(
     found: tuple[RawPhotos, Posed, list[PoseProgress]], tmp_path: Path
