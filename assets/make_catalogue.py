@@ -74,7 +74,8 @@ def extracted() -> Catalog:
 def updated(text: str, code: str, template: Catalog) -> str:
     """Return a catalogue's file with the texts of the template, and with the translations that it has of them.
 
-    text: the file as it is. code: the language.
+    text: the file as it is, whose header stays: another version of Babel may write the same rule of plurals otherwise.
+    code: the language.
     """
     catalog = read_po(io.BytesIO(text.encode()), locale=code)
     catalog.update(template, no_fuzzy_matching=True)
@@ -82,7 +83,8 @@ def updated(text: str, code: str, template: Catalog) -> str:
         message.flags -= {"python-format", "python-brace-format"}  # babel guesses them from signs like "%"
     body = io.BytesIO()
     write_po(body, catalog, WIDTH, omit_header=True, sort_output=True, ignore_obsolete=True, include_lineno=False)
-    return f"{header(code)}\n{body.getvalue().decode().strip()}\n"
+    head = text.split("\n\n", 1)[0].rstrip("\n")
+    return f"{head}\n\n{body.getvalue().decode().strip()}\n"
 
 
 def pairs(catalog: Catalog) -> Iterator[tuple[str, str]]:

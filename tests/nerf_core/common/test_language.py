@@ -111,6 +111,13 @@ def test_an_update_keeps_translations_and_drops_what_is_no_longer_shown() -> Non
     assert make_catalogue.updated(new, "ru", template) == new
 
 
+def test_a_catalogue_keeps_its_header(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another version of Babel writes the same rule of plurals otherwise, and the file would not be up to date there."""
+    old = make_catalogue.updated(make_catalogue.header("ru"), "ru", make_catalogue.extracted())
+    monkeypatch.setattr(make_catalogue, "get_plural", lambda code: "nplurals=2; plural=(n != 1);")
+    assert make_catalogue.updated(old, "ru", make_catalogue.extracted()) == old
+
+
 CATALOGUES = sorted(make_catalogue.FOLDER.glob("*.po"))
 
 
