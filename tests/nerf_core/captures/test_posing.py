@@ -136,6 +136,7 @@ def test_many_photos_are_matched_with_those_that_resemble_them(tmp_path: Path, m
     assert max(pairs) < 8 * 7 / 2
 
 
+@pytest.mark.thorough(5)
 def test_a_video_is_read_where_the_camera_moved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(video_frames, "FEWEST", 10)
     monkeypatch.setattr(video_frames, "MOST", 12)

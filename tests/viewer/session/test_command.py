@@ -246,6 +246,7 @@ def test_a_process_ends_with_one_line_and_status_2(mistake: list[str], tmp_path:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.thorough(6)
 def test_eight_pins_replace_those_of_the_demo_and_every_file_has_them(tmp_path: Path) -> None:
     tiny = ["--method", "voxels", "--device", "cpu", "--threads", "1", "--downscale", "8", "--size", "640x400"]
     pins = [word for k in range(MOST_PINS) for word in ("--pin", f"0.{k + 1}", "0.4")]
@@ -284,6 +285,7 @@ def test_trained_weights_are_saved_if_a_file_cannot_be_written(
     assert str(file) in done.stdout
 
 
+@pytest.mark.thorough(10)
 @pytest.mark.parametrize(
     "taken",
     [

@@ -61,6 +61,7 @@ def turn(app: App, state: AppState, name: str) -> None:
         app.frame(force=True)
 
 
+@pytest.mark.thorough(6)
 def test_one_click_continues_where_one_left_off(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = leave(5)
     (one,) = autosaves.autosaves()

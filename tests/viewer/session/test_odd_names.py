@@ -51,6 +51,7 @@ def says(*arguments: str, status: int = 0) -> str:
     return said
 
 
+@pytest.mark.thorough(6)
 def test_everything_is_written_and_opened_again(capture: Path, tmp_path: Path) -> None:
     suffixes = (".png", ".npy", ".json", ".mp4", ".safetensors")
     files = [tmp_path / ODD / f"{ODD}{suffix}" for suffix in suffixes]
