@@ -149,10 +149,8 @@ def _key(raw: RawPhotos, options: PoseOptions) -> str:
 
 def _must_be_free(folder: Path, raw: RawPhotos) -> None:
     """Raise UserError if a folder that the user named has something in it, or has to do with the photos' folder."""
-    own = folder.resolve()
-    for theirs in {raw.source.resolve()} if raw.video is not None else {raw.root.resolve(), raw.source.resolve()}:
-        if own == theirs or own in theirs.parents or theirs in own.parents:
-            raise UserError(f"{folder} holds the photos or lies among them: name another folder")
+    if raw.meets(folder):
+        raise UserError(f"{folder} holds the photos or lies among them: name another folder")
     if folder.exists() and (not folder.is_dir() or any(f for f in folder.iterdir() if not f.name.startswith(WORK))):
         raise UserError(f"{folder} is not empty: name a new folder")
 

@@ -38,6 +38,12 @@ class RawPhotos:
         """Return what to call the capture."""
         return self.source.resolve().stem if self.video is not None else self.source.resolve().name
 
+    def meets(self, folder: Path) -> bool:
+        """Return whether a folder holds the photos, lies among them, or is what the user named."""
+        own = folder.resolve()
+        places = {self.source.resolve(), *(photo.parent.resolve() for photo in self.photos)}
+        return any(own == one or own in one.parents or one in own.parents for one in places)
+
     def masks(self) -> list[Path | None]:
         """Return the mask that lies beside each photo, if one does."""
         return masks_beside(self.photos)

@@ -97,11 +97,8 @@ class Train:
     def _must_be_free(self, run: RunFolder, settings: RunSettings) -> None:
         """Raise UserError if --out has to do with the photos' folder, or holds something and is no run folder."""
         raw = raw_photos(self.data) if settings.load.format == "auto" else None
-        if self.out is not None and raw is not None:
-            own = self.out.resolve()
-            for theirs in {raw.source.resolve(), *(photo.parent.resolve() for photo in raw.photos)}:
-                if own == theirs or own in theirs.parents or theirs in own.parents:
-                    raise UserError(f"{self.out} holds the photos or lies among them: choose another --out")
+        if self.out is not None and raw is not None and raw.meets(self.out):
+            raise UserError(f"{self.out} holds the photos or lies among them: choose another --out")
         if run.checkpoints() or not run.path.is_dir():
             return
         run.must_be_new()
