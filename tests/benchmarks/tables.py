@@ -78,7 +78,7 @@ ROWS = {
     "lego100-nerf": Row("lego", 8, "nerf", 300, (20,), marks=6),
 }
 CUDA_ROWS = {
-    "lego800-hash": Row("lego", 1, "hash", 120, (30, 33, 35)),
+    "lego800-hash": Row("lego", 1, "hash", 120, (30, 33, 35), marks=9),
     "lego100-hash": Row("lego", 8, "hash", 30, (25, 30)),
     "lego100-guided": Row("lego", 8, "nerf-guided", 120, marks=10),
 }

@@ -14,9 +14,12 @@ def _pool(count: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(count, thread_name_prefix="kernel")
 
 
-def shards_of(count: int, most: int) -> int:
-    """Return how many shards `count` items are worth. For work whose result is the same for any number of shards."""
-    return max(1, min(count // FEWEST, most))
+def shards_of(count: int, most: int, fewest: int = FEWEST) -> int:
+    """Return how many shards `count` items are worth, with at least `fewest` in each.
+
+    For work whose result is the same for any number of shards.
+    """
+    return max(1, min(count // fewest, most))
 
 
 def each_shard(shards: int, work: Callable[[int], None]) -> None:
