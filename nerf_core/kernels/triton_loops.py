@@ -7,8 +7,18 @@ run to run, and so do the last bits of the weights.
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportOperatorIssue=false, reportGeneralTypeIssues=false
 from __future__ import annotations
 
+from functools import partial
+
 import triton
 import triton.language as tl
+
+# Triton compiles a kernel anew where a number is 1 or divisible by 16 and was not before, and where an address has
+# another alignment. From picture to picture and from ray to ray that is so, and a window would wait for each of them.
+kernel = partial(
+    triton.jit,
+    do_not_specialize=("rays", "capacity", "count"),
+    do_not_specialize_on_alignment=("origins", "directions", "near", "far", "offsets"),
+)
 
 # In products they stand behind the tensor: Triton 3.8 interprets a constant times a tensor as a constant.
 STRAIGHT = tl.constexpr(0.1)  # as `nerf_core.kernels.torch_march.STRAIGHT`
@@ -36,7 +46,7 @@ def gap_of(x, v, low, side):
     return tl.where(still, 1e30, tl.maximum((low - x) / safe, (low + side - x) / safe))
 
 
-@triton.jit
+@kernel
 def march(  # noqa: PLR0915  one loop, with all that it needs in registers
     origins, directions, near, far, offsets, occupied, leap, row_offsets, counts, x, t_out, width, rays, capacity, step,
     bx, by, bz, sx, sy, sz, nx, ny, nz, CONTRACTED: tl.constexpr, WRITE: tl.constexpr, BLOCK: tl.constexpr,
@@ -153,7 +163,7 @@ def place(x, m, n, real):
     return i, j, k, px - i, py - j, pz - k
 
 
-@triton.jit
+@kernel
 def encode(x, table, resolutions, features, count, rows, levels, WIDTH: tl.constexpr, BLOCK: tl.constexpr):
     m = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     level = tl.program_id(1)
@@ -170,7 +180,7 @@ def encode(x, table, resolutions, features, count, rows, levels, WIDTH: tl.const
     tl.store(out, total, mask=real[:, None])
 
 
-@triton.jit
+@kernel
 def encode_gradient(x, gradient, resolutions, into, count, rows, levels, WIDTH: tl.constexpr, BLOCK: tl.constexpr):
     m = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     level = tl.program_id(1)
@@ -187,7 +197,7 @@ def encode_gradient(x, gradient, resolutions, into, count, rows, levels, WIDTH: 
         tl.atomic_add(at, w[:, None] * g, mask=some)
 
 
-@triton.jit
+@kernel
 def composite(tau, rgb, t, row_offsets, background, pixel, count, BLOCK: tl.constexpr):
     r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     real = r < count
@@ -216,7 +226,7 @@ def composite(tau, rgb, t, row_offsets, background, pixel, count, BLOCK: tl.cons
     tl.store(out + 4, far, mask=real)
 
 
-@triton.jit
+@kernel
 def composite_gradient(gradient, tau, rgb, row_offsets, background, by_tau, by_rgb, count, BLOCK: tl.constexpr):
     """∂C/∂τ_i = T_{i+1} c_i − S_i with S_i = Σ_{j>i} w_j c_j + T_end · background.
 

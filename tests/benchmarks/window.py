@@ -193,6 +193,9 @@ def _speed(worker: Worker, seconds: float, work: Callable[[], None]) -> float:
 
 
 def _print_times(name: str, milliseconds: list[float]) -> None:
+    if not milliseconds:
+        print(f"  {name}: never")
+        return
     p = np.percentile(milliseconds, [50, 95, 99, 100])
     print(f"  {name}: {len(milliseconds)} times, p50 {p[0]:.1f}, p95 {p[1]:.1f}, p99 {p[2]:.1f}, max {p[3]:.1f} ms")
 

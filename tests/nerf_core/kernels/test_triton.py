@@ -101,3 +101,18 @@ def test_the_kernels_compile_for_every_generation_of_gpus(
         ]
         # the march that counts and the one that writes must round alike, or a ray overwrites the next ray's samples
         assert all(len(march["cubin"]) > 1000 and "fma" not in march["ptx"] for march in marches)
+
+
+def test_no_kernel_is_compiled_anew_for_another_number_of_rays_or_samples() -> None:
+    pytest.importorskip("triton")
+    code = """if True:
+        from nerf_core.kernels import triton_loops as loops
+        changing = {"rays", "capacity", "count"}
+        for name in ("march", "encode", "encode_gradient", "composite", "composite_gradient"):
+            found = [p for p in getattr(loops, name).params if p.name in changing]
+            assert found and all(p.do_not_specialize for p in found), name
+        slices = [p for p in loops.march.params if p.name in ("origins", "directions", "near", "far", "offsets")]
+        assert len(slices) == 5 and all(p.do_not_specialize_on_alignment for p in slices)
+    """
+    environment = {k: v for k, v in os.environ.items() if k != "TRITON_INTERPRET"}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True, timeout=120)
