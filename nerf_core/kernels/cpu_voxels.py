@@ -32,6 +32,7 @@ class _Scratch(NamedTuple):
     weights: np.ndarray
     values: np.ndarray
     notes: np.ndarray
+    lobes: np.ndarray
 
 
 class CpuVoxels:
@@ -216,7 +217,7 @@ def _scratch(samples: int) -> _Scratch:
     """Buffers for so many samples. They are made by torch, whose tensors begin at a cache line, as vectors must."""
     return _Scratch(
         torch.empty(8 * samples, dtype=torch.int64).numpy(), torch.empty(8 * samples).numpy(), torch.zeros(256).numpy(),
-        torch.empty(note.NOTES * samples).numpy(),
+        torch.empty(note.NOTES * samples).numpy(), torch.empty(samples).numpy(),
     )  # fmt: skip
 
 
@@ -236,7 +237,7 @@ def _compile() -> None:
     kernels.mark(grid, rays, march, 0.5)
     kernels.resample(grid, grid, 0, grid.bricks)
     spare = torch.zeros_like(grid.rows), torch.zeros_like(grid.rows)
-    kernels.update(grid, *spare, Adam(0.1, 0.1, 0.1, 0.9, 0.9, 1.0, 1.0, 1e-4, 1.0))
+    kernels.update(grid, *spare, Adam(0.1, 0.1, 0.1, 0.1, 0.9, 0.9, 1.0, 1.0, 1e-4, 1.0))
     index, pair = torch.zeros(1, dtype=torch.long), torch.ones(1, 2, dtype=torch.float64)
     lens, c2w = torch.zeros(1, 9, dtype=torch.float64), torch.eye(4, dtype=torch.float64)[None, :3]
     fast_rays(index, pair, pair, pair, lens, c2w, 1.0, 2.0)

@@ -33,8 +33,8 @@ def depth_gradients(
             mean += notes[at + TRANSMITTANCE] * notes[at + ALPHA] * place_in_ray(notes[at + DISTANCE], unit, folded)
         off = mean - place_in_ray(depths[r], unit, folded)
         pull = F(2) * weight * min(max(off, -OUTLIER), OUTLIER)
-        for q in range(12):
-            values[16 + q] = F(0)  # colours
+        for q in range(16):
+            values[16 + q] = F(0)  # colour and gloss have no part in it
         for q in range(n):
             at = (n - 1 - q) * NOTES
             transmittance, alpha = notes[at + TRANSMITTANCE], notes[at + ALPHA]

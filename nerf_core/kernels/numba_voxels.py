@@ -38,7 +38,8 @@ STOP = F(1e-3)  # that of `compositing`
 SH0, SH1 = F(0.28209479), F(0.48860251)  # those of `voxel_grid`
 CHUNK = 16  # samples that are found and evaluated together
 # Where `values` holds what; the first 48 are those of `gradients`.
-BASIS, FACTORS, RAWS, LEFTS, DOTS = 48, 64, 96, 128, 160
+BASIS, FACTORS, RAWS, LEFTS, DOTS, LOBES = 48, 64, 96, 128, 160, 224
+BIAS = FACTORS + 20
 
 
 @inlined
@@ -60,13 +61,18 @@ def _evaluate(first: Any, last: Any, step: Any, rows: Any, corners: Any, weights
     """Compute colours and 1 − α of samples first ≤ s < last, at most CHUNK, as vectors.
 
     Writes to `values`, 4 a sample from DOTS on: red, green, blue, and softplus' of the raw density, all four sigmoids.
-    From RAWS on, raw densities; from LEFTS on, 1 − α.
+    From RAWS on, raw densities; from LEFTS on, 1 − α; from LOBES on, g · d, whose square is the gloss.
     """
     for s in range(last - first):
-        gather_dots(values, DOTS + 4 * s, rows, corners, weights, (first + s) * 8, values, FACTORS)
+        # the raw density waits where 1 − α comes to stand
+        gather_dots(values, DOTS + 4 * s, rows, corners, weights, (first + s) * 8, values, FACTORS, LEFTS + s)
     for s in range(CHUNK):
-        raw = -values[DOTS + 4 * s + 3]
+        raw, lobe = values[LEFTS + s] + values[BIAS], values[DOTS + 4 * s + 3]
+        for c in range(3):
+            values[DOTS + 4 * s + c] -= lobe * lobe
+        values[LOBES + s] = lobe
         values[RAWS + s] = raw
+        values[DOTS + 4 * s + 3] = -raw
         values[LEFTS + s] = exp(-step * (max(raw, F(0)) + log(F(1) + exp(-abs(raw)))))
     for q in range(4 * CHUNK):
         values[DOTS + q] = F(1) / (F(1) + exp(values[DOTS + q]))
@@ -109,6 +115,7 @@ def sample(
             notes[at + GREEN] = g1
             notes[at + BLUE] = b1
             notes[at + RAW] = values[RAWS + s]
+            scratch.lobes[n] = values[LOBES + s]
             if train:
                 prefetch(gradient, corners, at)
             transmittance *= left
@@ -127,15 +134,21 @@ def sample(
 
 @inlined
 def _set_basis(views: Any, r: Any, bias: Any, values: Any) -> None:
-    """Write the basis of ray r's direction, and the factors for `gather_dots`, whose dots are the sigmoids' negated."""
+    """Write the basis of ray r's direction, and the factors for `gather_dots`.
+
+    Its first three dots are the sigmoids' negated, the fourth is g · d.
+    """
     values[BASIS] = SH0
     values[BASIS + 1] = SH1 * views[r, 1]
     values[BASIS + 2] = SH1 * views[r, 2]
     values[BASIS + 3] = SH1 * views[r, 0]
     for c in range(12):
         values[FACTORS + c] = -values[BASIS + (c & 3)]
-    values[FACTORS + 12] = F(-1)
-    values[FACTORS + 19] = -bias
+    values[FACTORS + 12] = F(0)
+    for c in range(3):
+        values[FACTORS + 13 + c] = views[r, c]
+    values[FACTORS + 19] = F(0)
+    values[BIAS] = bias
 
 
 @jit
@@ -231,6 +244,9 @@ def gradients(
                 values[16 + c] = gr * basis[c]
                 values[20 + c] = gg * basis[c]
                 values[24 + c] = gb * basis[c]
+            by_lobe = F(2) * scratch.lobes[n - 1 - q] * (gr + gg + gb)
+            for c in range(3):
+                values[29 + c] = by_lobe * rays.views[r, c]
             values[28] = by_sigma / (F(1) + exp(-notes[at + RAW]))  # softplus' is the sigmoid
             if smoothness > 0 or smoothness_color > 0:
                 scatter_smooth(gradient, corners, weights, at, values, 16, rows, 32)
@@ -245,13 +261,14 @@ def gradients(
 @jit
 def adam(
     first: Any, last: Any, rows: Any, moments: Any, ema: Any, gradient: Any, touched: Any,
-    rate_color: Any, rate_view: Any, rate_density: Any, beta1: Any, beta2: Any, correction1: Any, correction2: Any,
-    epsilon: Any, ema_rate: Any,
+    rate_color: Any, rate_view: Any, rate_gloss: Any, rate_density: Any, beta1: Any, beta2: Any, correction1: Any,
+    correction2: Any, epsilon: Any, ema_rate: Any,
 ) -> None:  # fmt: skip
     """One step of Adam on the touched rows of bricks first ≤ b < last, and of the rows' EMA.
 
     Gradients, one array a shard, are summed and cleared. The colour coefficients of a row share one second moment. It
-    is stored in the padding of the first moments, as density's is: this halves memory and memory traffic.
+    is stored beside the first moments, as density's and that of gloss are: this halves memory and memory traffic. Gloss
+    has no first moment: a row has no room for it.
     """
     shards = touched.shape[0]
     for b in range(first, last):
@@ -278,15 +295,18 @@ def adam(
             v_density = beta2 * m[15] + (F(1) - beta2) * g[12] * g[12]
             by_color = rate_color * correction1 / (math.sqrt(v_color * correction2) + epsilon)
             by_view = rate_view * correction1 / (math.sqrt(v_color * correction2) + epsilon)
+            v_gloss = beta2 * m[13] + (F(1) - beta2) * (g[13] * g[13] + g[14] * g[14] + g[15] * g[15]) * F(1 / 3)
+            by_gloss = rate_gloss / (math.sqrt(v_gloss * correction2) + epsilon)
             by_density = rate_density * correction1 / (math.sqrt(v_density * correction2) + epsilon)
             for c in range(13):
                 m[c] = beta1 * m[c] + (F(1) - beta1) * g[c]
             for c in range(12):
                 p[c] -= (by_view if c & 3 else by_color) * m[c]  # the first of four is of degree 0
             p[12] -= by_density * m[12]
-            m[14], m[15] = v_color, v_density
+            p[13], p[14], p[15] = p[13] - by_gloss * g[13], p[14] - by_gloss * g[14], p[15] - by_gloss * g[15]
+            m[13], m[14], m[15] = v_gloss, v_color, v_density
             a = ema[at : at + 16]
-            for c in range(13):
+            for c in range(16):
                 a[c] += ema_rate * (p[c] - a[c])
             for c in range(16):
                 g[c] = 0

@@ -15,7 +15,7 @@ from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels.torch_march import march
 from nerf_core.kernels.voxel_kernels import HALVINGS, OUTLIER, Adam, March, Traced
 from nerf_core.volume.compositing import STOP
-from nerf_core.volume.voxel_grid import DENSITY, ROWS, WIDTH, VoxelGrid, view_basis
+from nerf_core.volume.voxel_grid import DENSITY, GLOSS, ROWS, WIDTH, VoxelGrid, colors_of
 
 
 class VoxelSamples(NamedTuple):
@@ -56,8 +56,7 @@ def composite(
     """Composite packed samples: NeRF Eq. 3. rows: (64 · bricks, 16), the grid's. views: unit directions (R, 3)."""
     values = (samples.weights[..., None] * rows[samples.rows]).sum(1)
     raw = values[:, DENSITY] + bias
-    basis = view_basis(views[samples.ray])
-    rgb = torch.sigmoid((values[:, :DENSITY].view(-1, 3, 4) * basis[:, None]).sum(-1))
+    rgb = colors_of(values, views[samples.ray])
     tau = (functional.softplus(raw) * step).double()  # in 64 bits: ray by ray differences of one running sum
     total = tau.cumsum(0)
     begins = torch.cat([torch.ones_like(samples.ray[:1], dtype=torch.bool), samples.ray[1:] != samples.ray[:-1]])
@@ -223,12 +222,15 @@ class TorchVoxels:
         p, m, g = grid.rows[i], moments[i], self._gradient[i]
         new = torch.zeros_like(m)
         new[:, :13] = adam.beta1 * m[:, :13] + (1 - adam.beta1) * g[:, :13]
+        new[:, 13] = adam.beta2 * m[:, 13] + (1 - adam.beta2) * g[:, GLOSS].square().mean(-1)
         new[:, 14] = adam.beta2 * m[:, 14] + (1 - adam.beta2) * g[:, :12].square().mean(-1)
         new[:, 15] = adam.beta2 * m[:, 15] + (1 - adam.beta2) * g[:, 12].square()
         rates = torch.zeros(len(i), WIDTH, device=p.device)
         rates[:, :DENSITY], rates[:, :DENSITY:4], rates[:, DENSITY] = adam.rate_view, adam.rate_color, adam.rate_density
-        square = torch.where(torch.arange(WIDTH, device=p.device) < DENSITY, new[:, 14:15], new[:, 15:16])
-        grid.rows[i] = p - rates * adam.correction1 * new / ((square * adam.correction2).sqrt() + adam.epsilon)
+        rates[:, GLOSS] = adam.rate_gloss
+        square = torch.cat([new[:, 14:15].expand(-1, DENSITY), new[:, 15:16], new[:, 13:14].expand(-1, 3)], -1)
+        along = torch.cat([new[:, : DENSITY + 1] * adam.correction1, g[:, GLOSS]], -1)
+        grid.rows[i] = p - rates * along / ((square * adam.correction2).sqrt() + adam.epsilon)
         moments[i] = new
         ema[i] += adam.ema_rate * (grid.rows[i] - ema[i])
         self.forget()

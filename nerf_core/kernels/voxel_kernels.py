@@ -25,7 +25,7 @@ class March:
     bias: added to the raw density before softplus. background: (3,).
     offsets: (R,), where each ray's first sample lies in its step, 0 … 1.
     smoothness: weight of ½ Σ (s_k − mean)² over the raw densities s at the 8 corners of every sample's cell.
-    smoothness_color: the same for each coefficient of colour.
+    smoothness_color: the same for each coefficient of colour. Gloss has none: g and −g are the same.
     distortion: weight λ of λ (Σ_ij w_i w_j |s_i − s_j| + ⅓ Σ_i w_i² Δs_i) for each ray, which draws its weights
         together (mip-NeRF 360, Eq. 15, arXiv:2111.12077). s = t / unit, or s/(1 + s) of it if `folded`.
     depth: weight of the loss of `VoxelKernels.accumulate_depths`.
@@ -46,7 +46,8 @@ class March:
 class Adam(NamedTuple):
     """The numbers of one step of Adam.
 
-    rate_color, rate_view, rate_density: learning rates of the coefficients of degree 0 and 1, and of density.
+    rate_color, rate_view, rate_gloss, rate_density: learning rates of the coefficients of degree 0 and 1, of gloss,
+        which has no first moment, and of density.
     beta1, beta2: decay of the moments.
     correction1, correction2: bias corrections 1/(1 − β₁ᵗ) and 1/(1 − β₂ᵗ). epsilon: in units of a ray's gradient.
     ema_rate: the EMA of the rows becomes ema + ema_rate · (row − ema).
@@ -54,6 +55,7 @@ class Adam(NamedTuple):
 
     rate_color: float
     rate_view: float
+    rate_gloss: float
     rate_density: float
     beta1: float
     beta2: float

@@ -2,9 +2,9 @@
 
 Cells have several sizes, as in an octree: the finest ones, and others whose sides are 2, 4, 8 … times as long. A cell
 of `doublings` d begins at a multiple of 2ᵈ finest cells. Vertices of cells of one size are stored in bricks of
-4 × 4 × 4, z fastest; neighbouring cells of different sizes have vertices of their own. A row has 16 float32: 3 × 4
-spherical-harmonic coefficients of colour, the raw density, and padding to one cache line. `tables` say where each brick
-is stored.
+4 × 4 × 4, z fastest; neighbouring cells of different sizes have vertices of their own. A row has 16 float32, one cache
+line: 3 × 4 spherical-harmonic coefficients of colour, the raw density, and the vector g of gloss; see `colors_of`.
+`tables` say where each brick is stored.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ WIDTH = 16  # floats of a row
 MOST_SIZES = 10  # sizes of cells in a grid
 MOST_CELLS = 1 << 12  # finest cells along a side: the march stores a cell's size above 12 bits of its place
 DENSITY = 12  # where a row's raw density lies
+GLOSS = slice(13, 16)  # where its vector of gloss lies
 # 1/√4π and √(3/4π), as in `encodings.spherical_harmonics`, but rounded: as a float32, SH0 differs from the exact value
 # by one unit in the last place, and another value would change the weights that a seed gives.
 SH0, SH1 = 0.28209479, 0.48860251
@@ -242,7 +243,6 @@ def _assembled(
     own = torch.zeros(count * ROWS, WIDTH, device=kinds.device)
     if rows is not None:
         own.copy_(rows)  # a copy: kernels change it in place, and need its alignment
-        own[:, DENSITY + 1 :] = 0  # padding, which the loops multiply by zero
     x, y, z = kinds.shape
     occupied = kinds > 0
     return VoxelGrid((x, y, z), origin, voxel, contracted, occupied, leaps(occupied), kinds, tuple(tables), own)
@@ -289,6 +289,23 @@ def bricks_of(cells: Tensor) -> Tensor:
 def view_basis(d: Tensor) -> Tensor:
     """Return the spherical harmonics of degree 0 and 1, in the order of a row's coefficients.
 
-    d: unit directions (K, 3). Returns (K, 4).
+    d: unit directions (…, 3). Returns (…, 4).
     """
-    return torch.stack([torch.full_like(d[:, 0], SH0), SH1 * d[:, 1], SH1 * d[:, 2], SH1 * d[:, 0]], -1)
+    return torch.stack([torch.full_like(d[..., 0], SH0), SH1 * d[..., 1], SH1 * d[..., 2], SH1 * d[..., 0]], -1)
+
+
+def colors_of(rows: Tensor, d: Tensor) -> Tensor:
+    """Return the colours (…, 3) that interpolated rows emit: c(d) = sigmoid(Σ_b k_b Y_b(d) + (g · d)²).
+
+    The four harmonics change slowly with the direction of view. (g · d)² is narrower, and never negative: two lobes
+    along g, of which a surface shows one. A highlight brightens all channels alike, and so does this.
+
+    Args:
+        rows: (…, 16).
+        d: unit directions of view (…, 3).
+    """
+    k, y, g = rows[..., :DENSITY].unflatten(-1, (3, 4)), view_basis(d), rows[..., GLOSS]
+    # sums one by one, because rows and directions may be broadcast to all pairs
+    lobe = g[..., 0] * d[..., 0] + g[..., 1] * d[..., 1] + g[..., 2] * d[..., 2]
+    harmonics = k[..., 0] * y[..., :1] + k[..., 1] * y[..., 1:2] + k[..., 2] * y[..., 2:3] + k[..., 3] * y[..., 3:]
+    return torch.sigmoid(harmonics + lobe.square()[..., None])

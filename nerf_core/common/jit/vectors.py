@@ -92,14 +92,21 @@ def gather(typing: Any, out: Any, at: Any, rows: Any, corners: Any, weights: Any
 
 @intrinsic
 def gather_dots(
-    typing: Any, out: Any, at: Any, rows: Any, corners: Any, weights: Any, first: Any, factors: Any, begin: Any
-) -> Any:
-    """out[at + i] = f[begin + 16 + i] + Σ_c f[begin + c] · row[c], 4 i ≤ c < 4 i + 4; row of `gather`, f = factors."""
-    signature = types.void(out, types.int64, rows, corners, weights, types.int64, factors, types.int64)
+    typing: Any, out: Any, at: Any, rows: Any, corners: Any, weights: Any, first: Any, factors: Any, begin: Any,
+    alone: Any,
+) -> Any:  # fmt: skip
+    """out[at + i] = f[begin + 16 + i] + Σ_c f[begin + c] · row[c], 4 i ≤ c < 4 i + 4; row of `gather`, f = factors.
+
+    And out[alone] = row[12].
+    """
+    long = types.int64
+    signature = types.void(out, long, rows, corners, weights, long, factors, long, long)
 
     def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         kinds = signature.args
         total = _gathered(context, builder, kinds[2:6], args[2:6])
+        density = builder.extract_element(total, ir.Constant(_I32, 12))
+        builder.store(density, _pointer(context, builder, kinds[0], args[0], args[8]))
         by = _pointer(context, builder, kinds[6], args[6], args[7])
         total = builder.fmul(total, _load(builder, by), flags=FAST)
         for _ in range(2):  # sums of pairs, twice

@@ -40,8 +40,13 @@ class VoxelConfig:
     )
     step: float = constant(0.7, marked("length of a sample in cells"), least=0.05, most=16)
     bias: float = constant(-3.0, marked("raw density of a new grid"), least=-LARGEST)
+    gloss: float = constant(
+        0.3, marked("length of a new grid's vectors of gloss, which brightens all channels alike towards some views"),
+        most=3,
+    )  # fmt: skip
     rate_color: float = constant(0.2, marked("Adam's learning rate for colour, falling as 1 / (1 + step / slowdown)"))
     rate_view: float = constant(0.2, marked("the same for the part of colour that changes with the view"))
+    rate_gloss: float = constant(0.04, marked("learning rate of gloss, falling alike"))
     rate_density: float = constant(0.45, marked("Adam's learning rate for density, falling alike"))
     slowdown: float = constant(500.0, marked("steps after which the learning rates have halved"), least=1)
     keep: float = constant(0.9, marked("Adam's beta1"), share="[0, 1)")
@@ -127,7 +132,8 @@ class VoxelConfig:
 
 def _of_today(config: Mapping[str, Any]) -> Mapping[str, Any]:
     """A configuration that an earlier version may have written, without what there was and with what there was not."""
-    config = {"distortion_before": 1.0, "smoothness_color": 0.0, "depth_weight": 0.0, **config}
+    older = {"distortion_before": 1.0, "smoothness_color": 0.0, "depth_weight": 0.0, "gloss": 0.0, "rate_gloss": 0.0}
+    config = {**older, **config}
     if "prune" not in config:
         return config
     known = {name: value for name, value in config.items() if name not in ("prune", "growth")}

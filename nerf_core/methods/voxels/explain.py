@@ -18,7 +18,7 @@ from nerf_core.methods.stages import (
     skipped_stage,
 )
 from nerf_core.methods.voxels.model import VoxelModel
-from nerf_core.volume.voxel_grid import DENSITY, view_basis
+from nerf_core.volume.voxel_grid import DENSITY, GLOSS, colors_of, view_basis
 
 
 @torch.no_grad()
@@ -39,6 +39,7 @@ def explain(model: VoxelModel, rays: Rays) -> tuple[Stage, ...]:
     raw = torch.where(index >= 0, model.ema_rows[index.clamp(min=0), DENSITY], 0).numpy()
     row, d = model.ema_grid.interpolate(cell, within)[0], rays.directions
     basis = view_basis(d)[0].numpy()
+    lobe = float((row[GLOSS] * d[0]).sum())
     coefficients = row[:DENSITY].view(3, 4).numpy()
     sign = "−" if model.config.bias < 0 else "+"
     softplus = "softplus(", number(float(row[DENSITY])), f" {sign} ", number(abs(model.config.bias)), ")"
@@ -47,8 +48,8 @@ def explain(model: VoxelModel, rays: Rays) -> tuple[Stage, ...]:
         Stage(
             marked("Grid"),
             marked(
-                "The heaviest sample lies in a cell whose 8 corners each hold a raw density s and coefficients of "
-                "colour. Corners count more the nearer the sample is to them."
+                "The heaviest sample lies in a cell whose 8 corners each hold a raw density s, coefficients of "
+                "colour, and gloss. Corners count more the nearer the sample is to them."
             ),
             (BarCode((marked("blend"), "s"), (weights, raw), max(1.0, float(np.abs(raw).max()))),),
             ((marked("cell"), ", ".join(str(v) for v in cell[0].tolist())),
@@ -57,13 +58,14 @@ def explain(model: VoxelModel, rays: Rays) -> tuple[Stage, ...]:
         Stage(
             marked("Colour"),
             marked(
-                "Spherical harmonics of the direction, Y₀ and three Y₁, times the blended coefficients of a channel; "
-                "a sigmoid makes that a colour. Y₀ alone would be matt; the others let it change with the view."
+                "Spherical harmonics of the direction, Y₀ and three Y₁, times the blended coefficients of a channel, "
+                "and gloss, which is the same for all three. A sigmoid makes that a colour. Y₀ alone would be matt. "
+                "The others let it change with the view, and gloss makes highlights."
             ),
             (BarCode(("Y(d)", marked("red"), marked("green"), marked("blue")), (basis, *coefficients),
                      float(np.abs(coefficients).max())),
-             Colors((marked("towards this camera"),),
-                    torch.sigmoid(torch.from_numpy(coefficients @ basis))[None].numpy())),
+             Colors((marked("towards this camera"),), colors_of(row, d).numpy())),
+            ((marked("gloss"), f"(g · d)² = {number(lobe**2)}"),),
         ),
         field_stage(
             samples, phrase("The grid is looked up like this at all {count} samples; there is no network.", count=count)

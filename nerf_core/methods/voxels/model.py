@@ -1,9 +1,10 @@
 """A grid of density and spherical-harmonic colour, trained directly, coarse to fine: fast on a plain CPU.
 
-Every vertex of the occupied cells holds a raw density s and, for each colour channel, the four coefficients k of
-spherical harmonics up to degree 1. They are interpolated trilinearly between vertices. Then σ = softplus(s + bias) and
-c(d) = sigmoid(Σ_b k_b Y_b(d)), and volume rendering gives the pixel (NeRF Eq. 3). There is no network: a sample reads 8
-rows, and its gradient changes the same 8. Plenoxels (arXiv:2112.05131) and DVGO (arXiv:2111.11215) are similar.
+Every vertex of the occupied cells holds a raw density s, for each colour channel the four coefficients k of spherical
+harmonics up to degree 1, and a vector g of gloss. They are interpolated trilinearly between vertices. Then
+σ = softplus(s + bias) and c(d) = sigmoid(Σ_b k_b Y_b(d) + (g · d)²), and volume rendering gives the pixel (NeRF
+Eq. 3). There is no network: a sample reads 8 rows, and its gradient changes the same 8. Plenoxels (arXiv:2112.05131)
+and DVGO (arXiv:2111.11215) are similar; they have no gloss, but harmonics up to degree 2, or a small network.
 
 Pictures show an EMA (exponential moving average) of the rows, in which the noise of single batches averages out (Polyak
 and Juditsky 1992).
@@ -46,7 +47,7 @@ from nerf_core.methods.voxels.coarse_to_fine import (
 from nerf_core.methods.voxels.config import VoxelConfig
 from nerf_core.methods.voxels.sparse_depths import SparseDepths
 from nerf_core.volume.packed import to_trace
-from nerf_core.volume.voxel_grid import DENSITY, MOST_CELLS, MOST_SIZES, VoxelGrid, view_basis
+from nerf_core.volume.voxel_grid import DENSITY, GLOSS, MOST_CELLS, MOST_SIZES, VoxelGrid, colors_of
 
 PIECE = 4096  # rays between two calls of the yield callback: about 5 ms on two cores
 TILE = 8192
@@ -72,6 +73,11 @@ class VoxelModel(Defaults):
         self.schedule = Schedule.of(scene, self.space, config)
         self.level = 0
         self.grid = first_grid(self.space, self.schedule.voxel(self.level), config.most_rows)
+        # across the view nothing could be learnt: the slope of (g · d)² is 0 there
+        away = (self.grid.vertices() - torch.tensor(self.grid.size) / 2) * torch.from_numpy(self.grid.voxel)
+        if self.space.kind == "ndc":  # cameras look along −z
+            away = torch.tensor([0.0, 0.0, 1.0]).expand_as(away)
+        self.grid.rows[:, GLOSS] = config.gloss * functional.normalize(away, dim=-1).float()
         self.moments = torch.zeros_like(self.grid.rows)
         self.ema_rows = self.grid.rows.clone()
         self.updates = 0  # Adam's updates
@@ -134,8 +140,8 @@ class VoxelModel(Defaults):
         self.kernels.update(
             self.grid, self.moments, self.ema_rows,
             Adam(
-                c.rate_color * slower, c.rate_view * slower, c.rate_density * slower, c.keep, c.keep_square,
-                correction1, correction2, c.epsilon, ema_rate,
+                c.rate_color * slower, c.rate_view * slower, c.rate_gloss * slower, c.rate_density * slower,
+                c.keep, c.keep_square, correction1, correction2, c.epsilon, ema_rate,
             ),
         )  # fmt: skip
         mean = error / (3 * len(rays))
@@ -249,7 +255,7 @@ class VoxelModel(Defaults):
     def radiance(self, points: Tensor, directions: Tensor) -> Tensor:
         rows = self._rows_at(points)[0]
         d = directions.to(self.device, torch.float32)
-        return torch.sigmoid(torch.einsum("kb,pcb->pkc", view_basis(d), rows[:, :DENSITY].view(-1, 3, 4)))
+        return colors_of(rows[:, None], d)
 
     @torch.no_grad()
     def density(self, points: Tensor) -> Tensor:
@@ -326,7 +332,6 @@ class VoxelModel(Defaults):
         further = len(self.schedule.levels) - 1 - level
         if max(grid.size) << further > MOST_CELLS or len(grid.tables) + further > MOST_SIZES:
             raise ValueError(f"the voxel grid has more cells than level {level} can have")
-        average[:, DENSITY + 1 :] = 0  # padding, which the loops multiply by zero
         self.grid, self.moments, self.ema_rows = grid, *(torch.empty_like(v).copy_(v) for v in (moments, average))
         self.level, self.updates, self.mean_error = level, int(state["updates"]), error
         self.full = bool(state.get("full", False))

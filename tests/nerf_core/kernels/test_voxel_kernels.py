@@ -16,7 +16,7 @@ from nerf_core.kernels.cpu_voxels import CpuVoxels
 from nerf_core.kernels.torch_voxels import TorchVoxels
 from nerf_core.kernels.voxel_kernels import OUTLIER, Adam, March, VoxelKernels
 from nerf_core.volume.compositing import STOP
-from nerf_core.volume.voxel_grid import DENSITY, VoxelGrid, spread
+from nerf_core.volume.voxel_grid import DENSITY, GLOSS, VoxelGrid, spread
 
 WHITE = torch.ones(3)
 FAST = fast_voxels()
@@ -31,7 +31,6 @@ def some_grid(contracted: bool, size: tuple[int, int, int] = (11, 8, 13), dense:
     half = 2.0 if contracted else 1.0
     grid = VoxelGrid.over(np.full(3, -half), 2 * half / np.array(size), occupied, contracted)
     grid.rows[:] = torch.randn(grid.rows.shape, generator=g)
-    grid.rows[:, DENSITY + 1 :] = 0
     return grid
 
 
@@ -45,7 +44,6 @@ def mixed_grid(contracted: bool) -> VoxelGrid:
     half = 2.0 if contracted else 1.0
     grid = VoxelGrid.of_kinds(np.full(3, -half), 2 * half / np.array(kinds.shape), kinds, contracted)
     grid.rows[:] = torch.randn(grid.rows.shape, generator=g)
-    grid.rows[:, DENSITY + 1 :] = 0
     assert len(grid.tables) == 3
     return grid
 
@@ -160,7 +158,6 @@ def test_distortion_has_the_gradient_of_its_formula(folded: bool) -> None:
     assert float(gradient.norm()) > 0.01
     for seed in range(4):
         direction = torch.randn(grid.rows.shape, generator=torch.Generator().manual_seed(seed))
-        direction[:, DENSITY + 1 :] = 0
         above, below = (replace(grid, rows=grid.rows + h * direction) for h in (3e-3, -3e-3))
         keep, grid = grid, above
         high, grid = loss(), below
@@ -194,10 +191,13 @@ def test_depths_have_the_gradient_of_their_formula(folded: bool, make: Make) -> 
         e = (mean() - place(t)).abs()
         return 3 * float(torch.where(e < OUTLIER, e**2, OUTLIER * (2 * e - OUTLIER)).sum())
 
+    kernels.accumulate(grid, rays, torch.zeros(40, 3), march)  # leaves numbers in the scratch
+    kernels.forget()
     kernels.accumulate_depths(grid, rays, t, march)
     gradient = kernels.gradient(grid).clone()
     assert float(gradient[:, DENSITY].norm()) > 0.01
     assert not gradient[:, :DENSITY].any()
+    assert not gradient[:, GLOSS].any()
     for seed in range(4):
         direction = torch.zeros_like(grid.rows)
         direction[:, DENSITY] = torch.randn(len(grid.rows), generator=torch.Generator().manual_seed(seed))
@@ -241,7 +241,6 @@ def test_the_gradient_is_that_of_finite_differences(contracted: bool, make: Make
     g = torch.Generator().manual_seed(4)
     for _ in range(4):
         direction = torch.randn(grid.rows.shape, generator=g)
-        direction[:, DENSITY + 1 :] = 0
         h = 3e-3
         grid.rows.add_(h * direction)
         above = loss()
@@ -326,7 +325,7 @@ def test_nothing_is_ever_nan(contracted: bool, make: Make) -> None:
 @each_fast
 def test_adam_agrees_with_the_reference(make: Make) -> None:
     truth, rays = torch.rand(200, 3, generator=torch.Generator().manual_seed(2)), some_rays()
-    settings = Adam(0.2, 0.1, 0.3, 0.9, 0.99, 10.0, 100.0, 1e-4, 0.3)
+    settings = Adam(0.2, 0.1, 0.05, 0.3, 0.9, 0.99, 10.0, 100.0, 1e-4, 0.3)
     results: list[tuple[Tensor, ...]] = []
     for kernels in (make(), TorchVoxels()):
         grid = some_grid(False)
@@ -361,7 +360,7 @@ def test_forgotten_gradients_leave_no_trace(make: Make) -> None:
     kernels.accumulate(grid, rays, torch.zeros(200, 3), how(200))
     kernels.forget()
     before, moments, ema_rows = grid.rows.clone(), torch.zeros_like(grid.rows), torch.zeros_like(grid.rows)
-    kernels.update(grid, moments, ema_rows, Adam(0.2, 0.1, 0.3, 0.9, 0.99, 10.0, 100.0, 1e-4, 1.0))
+    kernels.update(grid, moments, ema_rows, Adam(0.2, 0.1, 0.05, 0.3, 0.9, 0.99, 10.0, 100.0, 1e-4, 1.0))
     assert torch.equal(grid.rows, before)
     assert not moments.any()
     assert not ema_rows.any()

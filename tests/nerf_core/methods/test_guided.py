@@ -20,6 +20,7 @@ from nerf_core.methods.nerf.config import NerfConfig
 from nerf_core.methods.nerf.method import Nerf
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
+from nerf_core.volume.voxel_grid import GLOSS
 
 CPU = torch.device("cpu")
 SMALL = {"depth": "4", "width": "32", "precision": "float32", "rays": "128", "guide_steps": "60"}
@@ -84,7 +85,8 @@ class _ProposalGridAsNetwork(nn.Module):
         side = float(guide.grid.voxel[0]) * guide.space.extent  # of a cell, in world units
         sigma = nn.functional.softplus(rows[:, 12] + guide.config.bias) / side
         basis = torch.stack([torch.full_like(d[:, 0], 0.28209479), *(0.48860251 * d[:, a] for a in (1, 2, 0))], -1)
-        return sigma, torch.sigmoid((rows[:, :12].view(-1, 3, 4) * basis[:, None]).sum(-1))
+        gloss = (rows[:, GLOSS] * d).sum(-1, keepdim=True) ** 2
+        return sigma, torch.sigmoid((rows[:, :12].view(-1, 3, 4) * basis[:, None]).sum(-1) + gloss)
 
 
 def test_with_the_proposal_grid_as_network_the_picture_is_the_grids(scene: Scene) -> None:

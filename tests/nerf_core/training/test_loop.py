@@ -220,7 +220,8 @@ def test_what_is_saved_elsewhere_says_where_its_capture_is(
 
 
 @pytest.mark.parametrize(
-    ("method", "names"), [("voxels", ["rate_color", "rate_view", "rate_density"]), ("nerf", ["learning_rate"])]
+    ("method", "names"),
+    [("voxels", ["rate_color", "rate_view", "rate_gloss", "rate_density"]), ("nerf", ["learning_rate"])],
 )
 def test_the_advice_names_constants_that_the_method_has(
     capture: Path, tiny: RunSettings, method: str, names: list[str]
