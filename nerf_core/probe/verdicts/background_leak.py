@@ -19,7 +19,8 @@ class BackgroundLeak:
     @staticmethod
     def reasons(facts: Facts) -> tuple[str, ...]:
         left = 1 - facts.ray.opacity
-        leaking = next((s for s in reversed(facts.real) if s.leaks), None)  # the last: a veil in front leaks, too
+        # the last, which may be the far wall of something hollow, seen from inside: a veil in front leaks, too
+        leaking = next((s for s in reversed(facts.heavy) if s.leaks and not s.floats), None)
         return (_leak_reason(leaking, left),) if left >= LEAK and leaking is not None else ()
 
 

@@ -15,7 +15,8 @@ from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Method
 from nerf_core.probe import TrainingViews, Verdict, judge, open_pixel, open_ray
 from nerf_core.probe.standing import DEEP, HAZY, THICK, Tone
-from nerf_core.probe.verdicts import VERDICTS, Facts
+from nerf_core.probe.verdict import conclude
+from nerf_core.probe.verdicts import COUNTS, VERDICTS, Facts
 from nerf_core.probe.verdicts.fog import _fog_reasons
 
 RED = Ball((0.0, 0.0, 0.0), 0.7, (0.8, 0.2, 0.15))
@@ -181,6 +182,18 @@ def test_a_ball_that_transmits_the_background_leaks(scene: Scene) -> None:
     assert verdict.kind in ("background leak", "fog")  # the layer is as thick as the ball, so both are true
     hollow = replace(RED, density=6.0, skin=0.05)
     assert verdict_of(model_of(scene, hollow), scene).kind == "background leak"
+
+
+def test_what_leaks_through_the_far_wall_of_something_hollow_is_a_leak(scene: Scene) -> None:
+    """Though the near wall, whose colour is right by itself, would not leak."""
+    facts = facts_of(scene, replace(RED, density=6.0, skin=0.05))
+    near, far = facts.standings
+    near = replace(near, error=0.04, opaque=0.035)
+    far = replace(far, error=0.1, opaque=0.03, training_views=1)
+    assert far.layer.weight >= COUNTS
+    assert far.inside(near)
+    assert conclude(facts.ray, (near, far)).kind == "background leak"
+    assert conclude(facts.ray, (near, replace(far, opaque=0.09))).kind == "surface"
 
 
 def test_a_true_veil_before_a_ball_is_several_surfaces() -> None:
