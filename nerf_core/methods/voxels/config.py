@@ -46,7 +46,7 @@ class VoxelConfig:
     )  # fmt: skip
     rate_color: float = constant(0.2, marked("Adam's learning rate for colour, falling as 1 / (1 + step / slowdown)"))
     rate_view: float = constant(0.2, marked("the same for the part of colour that changes with the view"))
-    rate_gloss: float = constant(0.04, marked("learning rate of gloss, falling alike"))
+    rate_gloss: float = constant(0.02, marked("learning rate of gloss, falling alike"))
     rate_density: float = constant(0.45, marked("Adam's learning rate for density, falling alike"))
     slowdown: float = constant(500.0, marked("steps after which the learning rates have halved"), least=1)
     keep: float = constant(0.9, marked("Adam's beta1"), share="[0, 1)")
@@ -110,7 +110,7 @@ class VoxelConfig:
             not scene.synthetic
         ):  # a place fills space that is empty around an object, so that each part of it is seen by fewer rays
             config = replace(
-                config, rate_view=0.06, rate_density=0.2, keep_square=0.999, smoothness=3e-5, distortion=0.01,
+                config, rate_view=0.06, rate_gloss=0.04, rate_density=0.2, keep_square=0.999, smoothness=3e-5, distortion=0.01,
                 smoothness_color=0, distortion_before=0.3, spare_error=0.5, beside=1e-7, step=1.0,
             )  # fmt: skip
             if scene.from_inside:  # walls would be fog: each part of them is seen by few photos, from about one side

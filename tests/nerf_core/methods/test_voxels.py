@@ -321,7 +321,7 @@ def test_gloss_makes_new_views_of_a_glossy_ball_better() -> None:
     scene, found = load_scene(None, LoadOptions(downscale=4)), {}
     for gloss in ("0", "0.3"):
         trainer = Trainer(scene, RunSettings(method="voxels", changes={"gloss": gloss}))
-        for _ in range(60):
+        for _ in range(100):
             trainer.step()
         found[gloss] = evaluate(trainer, Selection("test", scene.split("test")[:6]))["mean"]["psnr"]
     assert found["0.3"] > found["0"] + 0.5
