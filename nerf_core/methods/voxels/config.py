@@ -110,8 +110,8 @@ class VoxelConfig:
             not scene.synthetic
         ):  # a place fills space that is empty around an object, so that each part of it is seen by fewer rays
             config = replace(
-                config, rate_view=0.06, rate_gloss=0.04, rate_density=0.2, keep_square=0.999, smoothness=3e-5, distortion=0.01,
-                smoothness_color=0, distortion_before=0.3, spare_error=0.5, beside=1e-7, step=1.0,
+                config, rate_view=0.06, rate_gloss=0.04, rate_density=0.2, keep_square=0.999, smoothness=3e-5,
+                distortion=0.01, smoothness_color=0, distortion_before=0.3, spare_error=0.5, beside=1e-7, step=1.0,
             )  # fmt: skip
             if scene.from_inside:  # walls would be fog: each part of them is seen by few photos, from about one side
                 config = replace(config, rate_density=0.45, distortion=0.1)
