@@ -7,15 +7,12 @@ run to run, and so do the last bits of the weights.
 # pyright: reportIndexIssue=false, reportArgumentType=false, reportOperatorIssue=false, reportGeneralTypeIssues=false
 from __future__ import annotations
 
-from functools import partial
-
 import triton
 import triton.language as tl
 
 # Triton compiles a kernel anew where a number is 1 or divisible by 16 and was not before, and where an address has
 # another alignment. From picture to picture and from ray to ray that is so, and a window would wait for each of them.
-kernel = partial(
-    triton.jit,
+kernel = triton.jit(
     do_not_specialize=("rays", "capacity", "count"),
     do_not_specialize_on_alignment=("origins", "directions", "near", "far", "offsets"),
 )

@@ -245,7 +245,7 @@ def cases(world: World, seed: int, count: int) -> list[Case]:
             return False
         t, weights = (v[0].double().numpy() for v in _weights(young, scene, o, d))
         begin, end = np.interp([0.1, 0.9], weights.cumsum() / weights.sum(), t)
-        return end - begin > FOGGY
+        return bool(end - begin > FOGGY)
 
     found.append(Case("fog", f"{FOG_STEPS} training steps", young, scene, pick.rays(foggy)))
     for plant, wrong, degrees in (("one wrong pose", 1, 25.0), ("four wrong poses", 4, 8.0)):
