@@ -114,7 +114,7 @@ class VoxelConfig:
                 distortion=0.01, smoothness_color=0, distortion_before=0.3, spare_error=0.5, beside=1e-7, step=1.0,
             )  # fmt: skip
             if scene.from_inside:  # walls would be fog: each part of them is seen by few photos, from about one side
-                config = replace(config, rate_density=0.45, distortion=0.1)
+                config = replace(config, rate_gloss=0.01, rate_density=0.45, distortion=0.1)
         config = changed(config, changes, "voxels")
         if "depth_weight" not in changes and SparseDepths.known(scene, config.train_images):
             config = replace(config, depth_weight=DEPTH_WEIGHT)
