@@ -39,7 +39,7 @@ SH0, SH1 = F(0.28209479), F(0.48860251)  # those of `voxel_grid`
 CHUNK = 16  # samples that are found and evaluated together
 # Where `values` holds what; the first 48 are those of `gradients`.
 BASIS, FACTORS, RAWS, LEFTS, DOTS, LOBES = 48, 64, 96, 128, 160, 224
-BIAS = FACTORS + 20
+BIAS = FACTORS + 16
 
 
 @inlined
@@ -147,7 +147,6 @@ def _set_basis(views: Any, r: Any, bias: Any, values: Any) -> None:
     values[FACTORS + 12] = F(0)
     for c in range(3):
         values[FACTORS + 13 + c] = views[r, c]
-    values[FACTORS + 19] = F(0)
     values[BIAS] = bias
 
 

@@ -95,7 +95,7 @@ def gather_dots(
     typing: Any, out: Any, at: Any, rows: Any, corners: Any, weights: Any, first: Any, factors: Any, begin: Any,
     alone: Any,
 ) -> Any:  # fmt: skip
-    """out[at + i] = f[begin + 16 + i] + Σ_c f[begin + c] · row[c], 4 i ≤ c < 4 i + 4; row of `gather`, f = factors.
+    """out[at + i] = Σ_c f[begin + c] · row[c], 4 i ≤ c < 4 i + 4; row of `gather`, f = factors.
 
     And out[alone] = row[12].
     """
@@ -117,10 +117,8 @@ def gather_dots(
                 for k in (0, 1)
             )
             total = builder.fadd(even, odd, flags=FAST)
-        four = total.type.as_pointer()
-        more = builder.load(builder.bitcast(builder.gep(by, [ir.Constant(_I64, 16)]), four), align=64)
-        place = builder.bitcast(_pointer(context, builder, kinds[0], args[0], args[1]), four)
-        builder.store(builder.fadd(total, more, flags=FAST), place, align=16)
+        place = builder.bitcast(_pointer(context, builder, kinds[0], args[0], args[1]), total.type.as_pointer())
+        builder.store(total, place, align=16)
         return context.get_dummy_value()
 
     return signature, emit
