@@ -98,13 +98,17 @@ def planned(space: Space, c: VoxelConfig, finest: np.ndarray) -> list[Level]:
     """Return the levels, each with cells half as large as the one before, down to the finest ones.
 
     The first has about `start` cells along the box's longest side. Each level has twice as many steps as the one
-    before, the last all the rest.
+    before, the last all the rest. It waits for `wait` steps for each thousand cells of a side of the box:
+    many small cells learn slowly, and begin better from larger ones that have learnt.
     """
-    halvings = max(0, round(math.log2((space.high - space.low).max() / c.start / finest.min())))
+    side = (space.high - space.low).max() / finest.min()
+    halvings = max(0, round(math.log2(side / c.start)))
     levels, begin = [], 0
     for i in range(halvings + 1):
         scale = 2.0 ** (halvings - i)
         shrink = 2 ** max(0, int(math.log2(max(scale * c.pixels, 1))))
+        if i == halvings > 0:
+            begin = max(begin, math.ceil(c.wait * side**2 / 1000))
         levels.append(Level(scale, begin, shrink))
         begin += c.level_steps << i
     return levels

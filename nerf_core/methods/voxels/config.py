@@ -21,7 +21,10 @@ DEPTH_WEIGHT = 10.0  # of captures with sparse points: better than 0 on each tha
 class VoxelConfig:
     """The grid becomes finer level by level, and the photos are shrunk to match it."""
 
-    rays: int = constant(12288, marked("rays per step"), least=1, most=2**22)
+    rays: int = constant(12288, marked("rays per step while the grid is small"), least=1, most=2**22)
+    most_rays: int = constant(
+        49152, marked("most rays per step: a larger grid has more of them, one for 50 vertices"), least=1, most=2**22
+    )
     first_rays: int = constant(
         4096, marked("rays per step in the first level, where no space is known to be empty yet"), least=1, most=2**22
     )
@@ -29,14 +32,17 @@ class VoxelConfig:
     pixels: float = constant(
         0.8, marked("side of the finest cells, in pixels of a photo at the scene's centre"), least=0.05, most=10_000
     )
-    resolution: int = constant(400, marked("most cells along a side, whatever pixels asks for"), least=1, most=1024)
+    resolution: int = constant(640, marked("most cells along a side, whatever pixels asks for"), least=1, most=1024)
     planes: int = constant(128, marked("cells in depth under NDC"), least=4, most=1024)
     level_steps: int = constant(
         40, marked("steps of the first level; each further one has twice as many, the last all the rest"), least=1,
         most=10**6,
     )  # fmt: skip
+    wait: float = constant(
+        2.5, marked("steps before the finest level begins, for each thousand cells of a side of the box"), most=10_000
+    )
     most_rows: int = constant(
-        3_000_000, marked("most vertices that are stored, 192 bytes each and 64 more per thread"), least=64, most=2**26
+        6_000_000, marked("most vertices that are stored, 192 bytes each and 64 more per thread"), least=64, most=2**26
     )
     step: float = constant(0.7, marked("length of a sample in cells"), least=0.05, most=16)
     bias: float = constant(-3.0, marked("raw density of a new grid"), least=-LARGEST)
@@ -49,7 +55,7 @@ class VoxelConfig:
     rate_gloss: float = constant(0.02, marked("learning rate of gloss, falling alike"))
     rate_density: float = constant(0.45, marked("Adam's learning rate for density, falling alike"))
     slowdown: float = constant(500.0, marked("steps after which the learning rates have halved"), least=1)
-    keep: float = constant(0.9, marked("Adam's beta1"), share="[0, 1)")
+    keep: float = constant(0.0, marked("Adam's beta1"), share="[0, 1)")
     keep_square: float = constant(0.99, marked("Adam's beta2"), share="[0, 1)")
     epsilon: float = constant(1e-5, marked("Adam's epsilon, in units of one ray's gradient"), least=1e-12)
     average: float = constant(
@@ -112,6 +118,7 @@ class VoxelConfig:
             config = replace(
                 config, rate_view=0.06, rate_gloss=0.04, rate_density=0.2, keep_square=0.999, smoothness=3e-5,
                 distortion=0.01, smoothness_color=0, distortion_before=0.3, spare_error=0.5, beside=1e-7, step=1.0,
+                resolution=400, most_rows=3_000_000, most_rays=12288, wait=0,
             )  # fmt: skip
             if scene.from_inside:  # walls would be fog: each part of them is seen by few photos, from about one side
                 config = replace(config, rate_gloss=0.01, rate_density=0.45, distortion=0.1)
@@ -133,7 +140,7 @@ class VoxelConfig:
 def _of_today(config: Mapping[str, Any]) -> Mapping[str, Any]:
     """A configuration that an earlier version may have written, without what there was and with what there was not."""
     older = {"distortion_before": 1.0, "smoothness_color": 0.0, "depth_weight": 0.0, "gloss": 0.0, "rate_gloss": 0.0}
-    config = {**older, **config}
+    config = {**older, "most_rays": config.get("rays"), "wait": 0.0, **config}
     if "prune" not in config:
         return config
     known = {name: value for name, value in config.items() if name not in ("prune", "growth")}

@@ -53,6 +53,9 @@ PIECE = 4096  # rays between two calls of the yield callback: about 5 ms on two 
 TILE = 8192
 SMALLEST = 1e-5  # a cell's side as a share of the box: no configuration allows smaller ones
 ENOUGH = 400_000  # training pixels that are asked which cells they need: a second on two cores
+# A step takes time for its rays, and for Adam over the rows that they touch. On a large grid the rays are the smaller
+# part, and in more of them noise averages out.
+ROWS_A_RAY = 50
 MEMORY = 0.95  # decay of the mean error, per step
 DEPTH_SHARE = 16  # so many times fewer rays than a step's go to sparse points: few know more than thousands of pixels
 YOUNG = 4.0  # early on, at step k, average only the last k/YOUNG steps: older rows are outdated
@@ -106,7 +109,8 @@ class VoxelModel(Defaults):
 
     def draw(self, step: int) -> Draw:
         level = self.schedule.level_at(step)
-        rays = self.config.first_rays if level == 0 else self.config.rays
+        c = self.config
+        rays = c.first_rays if level == 0 else max(c.rays, min(len(self.grid.rows) // ROWS_A_RAY, c.most_rays))
         return Draw(rays, shrink=self.schedule.levels[level].shrink)
 
     def train(

@@ -22,7 +22,7 @@ from nerf_core.kernels.cpu_voxels import CpuVoxels
 from nerf_core.kernels.implementations import on_numba
 from nerf_core.kernels.torch_voxels import TorchVoxels
 from nerf_core.kernels.voxel_kernels import HALVINGS, March, VoxelKernels
-from nerf_core.methods.voxels.coarse_to_fine import Worth, class_of, finer_grid, resample
+from nerf_core.methods.voxels.coarse_to_fine import Worth, class_of, finer_grid, planned, resample
 from nerf_core.methods.voxels.config import VoxelConfig
 from nerf_core.methods.voxels.method import Voxels
 from nerf_core.probe import open_ray
@@ -290,6 +290,36 @@ def test_distortion_grows_from_level_to_level(scene: Scene) -> None:
     assert len(weights) > 1
     assert weights[-1] == 0.08
     assert all(a == b / 2 for a, b in pairwise(weights))
+
+
+def test_a_larger_grid_has_more_rays_a_step(scene: Scene) -> None:
+    method = voxels_of(run(scene, 2, start=4, level_steps=1, rays=4, most_rays=100, resolution=16))
+    assert method.level > 0
+    assert method.draw(2).rays == len(method.grid.rows) // 50 > 4
+    method.config = replace(method.config, most_rays=7)
+    assert method.draw(2).rays == 7
+    method.config = replace(method.config, rays=4000)
+    assert method.draw(2).rays == 4000
+
+
+def test_a_grid_of_many_cells_begins_later(scene: Scene) -> None:
+    space = Space.of(scene)
+    side = float((space.high - space.low).max())
+
+    def begins(cells: int, **changes: float) -> list[int]:
+        config = replace(VoxelConfig(start=40), **changes)
+        return [level.begin for level in planned(space, config, np.full(3, side / cells))]
+
+    assert begins(640) == [0, 40, 120, 280, 1024]
+    assert begins(160) == [0, 40, 120]
+    assert begins(640, wait=0.0) == [0, 40, 120, 280, 600]
+    assert begins(20) == [0]
+
+
+def test_a_run_of_an_earlier_version_keeps_its_rays_and_levels() -> None:
+    known = {k: v for k, v in VoxelConfig(rays=77).to_json().items() if k not in ("most_rays", "wait")}
+    config = VoxelConfig.restore(known)
+    assert (config.rays, config.most_rays, config.wait) == (77, 77, 0)
 
 
 def test_a_stored_grid_that_further_levels_would_make_too_large_is_refused(scene: Scene) -> None:
