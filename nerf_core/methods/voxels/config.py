@@ -55,7 +55,7 @@ class VoxelConfig:
     rate_gloss: float = constant(0.02, marked("learning rate of gloss, falling alike"))
     rate_density: float = constant(0.45, marked("Adam's learning rate for density, falling alike"))
     slowdown: float = constant(500.0, marked("steps after which the learning rates have halved"), least=1)
-    keep: float = constant(0.0, marked("Adam's beta1"), share="[0, 1)")
+    keep: float = constant(0.5, marked("Adam's beta1"), share="[0, 1)")
     keep_square: float = constant(0.99, marked("Adam's beta2"), share="[0, 1)")
     epsilon: float = constant(1e-5, marked("Adam's epsilon, in units of one ray's gradient"), least=1e-12)
     average: float = constant(
