@@ -70,7 +70,7 @@ class Row:
 ROWS = {
     "lego100-voxels": Row("lego", 8, "voxels", 20, (30, 33)),
     "lego200-voxels": Row("lego", 4, "voxels", 60, (30, 32)),
-    "lego800-voxels": Row("lego", 1, "voxels", 600, (30, 31), marks=6),
+    "lego800-voxels": Row("lego", 1, "voxels", 600, (30, 33), marks=6),
     "fern-voxels": Row("fern", 8, "voxels", 120, (22,), marks=10),
     "fox-voxels": Row("fox", 4, "voxels", 120, (22,), marks=8),
     "lego100-hash": Row("lego", 8, "hash", 30, (25, 30)),
