@@ -17,6 +17,8 @@ from nerf_core.methods.mlp.config import MlpConfig
 from nerf_core.methods.voxels.config import VoxelConfig
 
 GUIDE = "guide."  # prefix of the proposal grid's constants, as in --set guide.step=0.5
+# The proposal grid has a few hundred steps: too few for the finest grids, for which objects wait longer than that.
+QUICK = {"resolution": "400", "wait": "0", "most_rays": "12288"}
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,7 @@ class GuidedConfig(MlpConfig):
         )  # fmt: skip
         own = {name: text for name, text in changes.items() if not name.startswith(GUIDE)}
         guides = {name.removeprefix(GUIDE): text for name, text in changes.items() if name.startswith(GUIDE)}
-        guide = VoxelConfig.configure(scene, "auto", guides, device)
+        guide = VoxelConfig.configure(scene, "auto", QUICK | guides, device)
         return changed(replace(config, guide=guide), own, "nerf-guided")
 
     @staticmethod

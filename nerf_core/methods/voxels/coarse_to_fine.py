@@ -98,8 +98,8 @@ def planned(space: Space, c: VoxelConfig, finest: np.ndarray) -> list[Level]:
     """Return the levels, each with cells half as large as the one before, down to the finest ones.
 
     The first has about `start` cells along the box's longest side. Each level has twice as many steps as the one
-    before, the last all the rest. It waits for `wait` steps for each thousand cells of a side of the box:
-    many small cells learn slowly, and begin better from larger ones that have learnt.
+    before, and the last has all the rest. The last waits for `wait` steps for each thousand cells of a side of the
+    box: many small cells learn slowly, and begin better from larger ones that have learnt.
     """
     side = (space.high - space.low).max() / finest.min()
     halvings = max(0, round(math.log2(side / c.start)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor, nn
@@ -14,10 +15,12 @@ from nerf_core.geometry.cameras import camera_rays
 from nerf_core.geometry.ndc import Ndc
 from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene
+from nerf_core.geometry.spaces import Space
 from nerf_core.methods.guided.config import GuidedConfig
 from nerf_core.methods.guided.method import GuidedNerf
 from nerf_core.methods.nerf.config import NerfConfig
 from nerf_core.methods.nerf.method import Nerf
+from nerf_core.methods.voxels.coarse_to_fine import planned
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
 from nerf_core.volume.voxel_grid import GLOSS
@@ -172,6 +175,14 @@ def test_the_proposal_grids_constants_are_set_checked_and_stored(scene: Scene) -
     for broken in ({"guide": 3}, {"guide": {}}, {"guide": config.guide.to_json() | {"rays": "many"}}):
         with pytest.raises(UserError, match="made by another version"):
             GuidedConfig.restore(config.to_json() | broken)
+
+
+def test_the_proposal_grid_of_large_photos_becomes_fine_before_it_is_done(scene: Scene) -> None:
+    config, space = GuidedConfig.configure(scene, "auto", {}, CPU), Space.of(scene)
+    finest = np.full(3, float((space.high - space.low).max()) / config.guide.resolution)
+    assert planned(space, config.guide, finest)[-1].begin < config.guide_steps / 1.5
+    waiting = GuidedConfig.configure(scene, "auto", {"guide.wait": "4", "guide.resolution": "640"}, CPU).guide
+    assert (waiting.wait, waiting.resolution) == (4, 640)
 
 
 def test_a_finished_proposal_grid_keeps_no_optimiser(scene: Scene) -> None:
