@@ -55,6 +55,11 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def machine_memory() -> int:
+    """Return the bytes of memory that this machine has, used or free."""
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
 def memory_held(device: torch.device) -> int:
     """Return the bytes that this process holds: on the GPU, or, for the CPU, resident in memory."""
     if device.type == "cuda":

@@ -22,7 +22,7 @@ from nerf_core.kernels import numba_voxels as loops
 from nerf_core.kernels.cpu_rays import ray_arrays
 from nerf_core.kernels.numba_depths import depth_gradients
 from nerf_core.kernels.voxel_kernels import Adam, March, Traced
-from nerf_core.volume.voxel_grid import ROWS, WIDTH, VoxelGrid
+from nerf_core.volume.voxel_grid import PARTS, ROWS, WIDTH, VoxelGrid
 
 FIRST_CAPACITY = 24  # samples a ray that a trace allocates first
 
@@ -236,8 +236,8 @@ def _compile() -> None:
     kernels.accumulate_depths(grid, rays, torch.zeros(1), march)
     kernels.mark(grid, rays, march, 0.5)
     kernels.resample(grid, grid, 0, grid.bricks)
-    spare = torch.zeros_like(grid.rows), torch.zeros_like(grid.rows)
-    kernels.update(grid, *spare, Adam(0.1, 0.1, 0.1, 0.1, 0.9, 0.9, 1.0, 1.0, 1e-4, 1.0))
+    spare = torch.zeros(len(grid.rows), len(PARTS)), torch.zeros_like(grid.rows)
+    kernels.update(grid, *spare, Adam(0.1, 0.1, 0.1, 0.1, 0.9, 1.0, 1e-4, 1.0))
     index, pair = torch.zeros(1, dtype=torch.long), torch.ones(1, 2, dtype=torch.float64)
     lens, c2w = torch.zeros(1, 9, dtype=torch.float64), torch.eye(4, dtype=torch.float64)[None, :3]
     fast_rays(index, pair, pair, pair, lens, c2w, 1.0, 2.0)

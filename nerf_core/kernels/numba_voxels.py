@@ -260,14 +260,13 @@ def gradients(
 @jit
 def adam(
     first: Any, last: Any, rows: Any, moments: Any, ema: Any, gradient: Any, touched: Any,
-    rate_color: Any, rate_view: Any, rate_gloss: Any, rate_density: Any, beta1: Any, beta2: Any, correction1: Any,
-    correction2: Any, epsilon: Any, ema_rate: Any,
+    rate_color: Any, rate_view: Any, rate_gloss: Any, rate_density: Any, beta2: Any, correction2: Any, epsilon: Any,
+    ema_rate: Any,
 ) -> None:  # fmt: skip
-    """One step of Adam on the touched rows of bricks first ≤ b < last, and of the rows' EMA.
+    """One step of Adam without first moments on the touched rows of bricks first ≤ b < last, and of the rows' EMA.
 
-    Gradients, one array a shard, are summed and cleared. The colour coefficients of a row share one second moment. It
-    is stored beside the first moments, as density's and that of gloss are: this halves memory and memory traffic. Gloss
-    has no first moment: a row has no room for it.
+    Gradients, one array a shard, are summed and cleared. A row has three second moments: the colour coefficients share
+    one, density has one, and the components of gloss share one.
     """
     shards = touched.shape[0]
     for b in range(first, last):
@@ -281,29 +280,26 @@ def adam(
             if (mask >> np.uint64(q)) & np.uint64(1) == 0:
                 continue
             at = (b * 64 + q) * 16
-            p, m, g = rows[at : at + 16], moments[at : at + 16], gradient[0, at : at + 16]
+            p, g = rows[at : at + 16], gradient[0, at : at + 16]
             for s in range(1, shards):
                 other = gradient[s, at : at + 16]
                 for c in range(16):
                     g[c] += other[c]
                     other[c] = 0
-            square = F(0)
+            color, gloss = F(0), g[13] * g[13] + g[14] * g[14] + g[15] * g[15]
             for c in range(12):
-                square += g[c] * g[c]
-            v_color = beta2 * m[14] + (F(1) - beta2) * square * F(1 / 12)
-            v_density = beta2 * m[15] + (F(1) - beta2) * g[12] * g[12]
-            by_color = rate_color * correction1 / (math.sqrt(v_color * correction2) + epsilon)
-            by_view = rate_view * correction1 / (math.sqrt(v_color * correction2) + epsilon)
-            v_gloss = beta2 * m[13] + (F(1) - beta2) * (g[13] * g[13] + g[14] * g[14] + g[15] * g[15]) * F(1 / 3)
-            by_gloss = rate_gloss / (math.sqrt(v_gloss * correction2) + epsilon)
-            by_density = rate_density * correction1 / (math.sqrt(v_density * correction2) + epsilon)
-            for c in range(13):
-                m[c] = beta1 * m[c] + (F(1) - beta1) * g[c]
+                color += g[c] * g[c]
+            square = moments[3 * (b * 64 + q) : 3 * (b * 64 + q) + 3]
+            square[0] = beta2 * square[0] + (F(1) - beta2) * color * F(1 / 12)
+            square[1] = beta2 * square[1] + (F(1) - beta2) * g[12] * g[12]
+            square[2] = beta2 * square[2] + (F(1) - beta2) * gloss * F(1 / 3)
+            whole = F(1) / (math.sqrt(square[0] * correction2) + epsilon)
             for c in range(12):
-                p[c] -= (by_view if c & 3 else by_color) * m[c]  # the first of four is of degree 0
-            p[12] -= by_density * m[12]
-            p[13], p[14], p[15] = p[13] - by_gloss * g[13], p[14] - by_gloss * g[14], p[15] - by_gloss * g[15]
-            m[13], m[14], m[15] = v_gloss, v_color, v_density
+                p[c] -= (rate_view if c & 3 else rate_color) * whole * g[c]  # the first of four is of degree 0
+            p[12] -= rate_density / (math.sqrt(square[1] * correction2) + epsilon) * g[12]
+            by_gloss = rate_gloss / (math.sqrt(square[2] * correction2) + epsilon)
+            for c in range(13, 16):
+                p[c] -= by_gloss * g[c]
             a = ema[at : at + 16]
             for c in range(16):
                 a[c] += ema_rate * (p[c] - a[c])

@@ -15,7 +15,7 @@ from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels.torch_march import march
 from nerf_core.kernels.voxel_kernels import HALVINGS, OUTLIER, Adam, March, Traced
 from nerf_core.volume.compositing import STOP
-from nerf_core.volume.voxel_grid import DENSITY, GLOSS, ROWS, WIDTH, VoxelGrid, colors_of
+from nerf_core.volume.voxel_grid import DENSITY, GLOSS, PARTS, ROWS, WIDTH, VoxelGrid, colors_of
 
 
 class VoxelSamples(NamedTuple):
@@ -219,18 +219,13 @@ class TorchVoxels:
     def update(self, grid: VoxelGrid, moments: Tensor, ema: Tensor, adam: Adam) -> None:
         self._fit(grid)
         i = self._touched.nonzero()[:, 0]
-        p, m, g = grid.rows[i], moments[i], self._gradient[i]
-        new = torch.zeros_like(m)
-        new[:, :13] = adam.beta1 * m[:, :13] + (1 - adam.beta1) * g[:, :13]
-        new[:, 13] = adam.beta2 * m[:, 13] + (1 - adam.beta2) * g[:, GLOSS].square().mean(-1)
-        new[:, 14] = adam.beta2 * m[:, 14] + (1 - adam.beta2) * g[:, :12].square().mean(-1)
-        new[:, 15] = adam.beta2 * m[:, 15] + (1 - adam.beta2) * g[:, 12].square()
+        p, g = grid.rows[i], self._gradient[i]
+        squares = torch.stack([g[:, part].square().mean(-1) for part in PARTS], -1)
+        moments[i] = adam.beta2 * moments[i] + (1 - adam.beta2) * squares
         rates = torch.zeros(len(i), WIDTH, device=p.device)
         rates[:, :DENSITY], rates[:, :DENSITY:4], rates[:, DENSITY] = adam.rate_view, adam.rate_color, adam.rate_density
         rates[:, GLOSS] = adam.rate_gloss
-        square = torch.cat([new[:, 14:15].expand(-1, DENSITY), new[:, 15:16], new[:, 13:14].expand(-1, 3)], -1)
-        along = torch.cat([new[:, : DENSITY + 1] * adam.correction1, g[:, GLOSS]], -1)
-        grid.rows[i] = p - rates * along / ((square * adam.correction2).sqrt() + adam.epsilon)
-        moments[i] = new
+        square = torch.cat([moments[i, k : k + 1].expand(g[:, part].shape) for k, part in enumerate(PARTS)], -1)
+        grid.rows[i] = p - rates * g / ((square * adam.correction2).sqrt() + adam.epsilon)
         ema[i] += adam.ema_rate * (grid.rows[i] - ema[i])
         self.forget()

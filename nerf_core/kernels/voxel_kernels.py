@@ -14,6 +14,7 @@ from nerf_core.volume.voxel_grid import VoxelGrid
 # From this error of the place s on, a ray's depth counts in proportion only (Huber): some sparse points are wrong, and
 # squares would let those few decide. Folded, at a distance of one unit, where ds = dt / 4, it is 8 % of the distance.
 OUTLIER = 0.02
+MOST_SHARDS = 16  # on a CPU: each shard has its own gradients, 64 bytes a row
 HALVINGS = 24  # float32 tells weights down to 2⁻²⁴ from 0 beside 1
 
 
@@ -44,12 +45,12 @@ class March:
 
 
 class Adam(NamedTuple):
-    """The numbers of one step of Adam.
+    """The numbers of one step of Adam without first moments, p ← p − rate · g / (√(v · correction2) + epsilon).
 
-    rate_color, rate_view, rate_gloss, rate_density: learning rates of the coefficients of degree 0 and 1, of gloss,
-        which has no first moment, and of density.
-    beta1, beta2: decay of the moments.
-    correction1, correction2: bias corrections 1/(1 − β₁ᵗ) and 1/(1 − β₂ᵗ). epsilon: in units of a ray's gradient.
+    rate_color, rate_view, rate_gloss, rate_density: learning rates of the coefficients of degree 0 and 1, of gloss, and
+        of density.
+    beta2: decay of the second moments v.
+    correction2: bias correction 1/(1 − β₂ᵗ). epsilon: in units of a ray's gradient.
     ema_rate: the EMA of the rows becomes ema + ema_rate · (row − ema).
     """
 
@@ -57,9 +58,7 @@ class Adam(NamedTuple):
     rate_view: float
     rate_gloss: float
     rate_density: float
-    beta1: float
     beta2: float
-    correction1: float
     correction2: float
     epsilon: float
     ema_rate: float
@@ -151,5 +150,8 @@ class VoxelKernels(Protocol):
         ...
 
     def update(self, grid: VoxelGrid, moments: Tensor, ema: Tensor, adam: Adam) -> None:
-        """One step of Adam on the rows that have a gradient, and of their EMA (M, 16). Then drops the gradients."""
+        """One step of Adam on the rows that have a gradient, and of their EMA (M, 16). Then drops the gradients.
+
+        moments: (M, 3), the mean squares of the gradients of colour, density and gloss: one for each of `PARTS`.
+        """
         ...

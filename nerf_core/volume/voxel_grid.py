@@ -27,6 +27,7 @@ MOST_SIZES = 10  # sizes of cells in a grid
 MOST_CELLS = 1 << 12  # finest cells along a side: the march stores a cell's size above 12 bits of its place
 DENSITY = 12  # where a row's raw density lies
 GLOSS = slice(13, 16)  # where its vector of gloss lies
+PARTS = (slice(DENSITY), slice(DENSITY, DENSITY + 1), GLOSS)  # of a row, each with one second moment
 # 1/√4π and √(3/4π), as in `encodings.spherical_harmonics`, but rounded: as a float32, SH0 differs from the exact value
 # by one unit in the last place, and another value would change the weights that a seed gives.
 SH0, SH1 = 0.28209479, 0.48860251

@@ -10,9 +10,7 @@ from nerf_core.common.jit.cache import numba_obstacle
 from nerf_core.common.language import marked
 from nerf_core.kernels.choice import PACKED_KERNELS, VOXEL_KERNELS
 from nerf_core.kernels.packed_kernels import PackedKernels
-from nerf_core.kernels.voxel_kernels import VoxelKernels
-
-MOST_SHARDS = 16  # of the voxel grid: each shard has its own gradients, 64 bytes a row
+from nerf_core.kernels.voxel_kernels import MOST_SHARDS, VoxelKernels
 
 
 class _OnNumba:

@@ -21,6 +21,7 @@ from nerf_core.volume.voxel_grid import (
     BRICK,
     DENSITY,
     ROWS,
+    WIDTH,
     VoxelGrid,
     bricks_of,
     cells_of_each_size,
@@ -228,20 +229,27 @@ def resample(
 
 
 def resampled_moments(
-    kernels: VoxelKernels, old: VoxelGrid, new: VoxelGrid, yield_callback: Callable[[], None] = nothing
+    kernels: VoxelKernels, old: VoxelGrid, moments: Tensor, new: VoxelGrid, yield_callback: Callable[[], None] = nothing
 ) -> Tensor:
-    """Return Adam's moments for a finer grid, (M, 16), so that training goes on as if nothing had happened.
+    """Return the second moments for a finer grid, so that training goes on as if nothing had happened.
 
-    old: the coarser grid, with its moments as `rows`.
     A smaller cell has an eighth of the samples' weight in its gradient, and 1/64 in the squares.
+
+    Args:
+        kernels: they interpolate.
+        old: the coarser grid.
+        moments: (M, 3) those of its rows.
+        new: the finer grid.
+        yield_callback: called between pieces of the work.
     """
-    found, places = replace(new, rows=torch.zeros_like(new.rows)), new.places()
+    width, places = moments.shape[1], new.places()
+    wide = replace(old, rows=functional.pad(moments, (0, WIDTH - width)))  # the kernels interpolate whole rows
+    room, found = replace(new, rows=torch.zeros_like(new.rows)), torch.empty(len(new.rows), width)
     for first in range(0, new.bricks, BRICKS):
         yield_callback()
         last = min(first + BRICKS, new.bricks)
-        doublings = kernels.resample(old, found, first, last)
+        doublings = kernels.resample(wide, room, first, last)
         divided = places[first:last, :1].expand(-1, ROWS).flatten() == doublings.long()
-        part = found.rows[ROWS * first : ROWS * last]
-        part[divided, : DENSITY + 1] /= 8
-        part[divided, DENSITY + 1 :] /= 64
-    return found.rows
+        part = slice(ROWS * first, ROWS * last)
+        found[part] = room.rows[part, :width] / torch.where(divided, 64, 1)[:, None]
+    return found

@@ -9,11 +9,16 @@ from typing import Any
 import torch
 
 from nerf_core.common.configs import LARGEST, changed, check_ranges, constant, restored
+from nerf_core.common.device import machine_memory
 from nerf_core.common.errors import UserError, shorten
 from nerf_core.common.language import marked
 from nerf_core.geometry.scene import Scene
+from nerf_core.kernels.voxel_kernels import MOST_SHARDS
 from nerf_core.methods.voxels.sparse_depths import SparseDepths
 
+# What a row takes: 64 bytes for values, average, the copy that a picture is drawn from, and the last good state, 12 for
+# moments, a few for marks. Each thread adds 64 for gradients. A grid of all rows takes at most a quarter of the memory.
+ROW_BYTES, THREAD_BYTES, QUARTER = 280, 65, 4
 DEPTH_WEIGHT = 10.0  # of captures with sparse points: better than 0 on each that was tried, or within 0.03 dB of it
 
 
@@ -42,7 +47,7 @@ class VoxelConfig:
         2.5, marked("steps before the finest level begins, for each thousand cells of a side of the box"), most=10_000
     )
     most_rows: int = constant(
-        6_000_000, marked("most vertices that are stored, 192 bytes each and 64 more per thread"), least=64, most=2**26
+        6_000_000, marked("most vertices that are stored, 280 bytes each and 65 more per thread"), least=64, most=2**26
     )
     step: float = constant(0.7, marked("length of a sample in cells"), least=0.05, most=16)
     bias: float = constant(-3.0, marked("raw density of a new grid"), least=-LARGEST)
@@ -51,11 +56,10 @@ class VoxelConfig:
         most=3,
     )  # fmt: skip
     rate_color: float = constant(0.2, marked("Adam's learning rate for colour, falling as 1 / (1 + step / slowdown)"))
-    rate_view: float = constant(0.2, marked("the same for the part of colour that changes with the view"))
+    rate_view: float = constant(0.12, marked("the same for the part of colour that changes with the view"))
     rate_gloss: float = constant(0.02, marked("learning rate of gloss, falling alike"))
     rate_density: float = constant(0.45, marked("Adam's learning rate for density, falling alike"))
     slowdown: float = constant(500.0, marked("steps after which the learning rates have halved"), least=1)
-    keep: float = constant(0.5, marked("Adam's beta1"), share="[0, 1)")
     keep_square: float = constant(0.99, marked("Adam's beta2"), share="[0, 1)")
     epsilon: float = constant(1e-5, marked("Adam's epsilon, in units of one ray's gradient"), least=1e-12)
     average: float = constant(
@@ -122,7 +126,7 @@ class VoxelConfig:
             )  # fmt: skip
             if scene.from_inside:  # walls would be fog: each part of them is seen by few photos, from about one side
                 config = replace(config, rate_gloss=0.01, rate_density=0.45, distortion=0.1)
-        config = changed(config, changes, "voxels")
+        config = changed(replace(config, most_rows=min(config.most_rows, rows_that_fit())), changes, "voxels")
         if "depth_weight" not in changes and SparseDepths.known(scene, config.train_images):
             config = replace(config, depth_weight=DEPTH_WEIGHT)
         if config.depth_weight > 0:
@@ -137,10 +141,17 @@ class VoxelConfig:
         return asdict(self)
 
 
+def rows_that_fit() -> int:
+    """Return how many vertices of a grid take a quarter of this machine's memory."""
+    threads = min(torch.get_num_threads(), MOST_SHARDS)
+    return max(64, machine_memory() // (QUARTER * (ROW_BYTES + THREAD_BYTES * threads)))
+
+
 def _of_today(config: Mapping[str, Any]) -> Mapping[str, Any]:
     """A configuration that an earlier version may have written, without what there was and with what there was not."""
     older = {"distortion_before": 1.0, "smoothness_color": 0.0, "depth_weight": 0.0, "gloss": 0.0, "rate_gloss": 0.0}
     config = {**older, "most_rays": config.get("rays"), "wait": 0.0, **config}
+    config.pop("keep", None)  # of first moments, which there were
     if "prune" not in config:
         return config
     known = {name: value for name, value in config.items() if name not in ("prune", "growth")}

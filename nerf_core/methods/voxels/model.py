@@ -47,7 +47,7 @@ from nerf_core.methods.voxels.coarse_to_fine import (
 from nerf_core.methods.voxels.config import VoxelConfig
 from nerf_core.methods.voxels.sparse_depths import SparseDepths
 from nerf_core.volume.packed import to_trace
-from nerf_core.volume.voxel_grid import DENSITY, GLOSS, MOST_CELLS, MOST_SIZES, VoxelGrid, colors_of
+from nerf_core.volume.voxel_grid import DENSITY, GLOSS, MOST_CELLS, MOST_SIZES, PARTS, VoxelGrid, colors_of
 
 PIECE = 4096  # rays between two calls of the yield callback: about 5 ms on two cores
 TILE = 8192
@@ -81,7 +81,7 @@ class VoxelModel(Defaults):
         if self.space.kind == "ndc":  # cameras look along −z
             away = torch.tensor([0.0, 0.0, 1.0]).expand_as(away)
         self.grid.rows[:, GLOSS] = config.gloss * functional.normalize(away, dim=-1).float()
-        self.moments = torch.zeros_like(self.grid.rows)
+        self.moments = torch.zeros(len(self.grid.rows), len(PARTS))  # second ones; there are no first ones
         self.ema_rows = self.grid.rows.clone()
         self.updates = 0  # Adam's updates
         self.mean_error = 1.0  # mean squared error of the last some 20 steps
@@ -139,13 +139,13 @@ class VoxelModel(Defaults):
             self.kernels.accumulate_depths(self.grid, self.space.rays(known.rays), known.t, march)
         self.updates += 1
         slower = 1 / (1 + step / c.slowdown)
-        correction1, correction2 = (1 / (1 - beta**self.updates) for beta in (c.keep, c.keep_square))
+        correction2 = 1 / (1 - c.keep_square**self.updates)
         ema_rate = max(1 - c.average, YOUNG / (YOUNG + self.updates - 1))
         self.kernels.update(
             self.grid, self.moments, self.ema_rows,
             Adam(
                 c.rate_color * slower, c.rate_view * slower, c.rate_gloss * slower, c.rate_density * slower,
-                c.keep, c.keep_square, correction1, correction2, c.epsilon, ema_rate,
+                c.keep_square, correction2, c.epsilon, ema_rate,
             ),
         )  # fmt: skip
         mean = error / (3 * len(rays))
@@ -228,7 +228,7 @@ class VoxelModel(Defaults):
             worth = replace(worth, needed=self.grid.occupied)
         grid, self.full = finer_grid(self.grid, worth, self.config.split, self.config.most_rows, yield_callback)
         resample(self.kernels, self.ema_grid, grid, self.config.bias, yield_callback)
-        self.moments = resampled_moments(self.kernels, replace(self.grid, rows=self.moments), grid, yield_callback)
+        self.moments = resampled_moments(self.kernels, self.grid, self.moments, grid, yield_callback)
         self.level += 1
         self.grid, self.ema_rows = grid, grid.rows.clone()
 
@@ -323,7 +323,10 @@ class VoxelModel(Defaults):
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         grid, moments, level = self._restored(state), state["moments"], int(state["level"])
         average = state["average"]
-        if any(v.shape != grid.rows.shape or v.dtype != torch.float32 for v in (moments, average)):
+        if moments.shape == grid.rows.shape:  # an earlier version wrote it, with first moments in front
+            moments = moments[:, [14, 15, 13]]
+        fits = moments.shape == (len(grid.rows), len(PARTS)) and average.shape == grid.rows.shape
+        if not fits or any(v.dtype != torch.float32 for v in (moments, average)):
             raise ValueError("the optimiser's moments or the rows' average do not fit the voxel grid")
         if "error" in state:
             error = float(state["error"])

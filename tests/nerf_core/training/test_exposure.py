@@ -34,15 +34,16 @@ def trained(scene: Scene, exposure: str, steps: int, changes: dict[str, str]) ->
 def dimmed() -> tuple[Scene, np.ndarray]:
     """The demo scene with each training photo dimmed at random, and the gains.
 
-    What is linear in the direction of the cameras is taken out of the gains: colours that change with the view could
-    explain it as well.
+    What is linear or quadratic in the direction of the cameras is taken out of the gains: the model's colours, which
+    change with the view, could explain it as well. Harmonics are linear, gloss is quadratic.
     """
     scene = load_scene(None, LoadOptions(downscale=10, background="black"))
     train = scene.split("train")
     looks = np.array([scene.views[i].camera.c2w[:, 2] for i in train])
-    known = np.column_stack([np.ones(len(train)), looks])
+    squares = np.einsum("ki,kj->kij", looks, looks).reshape(-1, 9)  # their trace is 1
+    known = np.column_stack([looks, squares])
     drawn = np.random.default_rng(1).uniform(0.6, 1.4, len(train))
-    gains = 1 + drawn - known @ np.linalg.lstsq(known, drawn, rcond=None)[0]
+    gains = 1 + drawn - known @ np.linalg.lstsq(known, drawn, rcond=1e-6)[0]
     of = dict(zip(train, gains, strict=True))
     images = [np.rint(0.6 * of.get(k, 1.0) * image).astype(np.uint16) for k, image in enumerate(scene.images)]
     return replace(scene, photos=Photos.of(images)), gains
