@@ -1,4 +1,4 @@
-"""Messages between the worker thread and the window. No method here waits for the other side, except `wait`."""
+"""Messages between the worker thread and the window. Only `wait` and `let_paint` wait for the other side."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from collections import deque
 from collections.abc import Callable, Mapping
 
 from nerf_core.live.messages import FIRST_RUN, CancelLoading, Command, Notice, Quit, Snapshot, ViewRequest
+
+FRAME_SECONDS = 0.1  # longest wait for a frame: longer ones wait for something else than the processor
 
 
 class Mailbox:
@@ -32,6 +34,8 @@ class Mailbox:
         self._notices: queue.SimpleQueue[Notice] = queue.SimpleQueue()
         self._snapshots: Mapping[int, Snapshot] = {FIRST_RUN: Snapshot(wanted_share=share)}
         self._painted: deque[float] = deque(maxlen=1000)
+        self._no_frame = threading.Event()  # set while the window draws none
+        self._no_frame.set()
         self._arrived = threading.Event()
         self._quit = threading.Event()
         self._loads_until = 0  # the newest command that ends the loading of commands before it
@@ -80,9 +84,14 @@ class Mailbox:
             except queue.Empty:
                 return found
 
+    def paints(self) -> None:
+        """Note that the window begins to draw a frame."""
+        self._no_frame.clear()
+
     def painted(self, seconds: float) -> None:
         """Note that the window drew a frame in `seconds`. This time counts as pictures'."""
         self._painted.append(seconds)
+        self._no_frame.set()
 
     @property
     def quitting(self) -> bool:
@@ -106,6 +115,11 @@ class Mailbox:
     def view(self, run: int) -> ViewRequest | None:
         """Return what to draw of a run; None for nothing."""
         return self._views.get(run)
+
+    def let_paint(self) -> None:
+        """Wait while the window draws a frame. One that takes longer than FRAME_SECONDS is not waited for again."""
+        if not self._no_frame.wait(FRAME_SECONDS):
+            self._no_frame.set()
 
     def paint_seconds(self) -> float:
         """Return the seconds of the window's frames since this was last called."""

@@ -98,6 +98,10 @@ class Worker:
         """Return what happened since the last call, in order."""
         return self._mailbox.notices()
 
+    def paints(self) -> None:
+        """Let the window draw a frame: until `painted`, training waits, because both want all cores."""
+        self._mailbox.paints()
+
     def painted(self, seconds: float) -> None:
         """Count the seconds that the window took for a frame as part of the time for pictures."""
         self._mailbox.painted(seconds)
@@ -196,6 +200,7 @@ class Worker:
         elif number is not None:
             self._train_step(self._runs[number])
         else:
+            self._mailbox.let_paint()
             awaited = self._drawing.ray_awaited()
             if not self._drawing.piece():
                 self._publish(force=any(run.artist.fresh for run in self._runs.values()))
@@ -342,6 +347,7 @@ class Worker:
                     raise _Abandoned
                 break
             self._obey_next()
+        self._mailbox.let_paint()
         self._account_for_training(trained, 0)
         self._adapt()
         budget = self._scheduler.budget

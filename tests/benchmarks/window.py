@@ -229,6 +229,9 @@ class _Stopwatch:
         self._read = self._worker.snapshot()
         return self._read
 
+    def paints(self) -> None:
+        self._worker.paints()
+
     def painted(self, seconds: float) -> None:
         """Record that a frame with the snapshot read last is on the screen."""
         self._worker.painted(seconds)

@@ -218,6 +218,9 @@ class ScriptedWorker:
     def snapshot(self) -> Snapshot:
         return self.current
 
+    def paints(self) -> None:
+        pass
+
     def painted(self, seconds: float) -> None:
         pass
 

@@ -130,6 +130,7 @@ class App:
             self._size = self.window.size()
         if due and min(self._size) > 0:
             begin = clock.perf_counter()
+            self.link.paints()
             self._draw(now)
             self._show()
             seconds = clock.perf_counter() - begin

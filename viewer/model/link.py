@@ -20,6 +20,10 @@ class Link(Protocol):
 
     def notices(self) -> list[Notice]: ...
 
+    def paints(self) -> None:
+        """Tell the worker that a frame begins."""
+        ...
+
     def painted(self, seconds: float) -> None:
         """Tell the worker how many seconds a frame of the window took."""
         ...

@@ -13,6 +13,7 @@ import torch
 from desk import PATIENCE, Desk, orbit, view_of
 
 from nerf_core.datasets import LoadOptions
+from nerf_core.live import mailbox
 from nerf_core.live.messages import (
     CancelLoading,
     Command,
@@ -251,6 +252,26 @@ def test_closing_ends_everything_and_keeps_what_was_asked_before(open_desk: Open
     assert not desk.worker.alive
     assert list(tmp_path.iterdir()) == [path]
     assert checkpoint.load(path)[0]["step"] == desk.worker.snapshot().step
+
+
+def test_training_waits_for_a_frame_but_not_for_a_window_that_hangs(
+    open_desk: OpenDesk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk = open_desk()
+    monkeypatch.setattr(mailbox, "FRAME_SECONDS", PATIENCE)
+    desk.send(Train())
+    desk.until(lambda s: s.step >= 2)
+    desk.worker.paints()
+    time.sleep(0.2)  # the step in work goes on to the next point where it may wait
+    waiting = desk.worker.snapshot().step
+    time.sleep(0.2)
+    assert desk.worker.snapshot().step == waiting
+    monkeypatch.setattr(mailbox, "FRAME_SECONDS", 0.02)
+    desk.worker.painted(0.4)
+    desk.until(lambda s: s.step > waiting + 2)
+    desk.worker.paints()  # and no `painted`
+    step = desk.worker.snapshot().step
+    desk.until(lambda s: s.step > step + 5)
 
 
 def test_the_worker_calls_wake(tiny: RunSettings, capture: Path) -> None:
