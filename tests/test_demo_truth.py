@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from demo_truth import compare, microscope
+from demo_truth import compare, microscope, noise
 
 from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.training.settings import RunSettings
@@ -49,3 +49,13 @@ def test_training_approaches_the_truth(
     assert after["observed"] < 0.75 * before["observed"]
     assert after["extrapolated"] > 1.2 * after["observed"]
     assert 0.2 * after["spread_truth"] < after["spread"] < 1.5 * after["spread_truth"]
+
+
+def test_noise_is_what_two_seeds_do_not_share() -> None:
+    scene = load_scene(None, LoadOptions(downscale=8))
+    one, same, other = (Trainer(scene, RunSettings(method="voxels", seed=seed)) for seed in (0, 0, 1))
+    for trainer in (one, same, other):
+        for _ in range(5):
+            trainer.step()
+    assert noise(one, same, 1) == 0
+    assert 0 < noise(one, other, 1) < 0.1

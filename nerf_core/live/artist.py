@@ -156,6 +156,7 @@ class Artist:
     def _frozen(self, trainer: Trainer) -> Method:
         """Return a copy of the current model, which does not change while training goes on."""
         if self._copy is None or self._copy_step != trainer.step_count:
+            self._copy = self._model = None  # two copies of a fine grid would take 70 MB more
             self._copy, self._copy_step = trainer.frozen_method(), trainer.step_count
         return self._copy
 

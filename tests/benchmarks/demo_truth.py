@@ -1,11 +1,13 @@
 """Measure how near a model trained on the demo scene comes to the truth, which is known in closed form.
 
-    python tests/benchmarks/demo_truth.py [--seconds 300 | --steps 1000] [--downscale 2] [--set NAME=VALUE …]
+    python tests/benchmarks/demo_truth.py [--seconds 300 | --steps 1000] [--downscale 2] [--twice] [--set NAME=VALUE …]
 
 - Depth: the error of the rendered expected depth, at pixels of the test views that truly see a surface, and its median
   with the sign (bias; positive: too deep).
 - Speckle: the mean absolute difference between neighbouring pixels' errors of colour on the glossy ball. Detail that
   the model lacks counts too: the truth itself, blurred with a standard deviation of one pixel, has 0.044.
+- Noise (--twice): the same of the difference between the pictures of two seeds, / √2. Both lack the same detail, so
+  this is the grain that training leaves in one picture.
 - Radiance: the error of the colour that the model emits towards training cameras that see a point, at true surface
   points that the test views see.
 - Spread: how much the emitted colour changes between those cameras, in the model and in truth, for the glossy ball and
@@ -28,6 +30,7 @@ from nerf_core.geometry.cameras import camera_rays
 from nerf_core.geometry.rays import Rendering
 from nerf_core.probe import TrainingViews
 from nerf_core.probe.opened import pieces
+from nerf_core.rendering.images import render_camera
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
 
@@ -71,6 +74,19 @@ def _speckle(error: np.ndarray, where: np.ndarray) -> np.ndarray:
     beside = np.abs(np.diff(error, axis=1))[where[:, 1:] & where[:, :-1]]
     below = np.abs(np.diff(error, axis=0))[where[1:] & where[:-1]]
     return np.concatenate([beside, below])
+
+
+def noise(one: Trainer, other: Trainer, views: int = 3) -> float:
+    """Return the noise on the glossy ball of two models that differ in their seeds, in the first `views` test views."""
+    scene, found = one.scene, []
+    for index in scene.split("test")[:views]:
+        camera = scene.views[index].camera
+        rays = camera_rays(camera, scene.near, scene.far)
+        t, _, objects = demo_scene.hit(rays.origins.double().numpy(), rays.directions.double().numpy())
+        ball = (np.isfinite(t) & (objects == demo_scene.BALL)).reshape(camera.height, camera.width)
+        drawn = [render_camera(trainer.method, camera, scene)[0] for trainer in (one, other)]
+        found.append(_speckle(drawn[0] - drawn[1], ball))
+    return float(np.concatenate(found).mean()) / np.sqrt(2)
 
 
 def _radiance(
@@ -172,16 +188,23 @@ def main() -> None:
     parser.add_argument("--downscale", type=int, default=2)
     parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="constants of the method")
     parser.add_argument("--method", default="auto")
+    parser.add_argument(
+        "--twice", action="store_true", help="train a second model too, from another seed, for the noise"
+    )
     args = parser.parse_args()
     changes = dict(word.split("=", 1) for word in args.set)
     scene = load_scene(None, LoadOptions(downscale=args.downscale))
-    trainer = Trainer(scene, RunSettings(method=args.method, changes=changes))
+    trainer, other = (Trainer(scene, RunSettings(method=args.method, changes=changes, seed=seed)) for seed in (0, 1))
     for part in (0.0, 0.25, 1.0):
         while trainer.step_count < part * args.steps if args.steps else trainer.seconds < part * args.seconds:
             trainer.step()
+        while args.twice and other.step_count < trainer.step_count:
+            other.step()
         for what, found in (("picture", compare(trainer)), ("microscope", microscope(trainer))):
             figures = ", ".join(f"{name} {value:.4f}" for name, value in found.items())
             print(f"{trainer.seconds:.0f} s, step {trainer.step_count}, {what}: {figures}", flush=True)
+        if args.twice:
+            print(f"noise {noise(trainer, other):.4f}", flush=True)
 
 
 if __name__ == "__main__":
