@@ -14,7 +14,7 @@ Tone = Literal["good", "neutral", "warning", "error"]
 # Thickness is counted in grains, see `nerf_core.probe.layers.grain_at`. An error is a mean over the channels. Shares of
 # photos are of those that are asked. docs/microscope.md states the rules in which these numbers are used.
 THICK, DEEP = 6.0, 20.0  # grains: the thickest surface, and the thickest one with which the photos agree
-CLOUD = 10.0  # grains: a thicker layer floats only if at most HARDLY of the photos would miss it
+CLOUD = 10.0  # grains: a thicker layer floats only if photos contradict it, and at most HARDLY would miss it
 HAZY = 0.03  # the photos agree with a thick layer if the error is under this
 FEW = 2  # photos: training cannot have learnt what fewer photos see
 INSIDE = 0.3  # a layer is the inside of one in front if fewer than this times as many photos see it from this side
@@ -98,14 +98,15 @@ class Standing:
         """Whether the photos speak against the layer.
 
         There are at least FEW voters, AGAINST of them or more contradict the layer or do not show it, and no more would
-        miss it than these. For a cloud, or if fewer than AGAINST contradict it, at most HARDLY of the voters may miss
-        it: a thing that exists but is finer than a pixel is not shown by many photos.
+        miss it than these. If fewer than AGAINST contradict it, at most HARDLY of the voters may miss it: a thing that
+        exists but is finer than a pixel is not shown by many photos. A cloud must be contradicted by AGAINST, and at
+        most HARDLY may miss it. Haze is thin in every photo, so that none shows it: that alone is no contradiction.
         """
         enough, idle = AGAINST * self.voters, self.against + self.blank
-        if self.voters < FEW or idle < enough:
+        contradicted, cloud = self.against >= enough, self.layer.thickness > CLOUD * self.layer.grain
+        if self.voters < FEW or idle < enough or (cloud and not contradicted):
             return False
-        sure = self.against >= enough and self.layer.thickness <= CLOUD * self.layer.grain
-        return self.missing <= (idle if sure else HARDLY * self.voters)
+        return self.missing <= (idle if contradicted and not cloud else HARDLY * self.voters)
 
     @property
     def leaks(self) -> bool:

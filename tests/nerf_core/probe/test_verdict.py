@@ -162,6 +162,8 @@ def test_the_photos_votes_decide_whether_a_layer_floats(scene: Scene) -> None:
     assert not floats(1, 1, 0)
     assert floats(16, 14, 2, grains=12.0)
     assert not floats(16, 13, 3, grains=12.0)
+    assert floats(16, 4, 0, blank=12, grains=40.0)
+    assert not floats(16, 3, 0, blank=13, grains=40.0)  # haze that the photos merely do not show
     assert floats(16, 0, 2, blank=4)
     assert not floats(16, 0, 3, blank=13)
 
