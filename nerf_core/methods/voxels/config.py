@@ -17,8 +17,9 @@ from nerf_core.kernels.voxel_kernels import MOST_SHARDS
 from nerf_core.methods.voxels.sparse_depths import SparseDepths
 
 # What a row takes: 64 bytes for values, average, the copy that a picture is drawn from, and the last good state, 12 for
-# moments, a few for marks. Each thread adds 64 for gradients. A grid of all rows takes at most a quarter of the memory.
-ROW_BYTES, THREAD_BYTES, QUARTER = 280, 65, 4
+# moments, a few for marks. Each thread adds 64 for gradients.
+ROW_BYTES, THREAD_BYTES = 280, 65
+MEMORY_SHARE = 1 / 4  # of the machine's memory, for a grid of all rows
 DEPTH_WEIGHT = 10.0  # of captures with sparse points: better than 0 on each that was tried, or within 0.03 dB of it
 
 
@@ -142,9 +143,9 @@ class VoxelConfig:
 
 
 def rows_that_fit() -> int:
-    """Return how many vertices of a grid take a quarter of this machine's memory."""
+    """Return how many vertices of a grid take MEMORY_SHARE of this machine's memory."""
     threads = min(torch.get_num_threads(), MOST_SHARDS)
-    return max(64, machine_memory() // (QUARTER * (ROW_BYTES + THREAD_BYTES * threads)))
+    return max(64, int(MEMORY_SHARE * machine_memory()) // (ROW_BYTES + THREAD_BYTES * threads))
 
 
 def _of_today(config: Mapping[str, Any]) -> Mapping[str, Any]:

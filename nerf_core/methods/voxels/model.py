@@ -49,7 +49,7 @@ from nerf_core.methods.voxels.sparse_depths import SparseDepths
 from nerf_core.volume.packed import to_trace
 from nerf_core.volume.voxel_grid import DENSITY, GLOSS, MOST_CELLS, MOST_SIZES, PARTS, VoxelGrid, colors_of
 
-PIECE = 4096  # rays between two calls of the yield callback: about 5 ms on two cores
+PIECE = 4096  # rays between two calls of the yield callback: 5 to 15 ms on two cores
 TILE = 8192
 SMALLEST = 1e-5  # a cell's side as a share of the box: no configuration allows smaller ones
 ENOUGH = 400_000  # training pixels that are asked which cells they need: a second on two cores
