@@ -6,8 +6,6 @@ depend neither on timing nor on the number of shards.
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import torch
 from torch import Tensor
@@ -97,9 +95,8 @@ class CpuPacked:
         each_shard(self.shards, lambda s: loops.adam(*given, *split(count, self.shards, s), *settings))
 
 
-@cache
-def compile_loops() -> None:
-    """Compile every loop, or read it from numba's cache, so that no step has to wait for it later."""
+def call_each() -> None:
+    """Call each of the loops once; for `compile_loops`."""
     cells = Cells.of(np.zeros(3), np.ones(3), torch.ones(2, 2, 2, dtype=torch.bool), contracted=False)
     one = torch.ones(1, 3) / 3**0.5
     rays = BoxRays(-one, one, one, torch.zeros(1), torch.full((1,), 9.0))

@@ -6,7 +6,6 @@ thread count give the same weights, bit for bit.
 
 from __future__ import annotations
 
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -41,10 +40,6 @@ class CpuVoxels:
     name = "numba"
 
     def __init__(self, shards: int) -> None:
-        _compile()
-        self._begin(shards)
-
-    def _begin(self, shards: int) -> None:
         self.shards = shards
         self._grid: VoxelGrid | None = None  # the grid that the buffers below have the size of
         self._gradient = np.zeros((shards, 0), np.float32)
@@ -221,15 +216,13 @@ def _scratch(samples: int) -> _Scratch:
     )  # fmt: skip
 
 
-@cache
-def _compile() -> None:
-    """Compile every loop, or read it from numba's cache, so that no step has to wait for it later."""
+def call_each() -> None:
+    """Call each of the loops once; for `compile_loops`."""
     grid = VoxelGrid.over(np.zeros(3), np.ones(3), torch.ones(2, 2, 2, dtype=torch.bool), contracted=False)
     one = torch.ones(1, 3) / 3**0.5
     rays = BoxRays(-one, one, one, torch.zeros(1), torch.full((1,), 9.0))
     march = March(1.0, 0.0, torch.ones(3), torch.zeros(1), smoothness=1.0)
-    kernels = object.__new__(CpuVoxels)
-    kernels._begin(1)
+    kernels = CpuVoxels(1)
     kernels.render(grid, rays, march)
     kernels.trace(grid, rays, march)
     kernels.accumulate(grid, rays, torch.zeros(1, 3), march)

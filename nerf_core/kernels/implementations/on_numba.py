@@ -28,8 +28,10 @@ class _OnNumba:
 class VoxelsOnNumba(_OnNumba):
     @staticmethod
     def make() -> VoxelKernels:
-        from nerf_core.kernels.cpu_voxels import CpuVoxels
+        from nerf_core.common.jit.apart import compile_loops
+        from nerf_core.kernels.cpu_voxels import CpuVoxels, call_each
 
+        compile_loops(call_each)
         return CpuVoxels(min(torch.get_num_threads(), MOST_SHARDS))
 
 
@@ -37,7 +39,8 @@ class VoxelsOnNumba(_OnNumba):
 class PackedOnNumba(_OnNumba):
     @staticmethod
     def make() -> PackedKernels:
-        from nerf_core.kernels.cpu_packed import CpuPacked, compile_loops
+        from nerf_core.common.jit.apart import compile_loops
+        from nerf_core.kernels.cpu_packed import CpuPacked, call_each
 
-        compile_loops()
+        compile_loops(call_each)
         return CpuPacked(torch.get_num_threads())
