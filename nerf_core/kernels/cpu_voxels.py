@@ -21,7 +21,7 @@ from nerf_core.kernels import numba_voxels as loops
 from nerf_core.kernels.cpu_rays import ray_arrays
 from nerf_core.kernels.numba_depths import depth_gradients
 from nerf_core.kernels.voxel_kernels import Adam, March, Traced
-from nerf_core.volume.voxel_grid import PARTS, ROWS, WIDTH, VoxelGrid
+from nerf_core.volume.voxel_grid import PARTS, WIDTH, VoxelGrid
 
 FIRST_CAPACITY = 24  # samples a ray that a trace allocates first
 
@@ -95,14 +95,16 @@ class CpuVoxels:
 
     def resample(self, old: VoxelGrid, new: VoxelGrid, first: int, last: int) -> Tensor:
         begin, step = old.at_vertex(new)
-        arrays, places = old.arrays(), new.places()[first:last].numpy()
-        used = old.used.numpy()
-        rows, out = old.rows.numpy().ravel(), new.rows[ROWS * first : ROWS * last].numpy().ravel()
-        found = torch.zeros(ROWS * len(places), dtype=torch.uint8)
+        arrays, places, rows_of = old.arrays(), new.places()[first:last].numpy(), new.rows_of(first, last)
+        rows, out = old.rows.numpy().ravel(), new.rows[rows_of].numpy().ravel()
+        found = torch.zeros(len(new.rows[rows_of]), dtype=torch.uint8)
+        bricks = new.bricks[1:][first:last].numpy()
 
         def work(s: int) -> None:
             part = split(len(places), self.shards, s)
-            cells.resample(arrays, rows, used, begin, step, places, *part, _scratch(1), out, found.numpy())
+            cells.resample(
+                arrays, rows, begin, step, places, bricks, rows_of.start, *part, _scratch(1), out, found.numpy()
+            )
 
         each_shard(self.shards, work)
         return found
@@ -178,7 +180,7 @@ class CpuVoxels:
         rows, slots, emas = (v.numpy().ravel() for v in (grid.rows, moments, ema))
 
         def work(s: int) -> None:
-            first, last = split(grid.bricks, self.shards, s)
+            first, last = split(self._touched.shape[1], self.shards, s)
             loops.adam(first, last, rows, slots, emas, self._gradient, self._touched, *(np.float32(v) for v in adam))
 
         each_shard(self.shards, work)
@@ -187,16 +189,16 @@ class CpuVoxels:
         """Have empty buffers of the grid's size, if they do not hold what was summed over this very grid."""
         if self._grid is not None and self._grid.rows is grid.rows:
             return
-        if self._grid is not None and self._touched.shape[1] == grid.bricks:  # other rows of one grid, as its EMA
+        if self._grid is not None and self._marks.shape[1] == len(grid.rows):  # other rows of one grid, as its EMA
             self._marks[:] = 0
             if self._touched.any():
                 self.forget()
         else:
             self._grid = None  # if memory runs out below, nothing may be taken for buffers of this or the old grid
             self._gradient = np.zeros((self.shards, 0), np.float32)  # frees the memory first
-            self._gradient = torch.zeros(self.shards, grid.bricks * ROWS * WIDTH).numpy()
-            self._touched = np.zeros((self.shards, grid.bricks), np.uint64)
-            self._marks = np.zeros((self.shards, grid.bricks * ROWS), np.uint8)
+            self._gradient = torch.zeros(self.shards, len(grid.rows) * WIDTH).numpy()
+            self._touched = np.zeros((self.shards, -(-len(grid.rows) // 64)), np.uint64)
+            self._marks = np.zeros((self.shards, len(grid.rows)), np.uint8)
         self._grid = grid
 
     def _buffers(self, grid: VoxelGrid, how: March) -> list[_Scratch]:
@@ -228,7 +230,7 @@ def call_each() -> None:
     kernels.accumulate(grid, rays, torch.zeros(1, 3), march)
     kernels.accumulate_depths(grid, rays, torch.zeros(1), march)
     kernels.mark(grid, rays, march, 0.5)
-    kernels.resample(grid, grid, 0, grid.bricks)
+    kernels.resample(grid, grid, 0, grid.brick_count)
     spare = torch.zeros(len(grid.rows), len(PARTS)), torch.zeros_like(grid.rows)
     kernels.update(grid, *spare, Adam(0.1, 0.1, 0.1, 0.1, 0.9, 1.0, 1e-4, 1.0))
     index, pair = torch.zeros(1, dtype=torch.long), torch.ones(1, 2, dtype=torch.float64)

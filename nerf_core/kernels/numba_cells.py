@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from nerf_core.common.jit.vectors import gather, jit, place
+from nerf_core.common.jit.vectors import gather, jit
 from nerf_core.kernels.numba_march import ALPHA, BLUE, GREEN, NOTES, RAW, RED, TRANSMITTANCE
 from nerf_core.kernels.numba_voxels import sample
 
@@ -65,17 +65,21 @@ def _halvings(w: Any) -> Any:
 
 @jit
 def resample(
-    grid: Any, rows: Any, used: Any, begin: Any, step: Any, places: Any, first: Any, last: Any, scratch: Any, out: Any,
-    found: Any,
+    grid: Any, rows: Any, begin: Any, step: Any, places: Any, bricks: Any, first_row: Any, first: Any, last: Any,
+    scratch: Any, out: Any, found: Any,
 ) -> None:  # fmt: skip
-    """Interpolate rows for the vertices of bricks first ≤ b < last, which lie at `places` in their tables.
+    """Interpolate rows for the vertices of `bricks` first ≤ b < last, which lie at `places` in their tables.
 
-    Finest vertex v lies at begin + v · step, in finest cells of `grid`. found: the doublings of the cells that were
+    Finest vertex v lies at begin + v · step, in finest cells of `grid`. out, found: of the rows from
+    first_row on. found: the doublings of the cells that were
     interpolated; see `VoxelKernels.resample`.
     """
     corners, weights, values = scratch.corners, scratch.weights, scratch.values
     for b in range(first, last):
         for q in range(64):
+            row = np.int64(bricks[b, q >> 4, (q >> 2) & 3, q & 3]) - first_row
+            if row < 0:
+                continue
             x = _snapped(begin[0] + step[0] * (((places[b, 1] << 2) + (q >> 4)) << places[b, 0]))
             y = _snapped(begin[1] + step[1] * (((places[b, 2] << 2) + ((q >> 2) & 3)) << places[b, 0]))
             z = _snapped(begin[2] + step[2] * (((places[b, 3] << 2) + (q & 3)) << places[b, 0]))
@@ -84,15 +88,14 @@ def resample(
                 d = places[b, 0] + k + 1 if k < 0 else k
                 if d < 0 or d >= len(grid.begins):
                     continue
-                held = _lookup(grid, used, d, x, y, z, corners, weights)
+                held = _lookup(grid, d, x, y, z, corners, weights)
                 if held > most + 1e-6:
                     most, best = held, d
-            _lookup(grid, used, best, x, y, z, corners, weights)
+            _lookup(grid, best, x, y, z, corners, weights)
             gather(values, 0, rows, corners, weights, 0)
-            found[b * 64 + q] = best
-            at = (b * 64 + q) * 16
+            found[row] = best
             for c in range(16):
-                out[at + c] = values[c]
+                out[16 * row + c] = values[c]
 
 
 @jit
@@ -103,18 +106,21 @@ def _snapped(x: Any) -> Any:
 
 
 @jit
-def _lookup(grid: Any, used: Any, d: Any, x: Any, y: Any, z: Any, corners: Any, weights: Any) -> Any:
-    """The corners and weights at a point among cells of d doublings; returns the weight of corners in use."""
+def _lookup(grid: Any, d: Any, x: Any, y: Any, z: Any, corners: Any, weights: Any) -> Any:
+    """The corners and weights at a point among cells of d doublings; returns the weight of those that have a row."""
     share = 1.0 / (1 << d)
     x, y, z = x * share, y * share, z * share
     i = min(max(math.floor(x), 0), ((grid.size[0] + (1 << d) - 1) >> d) - 1)
     j = min(max(math.floor(y), 0), ((grid.size[1] + (1 << d) - 1) >> d) - 1)
     k = min(max(math.floor(z), 0), ((grid.size[2] + (1 << d) - 1) >> d) - 1)
     fx, fy, fz = F(min(max(x - i, 0.0), 1.0)), F(min(max(y - j, 0.0), 1.0)), F(min(max(z - k, 0.0), 1.0))
-    place(corners, weights, 0, grid.table, grid.begins[d], grid.sides[d, 0], grid.sides[d, 1], i, j, k, fx, fy, fz)
+    begin, ny, nz = grid.begins[d], grid.sides[d, 0], grid.sides[d, 1]
     held = 0.0
     for c in range(8):
-        if corners[c] < 0 or not used[np.uint64(corners[c] >> 4)]:  # no brick for it, or no cell of this size
-            corners[c], weights[c] = 0, F(0)
+        u, v, w = i + (c >> 2), j + ((c >> 1) & 1), k + (c & 1)
+        brick = np.int64(grid.table[begin + ((u >> 2) * ny + (v >> 2)) * nz + (w >> 2)])
+        row = np.int64(grid.bricks[125 * brick + 25 * (u & 3) + 5 * (v & 3) + (w & 3)])
+        weight = (fx if c & 4 else F(1) - fx) * (fy if c & 2 else F(1) - fy) * (fz if c & 1 else F(1) - fz)
+        corners[c], weights[c] = 16 * max(row, 0), weight if row >= 0 else F(0)
         held += weights[c]
     return held

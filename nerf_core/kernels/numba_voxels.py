@@ -51,8 +51,9 @@ def _place(grid: Any, first: Any, last: Any, rows: Any, corners: Any, weights: A
         d = i >> 12
         begin, ny, nz = grid.begins[np.uint64(d)], grid.sides[np.uint64(d), 0], grid.sides[np.uint64(d), 1]
         place(
-            corners, weights, at, grid.table, begin, ny, nz, i & 4095, j, k, notes[at + X], notes[at + Y], notes[at + Z]
-        )
+            corners, weights, at, grid.table, grid.bricks, begin, ny, nz, i & 4095, j, k, notes[at + X], notes[at + Y],
+            notes[at + Z],
+        )  # fmt: skip
         prefetch(rows, corners, at)
 
 
@@ -263,7 +264,7 @@ def adam(
     rate_color: Any, rate_view: Any, rate_gloss: Any, rate_density: Any, beta2: Any, correction2: Any, epsilon: Any,
     ema_rate: Any,
 ) -> None:  # fmt: skip
-    """One step of Adam without first moments on the touched rows of bricks first ≤ b < last, and of the rows' EMA.
+    """One step of Adam without first moments on the touched rows 64 first ≤ r < 64 last, and of the rows' EMA.
 
     Gradients, one array a shard, are summed and cleared. A row has three second moments: the colour coefficients share
     one, density has one, and the components of gloss share one.

@@ -15,7 +15,7 @@ from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels.torch_march import march
 from nerf_core.kernels.voxel_kernels import HALVINGS, OUTLIER, Adam, March, Traced
 from nerf_core.volume.compositing import STOP
-from nerf_core.volume.voxel_grid import DENSITY, GLOSS, PARTS, ROWS, WIDTH, VoxelGrid, colors_of
+from nerf_core.volume.voxel_grid import DENSITY, GLOSS, PARTS, WIDTH, VoxelGrid, colors_of
 
 
 class VoxelSamples(NamedTuple):
@@ -53,7 +53,7 @@ class Composited(NamedTuple):
 def composite(
     rows: Tensor, samples: VoxelSamples, views: Tensor, step: float, bias: float, background: Tensor
 ) -> Composited:
-    """Composite packed samples: NeRF Eq. 3. rows: (64 · bricks, 16), the grid's. views: unit directions (R, 3)."""
+    """Composite packed samples: NeRF Eq. 3. rows: (M, 16), the grid's. views: unit directions (R, 3)."""
     values = (samples.weights[..., None] * rows[samples.rows]).sum(1)
     raw = values[:, DENSITY] + bias
     rgb = colors_of(values, views[samples.ray])
@@ -132,9 +132,9 @@ class TorchVoxels:
         at = begin + new.vertices(first, last) * step
         nearest = (at * 1024).round() / 1024
         at = torch.where((at - nearest).abs() < 1e-6, nearest, at)  # what rounding moved away from a vertex
-        own = new.places()[first:last, :1].expand(-1, ROWS).flatten()
+        own = new.doublings_of_rows(first, last)
         most = torch.full_like(own, -1, dtype=torch.float32)
-        best, rows = torch.zeros_like(own, dtype=torch.uint8), new.rows[ROWS * first : ROWS * last]
+        best, rows = torch.zeros_like(own, dtype=torch.uint8), new.rows[new.rows_of(first, last)]
         sizes = range(len(old.tables))
         for d, tried in [(d, own + same == d) for same in (-1, 0) for d in sizes] + [(d, own >= 0) for d in sizes]:
             row, weight = self._lookup(old, at, d)
@@ -146,7 +146,7 @@ class TorchVoxels:
 
     @staticmethod
     def _lookup(old: VoxelGrid, at: Tensor, d: int) -> tuple[Tensor, Tensor]:
-        """The rows (P, 8) and weights (P, 8) at points among cells of d doublings; the weight is 0 where not in use."""
+        """The rows (P, 8) and weights (P, 8) at points among cells of d doublings; the weight is 0 where none is."""
         corners = torch.cartesian_prod(*[torch.arange(2, device=at.device)] * 3)
         size = torch.tensor([-(-n >> d) for n in old.size], device=at.device)
         place = at / (1 << d)
@@ -154,7 +154,7 @@ class TorchVoxels:
         within = (place - cell).clamp(0, 1).float()
         weight = torch.where(corners == 1, within[:, None], 1 - within[:, None]).prod(-1)
         row = old.row_of((cell[:, None] + corners).view(-1, 3), d).view(-1, 8)
-        return row, torch.where((row >= 0) & old.used[row.clamp(min=0)], weight, 0)
+        return row, torch.where(row >= 0, weight, 0)
 
     def accumulate(self, grid: VoxelGrid, rays: BoxRays, truth: Tensor, how: March) -> tuple[float, int]:
         self._fit(grid)

@@ -98,7 +98,7 @@ class VoxelKernels(Protocol):
         A vertex of cells that are there in `old` takes its row, and one of cells that were divided is interpolated in
         them. Any other is interpolated among the smallest cells around it whose size has occupied cells at all corners,
         or at most of their weight; the other corners count as 0.
-        Returns the doublings of those cells, (64 · bricks,) uint8.
+        Returns the doublings of those cells for each row of the bricks, uint8.
         """
         ...
 

@@ -1,14 +1,14 @@
 """A sparse grid of parameters: one row for each vertex of an occupied cell, none in empty space.
 
 Cells have several sizes, as in an octree: the finest ones, and others whose sides are 2, 4, 8 … times as long. A cell
-of `doublings` d begins at a multiple of 2ᵈ finest cells. Vertices of cells of one size are stored in bricks of
-4 × 4 × 4, z fastest; neighbouring cells of different sizes have vertices of their own. A row has 16 float32, one cache
-line: 3 × 4 spherical-harmonic coefficients of colour, the raw density, and the vector g of gloss; see `colors_of`.
-`tables` say where each brick is stored.
+of `doublings` d begins at a multiple of 2ᵈ finest cells. Vertices of cells of one size are found by bricks of
+4 × 4 × 4; neighbouring cells of different sizes have vertices of their own. A row has 16 float32, one cache line: 3 × 4
+spherical-harmonic coefficients of colour, the raw density, and the vector g of gloss; see `colors_of`.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,11 +17,11 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from nerf_core.volume.cells import Cells, blocks, leaps
 
 BRICK = 4  # vertices a side
-ROWS = BRICK**3
 WIDTH = 16  # floats of a row
 MOST_SIZES = 10  # sizes of cells in a grid
 MOST_CELLS = 1 << 12  # finest cells along a side: the march stores a cell's size above 12 bits of its place
@@ -37,7 +37,8 @@ class GridArrays(NamedTuple):
     """Numpy views of a `VoxelGrid`, for the kernels.
 
     The first six are the fields of `CellArrays`; here, `kinds` says which size a cell has. table: all tables, one after
-    another. begins: (D,) where each table begins. sides: (D, 2) its number of bricks along y and z.
+    another. begins: (D,) where each table begins. sides: (D, 2) its number of bricks along y and z. bricks: those of
+    the grid, one after another.
     """
 
     origin: np.ndarray
@@ -49,19 +50,25 @@ class GridArrays(NamedTuple):
     table: np.ndarray
     begins: np.ndarray
     sides: np.ndarray
+    bricks: np.ndarray
 
 
 @dataclass(frozen=True)
 class VoxelGrid(Cells):
     """Cells with parameters at their vertices. `size`, `voxel` and `occupied` count the finest cells.
 
+    Vertices are found by bricks of 4³. Only those of occupied cells have a row, and a third of a brick's have none.
+
     kinds: (x, y, z) uint8 for each finest cell: 0 if it is empty, else 1 + the doublings of the cell that it is in.
-    tables: for each number of doublings, (bx, by, bz) int32: where each brick lies in `rows`, −1 where none is stored.
-    rows: (64 · bricks, 16) float32, brick after brick.
+    tables: for each number of doublings, (bx, by, bz) int32: the number of each brick; 0 where none is stored.
+    bricks: (B + 1, 5, 5, 5) int32: the rows of the vertices of each brick's 4³ cells; −1 where none is stored, as in
+        all of brick 0, which stands for none. The first 4³ are the brick's own, the others belong to its neighbours.
+    rows: (M, 16) float32, brick after brick.
     """
 
     kinds: Tensor
     tables: tuple[Tensor, ...]
+    bricks: Tensor
     rows: Tensor
 
     @staticmethod
@@ -70,62 +77,95 @@ class VoxelGrid(Cells):
         return VoxelGrid.of_kinds(origin, voxel, occupied.to(torch.uint8), contracted)
 
     @staticmethod
-    def of_kinds(origin: np.ndarray, voxel: np.ndarray, kinds: Tensor, contracted: bool) -> VoxelGrid:
-        """A grid of zeros with bricks for all occupied cells; for the arguments see the class."""
-        needed = [bricks_of(cells) for cells in cells_of_each_size(kinds)]
-        return _assembled(origin, voxel, kinds, contracted, needed, None)
+    def of_kinds(origin: np.ndarray, voxel: np.ndarray, kinds: Tensor, contracted: bool, sizes: int = 0) -> VoxelGrid:
+        """A grid of zeros with rows for all vertices of occupied cells.
+
+        sizes: how many tables it has; 0: one for each size up to the largest cell's. For the other arguments see the
+        class.
+        """
+        tables, own, first = [], [torch.full((1, BRICK, BRICK, BRICK), -1, dtype=torch.int32, device=kinds.device)], 0
+        for cells in cells_of_each_size(kinds, sizes):
+            vertices = vertices_of(cells)
+            stored = blocks(vertices)
+            held = by_bricks(vertices)[stored]
+            begin, last = sum(map(len, own)), first + int(held.sum())
+            table = torch.zeros(stored.shape, dtype=torch.int32, device=kinds.device)
+            table[stored] = torch.arange(begin, begin + len(held), dtype=torch.int32, device=kinds.device)
+            rows = torch.full(held.shape, -1, dtype=torch.int32, device=kinds.device)
+            rows[held] = torch.arange(first, last, dtype=torch.int32, device=kinds.device)
+            tables.append(table)
+            own.append(rows)
+            first = last
+        x, y, z = kinds.shape
+        occupied, rows = kinds > 0, torch.zeros(first, WIDTH, device=kinds.device)
+        return VoxelGrid(
+            (x, y, z), origin, voxel, contracted, occupied, leaps(occupied), kinds, tuple(tables),
+            _with_neighbours(torch.cat(own), tables), rows,
+        )  # fmt: skip
 
     def arrays(self) -> GridArrays:
         """The arrays that the CPU kernels read."""
         own = self.cell_arrays()._replace(occupied=self.kinds.numpy().ravel())
         shapes = np.array([table.shape for table in self.tables], np.int64)
-        ends = np.cumsum(shapes.prod(1))
-        return GridArrays(*own, self._table, ends - shapes.prod(1), np.ascontiguousarray(shapes[:, 1:]))
+        ends, bricks = np.cumsum(shapes.prod(1)), self.bricks.numpy().ravel()
+        return GridArrays(*own, self._table, ends - shapes.prod(1), np.ascontiguousarray(shapes[:, 1:]), bricks)
 
     @cached_property
     def _table(self) -> np.ndarray:
         return np.concatenate([table.numpy().ravel() for table in self.tables])
 
     @property
-    def bricks(self) -> int:
+    def brick_count(self) -> int:
         """Number of bricks that are stored."""
-        return len(self.rows) // ROWS
+        return len(self.bricks) - 1
 
-    def with_cells(self, occupied: Tensor) -> VoxelGrid:
-        """The same rows, with fewer occupied cells: (x, y, z) bool. A larger cell stays or goes whole."""
-        return replace(self, occupied=occupied, leap=leaps(occupied), kinds=self.kinds * occupied)
+    def rows_of(self, first: int, last: int) -> slice:
+        """The rows of the bricks first ≤ b < last, counted from 0."""
+        own = self._own[first:last]
+        own = own[own >= 0]
+        return slice(int(own[0]), int(own[-1]) + 1)
 
-    @cached_property
-    def used(self) -> Tensor:
-        """Whether the vertex of each row is one of an occupied cell of its size: (M,) bool. Bricks hold others too."""
-        found = []
-        for cells, table in zip(cells_of_each_size(self.kinds, len(self.tables)), self.tables, strict=True):
-            x, y, z = table.shape
-            inside = vertices_of(cells).view(x, BRICK, y, BRICK, z, BRICK).permute(0, 2, 4, 1, 3, 5)
-            found.append(inside[table >= 0].reshape(-1))
-        return torch.cat(found)
+    def with_cells(self, occupied: Tensor) -> tuple[VoxelGrid, Tensor]:
+        """Drop the other cells. A larger cell stays or goes whole.
+
+        Args:
+            occupied: (x, y, z) bool, the cells that stay.
+
+        Returns:
+            The grid, and which rows of this one it has: (M,) bool.
+        """
+        kinds, kept = self.kinds * occupied, []
+        for cells, table in zip(cells_of_each_size(kinds, len(self.tables)), self.tables, strict=True):
+            of_bricks = self._own[table[table > 0].long() - 1]
+            kept.append(by_bricks(vertices_of(cells))[table > 0][of_bricks >= 0])
+        grid = VoxelGrid.of_kinds(self.origin, self.voxel, kinds, self.contracted, len(self.tables))
+        rows = torch.cat(kept)
+        return replace(grid, rows=self.rows[rows]), rows
 
     def cells_with(self, values: Tensor) -> tuple[Tensor, ...]:
         """Spread one value for each row (M,) over the cells whose lowest vertex the row is.
 
         Returns a tensor for each number of doublings d, (⌈x/2ᵈ⌉, ⌈y/2ᵈ⌉, ⌈z/2ᵈ⌉), with zero where no row is stored.
         """
-        spread = []
+        spread, first = [], 0
         for d, table in enumerate(self.tables):
-            bricks = torch.zeros(*table.shape, ROWS, dtype=values.dtype, device=values.device)
-            stored = table >= 0
-            bricks[stored] = values.view(-1, ROWS)[table[stored].long()]
+            bricks = torch.zeros(*table.shape, BRICK, BRICK, BRICK, dtype=values.dtype, device=values.device)
+            stored = table > 0
+            held = self._own[table[stored].long() - 1] >= 0
+            spaced, count = torch.zeros_like(held, dtype=values.dtype), int(held.sum())
+            spaced[held] = values[first : first + count]
+            bricks[stored], first = spaced, first + count
             shape = [BRICK * n for n in table.shape]
-            whole = bricks.view(*table.shape, BRICK, BRICK, BRICK).permute(0, 3, 1, 4, 2, 5).reshape(shape)
+            whole = bricks.permute(0, 3, 1, 4, 2, 5).reshape(shape)
             x, y, z = (-(-n >> d) for n in self.size)
             spread.append(whole[:x, :y, :z])
         return tuple(spread)
 
     def places(self) -> Tensor:
-        """For each brick in the order of the rows, its doublings and its place in that table: (bricks, 4) int64."""
+        """For each brick in the order of the rows, its doublings and its place in that table: (B, 4) int64."""
         found = []
         for d, table in enumerate(self.tables):
-            place = (table >= 0).nonzero()
+            place = (table > 0).nonzero()
             found.append(torch.cat([torch.full_like(place[:, :1], d), place], -1))
         return torch.cat(found).contiguous()
 
@@ -142,10 +182,8 @@ class VoxelGrid(Cells):
             inside = ((vertex >= 0) & (vertex < most)).all(-1) & (size == d)
             v = torch.where(inside[:, None], vertex, 0)
             b = v // BRICK
-            brick = table[b[:, 0], b[:, 1], b[:, 2]].long()
-            local = v - BRICK * b
-            found = brick * ROWS + local[:, 0] * BRICK * BRICK + local[:, 1] * BRICK + local[:, 2]
-            row = torch.where(inside & (brick >= 0), found, row)
+            place = (v - BRICK * b).unbind(-1)
+            row = torch.where(inside, self.bricks[table[b[:, 0], b[:, 1], b[:, 2]].long(), *place].long(), row)
         return row
 
     def doublings_of(self, cell: Tensor) -> Tensor:
@@ -176,10 +214,19 @@ class VoxelGrid(Cells):
         return torch.einsum("pc,pcw->pw", weight, self.rows[row.clamp(min=0)])
 
     def vertices(self, first: int = 0, last: int | None = None) -> Tensor:
-        """The vertex of each row of the bricks first ≤ b < last, in finest cells: (64 · bricks, 3) int64."""
+        """The vertex of each row of the bricks first ≤ b < last, in finest cells: (rows, 3) int64."""
         place = self.places()[first:last]
         inside = torch.cartesian_prod(*[torch.arange(BRICK, device=place.device)] * 3)
-        return ((BRICK * place[:, None, 1:] + inside) << place[:, None, :1]).reshape(-1, 3)
+        return ((BRICK * place[:, None, 1:] + inside) << place[:, None, :1])[self._own[first:last].flatten(1) >= 0]
+
+    def doublings_of_rows(self, first: int = 0, last: int | None = None) -> Tensor:
+        """The doublings of the size that each row of the bricks first ≤ b < last belongs to: (rows,) int64."""
+        return self.places()[first:last, :1].expand(-1, BRICK**3)[self._own[first:last].flatten(1) >= 0]
+
+    @property
+    def _own(self) -> Tensor:
+        """The rows of each brick's own vertices, without brick 0: (B, 4, 4, 4)."""
+        return self.bricks[1:, :BRICK, :BRICK, :BRICK]
 
     def at_vertex(self, other: VoxelGrid) -> tuple[np.ndarray, np.ndarray]:
         """Where the vertices of the `other` grid lie in this one.
@@ -191,62 +238,32 @@ class VoxelGrid(Cells):
 
     def state(self) -> dict[str, Tensor]:
         """The tensors of a checkpoint."""
-        bricks = {f"bricks.{d}": table >= 0 for d, table in enumerate(self.tables)}
-        return {
-            "origin": torch.from_numpy(self.origin), "voxel": torch.from_numpy(self.voxel),
-            "kinds": self.kinds, **bricks, "rows": self.rows,
-        }  # fmt: skip
+        box = {"origin": torch.from_numpy(self.origin), "voxel": torch.from_numpy(self.voxel)}
+        return box | {"sizes": torch.tensor(len(self.tables)), "kinds": self.kinds, "rows": self.rows}
 
     @staticmethod
     def restored(state: Mapping[str, Tensor], contracted: bool) -> VoxelGrid:
-        """The grid that `state()` described. Earlier versions wrote "occupied" and "bricks", for cells of one size.
+        """The grid that `state()` described.
 
-        Raises ValueError if the tensors do not fit each other: the kernels check neither tables nor cells.
+        Raises ValueError if the tensors do not fit each other: the kernels do not check cells.
         """
-        old = "kinds" not in state
-        kinds, rows = state["occupied" if old else "kinds"], state["rows"]
-        names = ["bricks"] if old else sorted(name for name in state if name.startswith("bricks."))
-        bricks = [state[name] for name in names]
+        kinds, rows, sizes = state["kinds"], state["rows"], int(state["sizes"])
         origin, voxel = (state[name].cpu().numpy().astype(np.float64) for name in ("origin", "voxel"))
         sound = (
-            kinds.dtype == (torch.bool if old else torch.uint8) and kinds.ndim == 3
-            and (old or names == [f"bricks.{d}" for d in range(len(names))]) and 1 <= len(names) <= MOST_SIZES
-            and all(v.dtype == torch.bool and v.ndim == 3 for v in bricks)
+            kinds.dtype == torch.uint8 and kinds.ndim == 3 and 1 <= sizes <= MOST_SIZES
             and rows.dtype == torch.float32 and origin.shape == voxel.shape == (3,)
             and max(kinds.shape) <= MOST_CELLS and bool(kinds.any()) and np.isfinite(origin).all() and (voxel > 0).all()
         )  # fmt: skip
-        if not sound or int(kinds.max()) > len(names) or any(n % (1 << (len(names) - 1)) for n in kinds.shape):
+        if not sound or int(kinds.max()) > sizes or any(n % (1 << (sizes - 1)) for n in kinds.shape):
             raise ValueError("the voxel grid is not of the kind that is written")
-        kinds = kinds.to(torch.uint8).contiguous().clone()
-        of_each = cells_of_each_size(kinds, len(names))
-        if any(not torch.equal(spread(cells, d), kinds == d + 1) for d, cells in enumerate(of_each)):
+        kinds = kinds.contiguous().clone()
+        if any(not torch.equal(spread(c, d), kinds == d + 1) for d, c in enumerate(cells_of_each_size(kinds, sizes))):
             raise ValueError("the voxel grid has parts of cells")
-        for one, cells in zip(bricks, of_each, strict=True):
-            needed = bricks_of(cells)
-            if needed.shape != one.shape or bool((needed & ~one).any()):
-                raise ValueError("the voxel grid lacks rows for its cells")
-        if rows.shape != (ROWS * sum(int(one.sum()) for one in bricks), WIDTH):
-            raise ValueError("the voxel grid's rows do not fit its bricks")
-        return _assembled(origin, voxel, kinds, contracted, bricks, rows)
-
-
-def _assembled(
-    origin: np.ndarray, voxel: np.ndarray, kinds: Tensor, contracted: bool, bricks: list[Tensor], rows: Tensor | None
-) -> VoxelGrid:
-    """A grid with the given bricks, numbered in order. rows: its parameters, which are copied; None: zeros."""
-    tables, count = [], 0
-    for one in bricks:
-        table = torch.full(one.shape, -1, dtype=torch.int32, device=kinds.device)
-        number = int(one.sum())
-        table[one] = torch.arange(count, count + number, dtype=torch.int32, device=kinds.device)
-        tables.append(table)
-        count += number
-    own = torch.zeros(count * ROWS, WIDTH, device=kinds.device)
-    if rows is not None:
-        own.copy_(rows)  # a copy: kernels change it in place, and need its alignment
-    x, y, z = kinds.shape
-    occupied = kinds > 0
-    return VoxelGrid((x, y, z), origin, voxel, contracted, occupied, leaps(occupied), kinds, tuple(tables), own)
+        grid = VoxelGrid.of_kinds(origin, voxel, kinds, contracted, sizes)
+        if rows.shape != grid.rows.shape:
+            raise ValueError("the voxel grid's rows do not fit its cells")
+        grid.rows.copy_(rows)  # a copy: kernels change it in place, and need its alignment
+        return grid
 
 
 def cells_of_each_size(kinds: Tensor, sizes: int = 0) -> list[Tensor]:
@@ -282,9 +299,25 @@ def vertices_of(cells: Tensor) -> Tensor:
     return vertices
 
 
-def bricks_of(cells: Tensor) -> Tensor:
-    """The bricks that hold the vertices of cells: (x, y, z) bool → (bx, by, bz) bool."""
-    return blocks(vertices_of(cells))
+def _with_neighbours(own: Tensor, tables: list[Tensor]) -> Tensor:
+    """Add the neighbours' first vertices to the rows of the bricks' own: (B + 1, 4, 4, 4) → (B + 1, 5, 5, 5)."""
+    whole = functional.pad(own, (0, 1) * 3, value=-1)
+    own_part, far, near = slice(BRICK), slice(BRICK, None), slice(1)
+    for table in tables:
+        number, place = table[table > 0].long(), (table > 0).nonzero()
+        padded = functional.pad(table, (0, 1) * 3)
+        for beside in itertools.product((0, 1), repeat=3):
+            x, y, z = (place + torch.tensor(beside, device=place.device)).unbind(-1)
+            theirs = own[padded[x, y, z].long()]
+            there, here = ([far if n else own_part for n in beside], [near if n else own_part for n in beside])
+            whole[(number, *there)] = theirs[(slice(None), *here)]
+    return whole
+
+
+def by_bricks(vertices: Tensor) -> Tensor:
+    """View vertices by bricks: (4 bx, 4 by, 4 bz) → (bx, by, bz, 4, 4, 4)."""
+    x, y, z = (n // BRICK for n in vertices.shape)
+    return vertices.view(x, BRICK, y, BRICK, z, BRICK).permute(0, 2, 4, 1, 3, 5)
 
 
 def view_basis(d: Tensor) -> Tensor:

@@ -208,7 +208,7 @@ def determinism(scene: Scene, rounds: int) -> dict[str, list[float]]:
             numbers = [np.float32(v) for v in adam]
 
             def work(s: int) -> None:
-                part = split(grid.bricks, self.shards, s)
+                part = split(self._touched.shape[1], self.shards, s)
                 loops.adam(*part, rows, slots, means, self._gradient[:1], self._touched[:1], *numbers)
 
             each_shard(self.shards, work)

@@ -126,64 +126,54 @@ def gather_dots(
 
 @intrinsic
 def place(
-    typing: Any, corners: Any, weights: Any, at: Any, table: Any, begin: Any, ny: Any, nz: Any, i: Any, j: Any, k: Any,
-    fx: Any, fy: Any, fz: Any,
+    typing: Any, corners: Any, weights: Any, at: Any, table: Any, bricks: Any, begin: Any, ny: Any, nz: Any, i: Any,
+    j: Any, k: Any, fx: Any, fy: Any, fz: Any,
 ) -> Any:  # fmt: skip
     """Write the offsets in `rows` of the 8 vertices of cell (i, j, k), z fastest, and the trilinear weights of a point.
 
-    table: the places of bricks of 4³ vertices, int32; those of the cell's size begin at `begin`, with ny and nz bricks
-    along y and z. fx, fy, fz: where the point lies in its cell. Without branches: whether all vertices lie in one brick
-    cannot be predicted.
+    table: the numbers of bricks of 4³ cells, int32; those of the cell's size begin at `begin`, with ny and nz bricks
+    along y and z. bricks: the rows of each one's 5³ vertices, int32. fx, fy, fz: where the point lies in its cell.
     """
     integer, real = types.int64, types.float32
     signature = types.void(
-        corners, weights, integer, table, integer, integer, integer, integer, integer, integer, real, real, real
+        corners, weights, integer, table, bricks, integer, integer, integer, integer, integer, integer, real, real, real
     )
-    ints = ir.VectorType(_I32, 8)
+    pair_of_longs, eight_ints = ir.VectorType(_I64, 2), ir.VectorType(_I32, 8)
 
     def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         kinds = signature.args
 
-        def eight(value: Any) -> Any:
-            if value.type == _I64:
-                value = builder.trunc(value, _I32)
-            empty = ir.Constant(ir.VectorType(value.type, 8), ir.Undefined)
-            one = builder.insert_element(empty, value, ir.Constant(_I32, 0))
-            return builder.shuffle_vector(one, empty, ir.Constant(ints, [0] * 8))
+        def number(value: int) -> Any:
+            return ir.Constant(_I64, value)
 
-        def shared(value: int) -> Any:
-            return ir.Constant(ints, [value] * 8)
-
-        brick = eight(ir.Constant(_I32, 0))
-        local: Any = None
+        brick: Any = number(0)
+        vertex: Any = number(0)
         weight: Any = None
         sides = ([0, 0, 0, 0, 1, 1, 1, 1], [0, 0, 1, 1, 0, 0, 1, 1], [0, 1, 0, 1, 0, 1, 0, 1])
         for axis, side in enumerate(sides):
-            vertex = builder.add(eight(args[7 + axis]), ir.Constant(ints, side))
             if axis:
-                brick = builder.mul(brick, eight(args[4 + axis]))
-            brick = builder.add(brick, builder.ashr(vertex, shared(2)))
-            part = builder.shl(builder.and_(vertex, shared(3)), shared(4 - 2 * axis))
-            local = part if local is None else builder.or_(local, part)
-            near = builder.fsub(ir.Constant(_FLOAT, 1.0), args[10 + axis])
+                brick = builder.mul(brick, args[5 + axis])
+            brick = builder.add(brick, builder.ashr(args[8 + axis], number(2)))
+            inside = builder.and_(args[8 + axis], number(3))
+            vertex = builder.add(vertex, builder.mul(inside, number(5 ** (2 - axis))))
+            near = builder.fsub(ir.Constant(_FLOAT, 1.0), args[11 + axis])
             pair = builder.insert_element(
                 ir.Constant(ir.VectorType(_FLOAT, 2), ir.Undefined), near, ir.Constant(_I32, 0)
             )
-            pair = builder.insert_element(pair, args[10 + axis], ir.Constant(_I32, 1))
-            share = builder.shuffle_vector(pair, pair, ir.Constant(ints, side))
+            pair = builder.insert_element(pair, args[11 + axis], ir.Constant(_I32, 1))
+            share = builder.shuffle_vector(pair, pair, ir.Constant(eight_ints, side))
             weight = share if weight is None else builder.fmul(weight, share)
-        source = _pointer(context, builder, kinds[3], args[3], args[4])
-        base = ir.Constant(ints, ir.Undefined)
-        for c in range(8):
-            lane = ir.Constant(_I32, c)
-            entry = builder.gep(source, [builder.sext(builder.extract_element(brick, lane), _I64)])
-            base = builder.insert_element(base, builder.load(entry), lane)
-        row = builder.or_(builder.shl(base, shared(6)), local)
-        longs = ir.VectorType(_I64, 8)
-        offset = builder.shl(builder.sext(row, longs), ir.Constant(longs, [4] * 8))
-        for kind, array, value in ((kinds[0], args[0], offset), (kinds[1], args[1], weight)):
-            target = builder.bitcast(_pointer(context, builder, kind, array, args[2]), value.type.as_pointer())
-            builder.store(value, target, align=32)
+        table = builder.gep(_pointer(context, builder, kinds[3], args[3], args[5]), [brick])
+        first = builder.mul(builder.sext(builder.load(table), _I64), number(5**3))
+        for q in range(4):  # vertices beside each other along z
+            near = builder.add(builder.add(first, vertex), number(25 * (q >> 1) + 5 * (q & 1)))
+            source = _pointer(context, builder, kinds[4], args[4], near)
+            rows = builder.load(builder.bitcast(source, ir.VectorType(_I32, 2).as_pointer()), align=4)
+            offsets = builder.shl(builder.sext(rows, pair_of_longs), ir.Constant(pair_of_longs, [4] * 2))
+            target = _pointer(context, builder, kinds[0], args[0], builder.add(args[2], number(2 * q)))
+            builder.store(offsets, builder.bitcast(target, pair_of_longs.as_pointer()), align=16)
+        weights = _pointer(context, builder, kinds[1], args[1], args[2])
+        builder.store(weight, builder.bitcast(weights, weight.type.as_pointer()), align=32)
         return context.get_dummy_value()
 
     return signature, emit

@@ -20,13 +20,12 @@ from nerf_core.volume.cells import grow
 from nerf_core.volume.voxel_grid import (
     BRICK,
     DENSITY,
-    ROWS,
     WIDTH,
     VoxelGrid,
-    bricks_of,
     cells_of_each_size,
     pooled,
     spread,
+    vertices_of,
 )
 
 BRICKS = 1024  # bricks of a new grid between two calls of the yield callback: about 10 ms on two cores
@@ -125,7 +124,7 @@ def first_grid(space: Space, voxel: np.ndarray, most_rows: int) -> VoxelGrid:
     """
     while True:
         size = np.ceil((space.high - space.low) / voxel - 1e-6).astype(int)
-        if ROWS * math.prod(size // BRICK + 1) <= most_rows:
+        if math.prod(size + 1) <= most_rows:
             break
         voxel = LARGER * voxel
     everything = torch.ones(*size.tolist(), dtype=torch.bool)
@@ -204,7 +203,7 @@ def finer_grid(
         least += 1
         yield_callback()
         kinds = spread(kept + ((kept > 0) & (around < least)), 1)
-        count = ROWS * sum(int(bricks_of(cells).sum()) for cells in cells_of_each_size(kinds))
+        count = sum(int(vertices_of(cells).sum()) for cells in cells_of_each_size(kinds))
     grid = VoxelGrid.of_kinds(old.origin + low.numpy() * old.voxel, old.voxel / 2, kinds, old.contracted)
     return grid, least > class_of(split)
 
@@ -217,13 +216,12 @@ def resample(
     Density is per side of a cell, so that a smaller cell has less of it: σ' = σ · (side of new / side of old).
     """
     finer = float(np.prod(new.voxel / old.voxel) ** (1 / 3))
-    places = new.places()
-    for first in range(0, new.bricks, BRICKS):
+    for first in range(0, new.brick_count, BRICKS):
         yield_callback()
-        last = min(first + BRICKS, new.bricks)
+        last = min(first + BRICKS, new.brick_count)
         doublings = kernels.resample(old, new, first, last)
-        raw = new.rows[ROWS * first : ROWS * last, DENSITY]
-        ratio = finer * 2.0 ** (places[first:last, :1].expand(-1, ROWS).flatten() - doublings.long())
+        raw = new.rows[new.rows_of(first, last), DENSITY]
+        ratio = finer * 2.0 ** (new.doublings_of_rows(first, last) - doublings.long())
         sigma = (functional.softplus(raw + bias) * ratio).clamp(min=1e-30)  # 1e-30 keeps the logarithm finite
         raw.copy_(torch.where(ratio == 1, raw, sigma + torch.log(-torch.expm1(-sigma)) - bias))  # softplus' inverse
 
@@ -242,14 +240,14 @@ def resampled_moments(
         new: the finer grid.
         yield_callback: called between pieces of the work.
     """
-    width, places = moments.shape[1], new.places()
+    width = moments.shape[1]
     wide = replace(old, rows=functional.pad(moments, (0, WIDTH - width)))  # the kernels interpolate whole rows
     room, found = replace(new, rows=torch.zeros_like(new.rows)), torch.empty(len(new.rows), width)
-    for first in range(0, new.bricks, BRICKS):
+    for first in range(0, new.brick_count, BRICKS):
         yield_callback()
-        last = min(first + BRICKS, new.bricks)
+        last = min(first + BRICKS, new.brick_count)
         doublings = kernels.resample(wide, room, first, last)
-        divided = places[first:last, :1].expand(-1, ROWS).flatten() == doublings.long()
-        part = slice(ROWS * first, ROWS * last)
+        divided = new.doublings_of_rows(first, last) == doublings.long()
+        part = new.rows_of(first, last)
         found[part] = room.rows[part, :width] / torch.where(divided, 64, 1)[:, None]
     return found

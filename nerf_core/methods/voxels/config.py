@@ -29,7 +29,7 @@ class VoxelConfig:
 
     rays: int = constant(12288, marked("rays per step while the grid is small"), least=1, most=2**22)
     most_rays: int = constant(
-        49152, marked("most rays per step: a larger grid has more of them, one for 50 vertices"), least=1, most=2**22
+        49152, marked("most rays per step: a larger grid has more of them, one for 33 vertices"), least=1, most=2**22
     )
     first_rays: int = constant(
         4096, marked("rays per step in the first level, where no space is known to be empty yet"), least=1, most=2**22

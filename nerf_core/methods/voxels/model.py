@@ -45,6 +45,7 @@ from nerf_core.methods.voxels.coarse_to_fine import (
     resampled_moments,
 )
 from nerf_core.methods.voxels.config import VoxelConfig
+from nerf_core.methods.voxels.old_states import of_today
 from nerf_core.methods.voxels.sparse_depths import SparseDepths
 from nerf_core.volume.packed import to_trace
 from nerf_core.volume.voxel_grid import DENSITY, GLOSS, MOST_CELLS, MOST_SIZES, PARTS, VoxelGrid, colors_of
@@ -55,7 +56,7 @@ SMALLEST = 1e-5  # a cell's side as a share of the box: no configuration allows 
 ENOUGH = 400_000  # training pixels that are asked which cells they need: a second on two cores
 # A step takes time for its rays, and for Adam over the rows that they touch. On a large grid the rays are the smaller
 # part, and in more of them noise averages out.
-ROWS_A_RAY = 50
+ROWS_A_RAY = 33
 MEMORY = 0.95  # decay of the mean error, per step
 DEPTH_SHARE = 16  # so many times fewer rays than a step's go to sparse points: few know more than thousands of pixels
 YOUNG = 4.0  # early on, at step k, average only the last k/YOUNG steps: older rows are outdated
@@ -219,7 +220,8 @@ class VoxelModel(Defaults):
     def _drop_cells(self, yield_callback: Callable[[], None]) -> None:
         cells = self.worth(yield_callback).needed
         if cells.any():  # a picture of pure background must keep cells that can learn
-            self.grid = self.grid.with_cells(cells)
+            self.grid, kept = self.grid.with_cells(cells)
+            self.moments, self.ema_rows = self.moments[kept], self.ema_rows[kept]
 
     def _refine(self, yield_callback: Callable[[], None]) -> None:
         """Begin the next level: a smaller box around the needed cells, and smaller cells where that shows."""
@@ -306,7 +308,7 @@ class VoxelModel(Defaults):
         )
 
     def load_grid(self, state: Mapping[str, Tensor]) -> None:
-        self.grid = self._restored(state)
+        self.grid = self._restored(of_today(state))
         self.ema_rows = self.grid.rows
 
     def _restored(self, state: Mapping[str, Tensor]) -> VoxelGrid:
@@ -321,10 +323,9 @@ class VoxelModel(Defaults):
         return grid
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
+        state = of_today(state)
         grid, moments, level = self._restored(state), state["moments"], int(state["level"])
         average = state["average"]
-        if moments.shape == grid.rows.shape:  # an earlier version wrote it, with first moments in front
-            moments = moments[:, [14, 15, 13]]
         fits = moments.shape == (len(grid.rows), len(PARTS)) and average.shape == grid.rows.shape
         if not fits or any(v.dtype != torch.float32 for v in (moments, average)):
             raise ValueError("the optimiser's moments or the rows' average do not fit the voxel grid")

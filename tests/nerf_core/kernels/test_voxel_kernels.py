@@ -112,7 +112,7 @@ def test_without_the_cells_that_are_not_marked_no_pixel_changes_by_more_than_the
     some = torch.rand(grid.size, generator=torch.Generator().manual_seed(1)) < 0.5
     for kept in (needed, needed | some):
         assert kept.sum() < grid.occupied.sum()
-        changed = (kernels.render(grid.with_cells(kept), rays, march) - before)[:, :3].abs().amax(-1)
+        changed = (kernels.render(grid.with_cells(kept)[0], rays, march) - before)[:, :3].abs().amax(-1)
         # a contracted ray's next samples shift a little where it leaps over dropped cells
         most = float(changed.sort().values[-30 if contracted else -1])
         assert 0 < most <= 1.05 * spare
@@ -277,8 +277,8 @@ def test_grids_are_resampled_alike(make: Make, dense: float) -> None:
     new = [VoxelGrid.over(np.array([-1.2, -0.7, -0.9]), np.array([0.13, 0.2, 0.17]), occupied, False) for _ in range(2)]
     found: list[list[Tensor]] = [[], []]
     for kernels, grid, sizes in zip((make(), TorchVoxels()), new, found, strict=True):
-        for first in range(0, grid.bricks, 7):
-            sizes.append(kernels.resample(old, grid, first, min(first + 7, grid.bricks)))
+        for first in range(0, grid.brick_count, 7):
+            sizes.append(kernels.resample(old, grid, first, min(first + 7, grid.brick_count)))
     assert torch.equal(*(torch.cat(sizes) for sizes in found))
     assert new[0].rows.count_nonzero() > 0.2 * new[0].rows[:, : DENSITY + 1].numel()
     torch.testing.assert_close(new[0].rows, new[1].rows, atol=1e-5, rtol=1e-5)

@@ -31,17 +31,17 @@ from nerf_core.rendering.images import render_camera
 from nerf_core.training.evaluate import Selection, evaluate
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer, nothing
-from nerf_core.volume.cells import grow, leaps
+from nerf_core.volume.cells import blocks, grow, leaps
 from nerf_core.volume.voxel_grid import (
     DENSITY,
     GLOSS,
     MOST_CELLS,
-    ROWS,
     VoxelGrid,
-    bricks_of,
+    by_bricks,
     cells_of_each_size,
     colors_of,
     spread,
+    vertices_of,
 )
 
 CPU = torch.device("cpu")
@@ -115,7 +115,7 @@ def test_every_occupied_cell_has_rows_for_its_corners_and_leaps_never_jump_over_
     for block in torch.cartesian_prod(*(torch.arange(n) for n in grid.leap.shape)).tolist():
         nearest = min(max(abs(a - b) for a, b in zip(block, other, strict=True)) for other in blocks)
         assert int(grid.leap[tuple(block)]) == nearest
-    assert grid.bricks == int(bricks_of(occupied).sum()) == len(grid.rows) // ROWS
+    assert len(grid.rows) == int(vertices_of(occupied).sum())
     assert torch.equal(grid.row_of(grid.vertices()), torch.arange(len(grid.rows)))
 
 
@@ -136,7 +136,7 @@ def test_resampling_keeps_a_linear_field(kernels: VoxelKernels) -> None:
     everything = torch.ones(8, 6, 9, dtype=torch.bool)
     fine = VoxelGrid.over(np.array([-0.8, 0.3, 2.2]), np.full(3, 0.2), everything, contracted=False)
     kernels.resample(grid, fine, 0, 5)
-    kernels.resample(grid, fine, 5, fine.bricks)
+    kernels.resample(grid, fine, 5, fine.brick_count)
     at = torch.tensor([-0.8, 0.3, 2.2]) + fine.vertices() * 0.2
     inside = (fine.vertices() <= torch.tensor([8, 6, 9])).all(-1)
     torch.testing.assert_close(fine.rows[inside, 3], (at @ slope)[inside], atol=1e-4, rtol=0)
@@ -190,7 +190,7 @@ def test_a_refinement_changes_no_picture_and_training_goes_on(scene: Scene, plac
     assert float((after - before).square().mean()) < 10**-4.1
     assert method.updates == updates
     assert torch.equal(method.ema_rows, new.rows)
-    places, d = new.vertices(), new.places()[:, :1].expand(-1, ROWS).flatten()
+    places, d = new.vertices(), new.doublings_of_rows()
     at = torch.from_numpy(np.round((new.origin - old.origin) / new.voxel).astype(int)) + places
     whole = (at % 2 == 0).all(-1) & (at >= 0).all(-1) & (at // 2 <= torch.tensor(old.size)).all(-1)
     row = old.row_of(at // 2)
@@ -215,7 +215,6 @@ def test_cells_that_are_not_divided_keep_the_picture_exactly(kernels: VoxelKerne
     half = 2.0 if contracted else 1.0
     old = VoxelGrid.of_kinds(np.full(3, -half), 2 * half / np.array(kinds.shape), kinds.to(torch.uint8), contracted)
     old.rows[:] = torch.randn(old.rows.shape, generator=g)
-    old.rows[~old.used] = 100.0  # must never be read
     worth = Worth(
         old.occupied, tuple(torch.zeros_like(one, dtype=torch.uint8) for one in cells_of_each_size(old.kinds))
     )
@@ -242,7 +241,7 @@ def test_cells_with_thin_haze_stay_large_and_the_limit_of_rows_divides_fewer(sce
     assert method.stage == ""
     whole, full = finer_grid(method.grid, method.worth(), 0.05, 10**9)
     assert not full
-    fewer, full = finer_grid(method.grid, method.worth(), 0.05, len(whole.rows) - ROWS)
+    fewer, full = finer_grid(method.grid, method.worth(), 0.05, len(whole.rows) - 1)
     assert full
     assert len(fewer.rows) < len(whole.rows)
     assert (fewer.kinds > 0).sum() == (whole.kinds > 0).sum()
@@ -293,9 +292,9 @@ def test_distortion_grows_from_level_to_level(scene: Scene) -> None:
 
 
 def test_a_larger_grid_has_more_rays_a_step(scene: Scene) -> None:
-    method = voxels_of(run(scene, 2, start=4, level_steps=1, rays=4, most_rays=100, resolution=16))
+    method = voxels_of(run(scene, 2, start=8, level_steps=1, rays=4, most_rays=100, resolution=16))
     assert method.level > 0
-    assert method.draw(2).rays == len(method.grid.rows) // 50 > 4
+    assert method.draw(2).rays == len(method.grid.rows) // 33 > 4
     method.config = replace(method.config, most_rays=7)
     assert method.draw(2).rays == 7
     method.config = replace(method.config, rays=4000)
@@ -339,6 +338,57 @@ def test_first_moments_that_an_earlier_version_wrote_are_dropped(scene: Scene) -
     older[:, [14, 15, 13]] = method.moments
     fresh.load_state(method.state() | {"moments": older})
     assert torch.equal(fresh.moments, method.moments)
+
+
+def test_rows_of_no_cell_that_an_earlier_version_wrote_are_left_out(scene: Scene) -> None:
+    """Its bricks had rows for all of their vertices, and some bricks had no cell any more."""
+    trainer = run(scene, 12)
+    method, fresh = voxels_of(trainer), voxels_of(run(scene, 1))
+    method.schedule.levels.extend([method.schedule.levels[-1]] * 3)
+    fresh.schedule.levels.extend([fresh.schedule.levels[-1]] * 3)
+    method._refine(nothing)
+    assert len(method.grid.tables) > 1
+    today = method.state()
+    state, used = dict(today), []
+    del state["grid.sizes"]
+    for d, cells in enumerate(cells_of_each_size(method.grid.kinds, len(method.grid.tables))):
+        vertices = vertices_of(cells)
+        stored = blocks(vertices)
+        stored[0, 0, 0] = True
+        state[f"grid.bricks.{d}"] = stored
+        used.append(by_bricks(vertices)[stored].flatten())
+    held = torch.cat(used)
+    assert not held.all()
+    for name in ("grid.rows", "average", "moments"):
+        state[name] = torch.full((len(held), today[name].shape[1]), torch.nan)
+        state[name][held] = today[name]
+    fresh.load_state(state)
+    assert all(torch.equal(value, today[name]) for name, value in fresh.state().items())
+    for name, value, text in (
+        ("grid.bricks.0", state["grid.bricks.0"] & False, "lacks rows"),
+        ("grid.rows", state["grid.rows"][64:], "do not fit its bricks"),
+        ("grid.kinds", state["grid.kinds"][0], "not of the kind"),
+    ):
+        with pytest.raises(ValueError, match=text):
+            fresh.load_state(state | {name: value})
+
+
+def test_a_grid_without_some_cells_keeps_the_rows_of_the_others(scene: Scene) -> None:
+    method = voxels_of(run(scene, 12))
+    method.schedule.levels.extend([method.schedule.levels[-1]] * 3)
+    method._refine(nothing)
+    old = method.grid
+    old.rows[:] = torch.arange(len(old.rows))[:, None]
+    some = spread(torch.rand([n // 8 for n in old.size], generator=torch.Generator().manual_seed(0)) < 0.7, 3)
+    some = torch.nn.functional.pad(
+        some, [v for n, m in zip(old.size[::-1], some.shape[::-1], strict=True) for v in (0, n - m)]
+    )
+    grid, kept = old.with_cells(old.occupied & some)
+    assert 0 < len(grid.rows) == int(kept.sum()) < len(old.rows)
+    assert torch.equal(grid.rows, old.rows[kept])
+    for d in range(len(old.tables)):
+        at = grid.vertices()[grid.doublings_of_rows() == d] >> d
+        assert torch.equal(old.rows[old.row_of(at, d)], grid.rows[grid.row_of(at, d)])
 
 
 def test_a_stored_grid_that_further_levels_would_make_too_large_is_refused(scene: Scene) -> None:
@@ -554,8 +604,8 @@ def test_rows_never_pass_their_limit(scene: Scene) -> None:
 @pytest.mark.parametrize(
     ("name", "value", "text"),
     [
-        ("grid.bricks.0", torch.zeros(1, 1, 1, dtype=torch.bool), "lacks rows"),
-        ("grid.rows", torch.zeros(64, 16), "do not fit its bricks"),
+        ("grid.rows", torch.zeros(64, 16), "do not fit its cells"),
+        ("grid.sizes", torch.tensor(99), "not of the kind"),
         ("grid.rows", torch.zeros(64, 16, dtype=torch.float64), "not of the kind"),
         ("grid.voxel", torch.tensor([1.0, 0.0, 1.0]), "not of the kind"),
         ("grid.voxel", torch.full((3,), 1e-30), "cells have no size"),

@@ -14,6 +14,7 @@ from nerf_core.live.pin_files import restored_pins, with_histories
 from nerf_core.training import checkpoint
 from nerf_core.training.run_folder import RunFolder
 from nerf_core.training.trainer import Trainer
+from nerf_core.volume.voxel_grid import by_bricks, vertices_of
 
 FILES = Path(__file__).parents[2] / "fixtures" / "before_packages"
 METHODS = ("voxels", "hash", "nerf", "nerf-guided")
@@ -32,12 +33,16 @@ def test_an_old_run_continues(method: str, demo: Scene, tmp_path: Path, monkeypa
     assert (trainer.method_name, trainer.step_count, trainer.seed) == (method, 12, 3)
     stored = checkpoint.newest(run.path)[2]
     state = trainer.state()
-    # voxel grids had cells of one size, marked what random rays had seen, and had first moments
+    # voxel grids had cells of one size, rows for whole bricks and first moments, and marked what random rays had seen
     for name in list(stored):
         if name.endswith("grid.occupied"):
-            stored[name.replace("occupied", "kinds")] = stored.pop(name).to(torch.uint8)
-        elif name.endswith("grid.bricks"):
-            stored[f"{name}.0"] = stored.pop(name)
+            grid = name.removesuffix("occupied")
+            occupied, bricks = stored.pop(name), stored.pop(f"{grid}bricks")
+            stored |= {f"{grid}kinds": occupied.to(torch.uint8), f"{grid}sizes": torch.tensor(1)}
+            used = by_bricks(vertices_of(occupied))[bricks].flatten()
+            for one in (f"{grid}rows", f"{grid.removesuffix('grid.')}average", f"{grid.removesuffix('grid.')}moments"):
+                if one in stored:
+                    stored[one] = stored[one][used]
         elif name.endswith("seen"):
             error = name.replace("seen", "error")
             stored[error] = torch.zeros_like(state[error])
