@@ -41,11 +41,8 @@ class CpuVoxels:
 
     def __init__(self, shards: int) -> None:
         self.shards = shards
-        self._grid: VoxelGrid | None = None  # the grid that the buffers below have the size of
-        self._gradient = np.zeros((shards, 0), np.float32)
-        self._touched = np.zeros((shards, 0), np.uint64)
-        self._marks = np.zeros((shards, 0), np.uint8)
         self._scratch: list[_Scratch] = []
+        self.forget()
 
     def render(self, grid: VoxelGrid, rays: BoxRays, how: March) -> Tensor:
         arrays, given, scratch = grid.arrays(), ray_arrays(rays, how.offsets), self._buffers(grid, how)
@@ -144,8 +141,10 @@ class CpuVoxels:
         each_shard(self.shards, work)
 
     def forget(self) -> None:
-        self._gradient[:] = 0
-        self._touched[:] = 0
+        self._grid: VoxelGrid | None = None  # the grid that the buffers below have the size of
+        self._gradient = np.zeros((self.shards, 0), np.float32)
+        self._touched = np.zeros((self.shards, 0), np.uint64)
+        self._marks = np.zeros((self.shards, 0), np.uint8)
 
     def gradient(self, grid: VoxelGrid) -> Tensor:
         self._fit(grid)
@@ -192,13 +191,14 @@ class CpuVoxels:
         if self._grid is not None and self._marks.shape[1] == len(grid.rows):  # other rows of one grid, as its EMA
             self._marks[:] = 0
             if self._touched.any():
-                self.forget()
+                self._gradient[:] = 0
+                self._touched[:] = 0
         else:
-            self._grid = None  # if memory runs out below, nothing may be taken for buffers of this or the old grid
-            self._gradient = np.zeros((self.shards, 0), np.float32)  # frees the memory first
-            self._gradient = torch.zeros(self.shards, len(grid.rows) * WIDTH).numpy()
+            self.forget()  # first, to free the memory, and in case that there is not enough below
+            gradient = torch.zeros(self.shards, len(grid.rows) * WIDTH).numpy()
             self._touched = np.zeros((self.shards, -(-len(grid.rows) // 64)), np.uint64)
             self._marks = np.zeros((self.shards, len(grid.rows)), np.uint8)
+            self._gradient = gradient
         self._grid = grid
 
     def _buffers(self, grid: VoxelGrid, how: March) -> list[_Scratch]:

@@ -71,12 +71,12 @@ def dips(folder: Path, steps: int = 2000) -> dict[str, list[float]]:
         views = trainer.scene.held_out()[1]
         views = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, 6).round().astype(int))]
         assert isinstance(trainer.method, Voxels)
-        schedule, since = trainer.method.schedule, 0
+        since = 0
         deepest, at, best, last = 0.0, 0, 0.0, 0.0
         while trainer.step_count < steps:
-            step, level = trainer.step_count, trainer.method.level
+            before = trainer.method.level, trainer.method.drops
             trainer.step()
-            since = 0 if trainer.method.level != level or schedule.drops(step) else since + 1
+            since = since + 1 if (trainer.method.level, trainer.method.drops) == before else 0
             if since >= 12 and trainer.step_count % 50:
                 continue
             last = held_out_psnr(trainer, views)

@@ -74,13 +74,13 @@ class Schedule:
         """Return the sides (3,) of a level's cells in box coordinates."""
         return self.finest * self.levels[level].scale
 
-    def drops(self, step: int) -> bool:
-        """Whether to drop cells before a step of the last level: after `prune_every` steps, 3, 7, 15 … times as many.
+    def drops(self, step: int) -> int:
+        """How often cells of the last level are dropped before its step `step`, or were before that.
 
-        The levels before drop cells at their end.
+        After `prune_every` of its steps, 3, 7, 15 … times as many. The levels before drop cells at their end.
         """
-        times, rest = divmod(step - self.levels[-1].begin, self.prune_every)
-        return times > 0 and rest == 0 and (times + 1).bit_count() == 1
+        times = (step - self.levels[-1].begin) // self.prune_every
+        return (times + 1).bit_length() - 1 if times > 0 else 0
 
 
 def finest_cells(scene: Scene, space: Space, c: VoxelConfig) -> np.ndarray:

@@ -75,7 +75,7 @@ class VoxelModel(Defaults):
         self.kernels = voxel_kernels(self.device)
         self.tile = TILE
         self.schedule = Schedule.of(scene, self.space, config)
-        self.level = 0
+        self.level, self.drops = 0, 0  # drops: how often cells of the last level were dropped
         self.grid = first_grid(self.space, self.schedule.voxel(self.level), config.most_rows)
         # across the view nothing could be learnt: the slope of (g · d)² is 0 there
         away = (self.grid.vertices() - torch.tensor(self.grid.size) / 2) * torch.from_numpy(self.grid.voxel)
@@ -99,14 +99,8 @@ class VoxelModel(Defaults):
     # ---- training ---------------------------------------------------------------------------------------------------
 
     def undo(self, step: int) -> Callable[[], None]:
-        """Return a function that drops gradients, and restores the coarser grid if the step began a new level."""
-        before = self.grid, self.moments, self.ema_rows, self.level, self.full
-
-        def back() -> None:
-            self.kernels.forget()
-            self.grid, self.moments, self.ema_rows, self.level, self.full = before
-
-        return back
+        """Return a function that drops gradients. A level that the step began stays: it shows the same picture."""
+        return self.kernels.forget
 
     def draw(self, step: int) -> Draw:
         level = self.schedule.level_at(step)
@@ -125,7 +119,7 @@ class VoxelModel(Defaults):
         c, error = self.config, 0.0
         while self.level < self.schedule.level_at(step):
             self._refine(yield_callback)
-        if self.schedule.drops(step):
+        while self.drops < self.schedule.drops(step):
             self._drop_cells(yield_callback)
         offsets = torch.rand(len(rays), generator=self.generator)
         for start in range(0, len(rays), PIECE):
@@ -220,19 +214,23 @@ class VoxelModel(Defaults):
     def _drop_cells(self, yield_callback: Callable[[], None]) -> None:
         cells = self.worth(yield_callback).needed
         if cells.any():  # a picture of pure background must keep cells that can learn
-            self.grid, kept = self.grid.with_cells(cells)
-            self.moments, self.ema_rows = self.moments[kept], self.ema_rows[kept]
+            self.kernels.forget()  # frees the old grid's gradients before the new one takes memory
+            grid, kept = self.grid.with_cells(cells)
+            self.grid, self.moments, self.ema_rows = grid, self.moments[kept], self.ema_rows[kept]
+        self.drops += 1
 
     def _refine(self, yield_callback: Callable[[], None]) -> None:
         """Begin the next level: a smaller box around the needed cells, and smaller cells where that shows."""
         worth = self.worth(yield_callback)
+        self.kernels.forget()
         if not worth.needed.any():  # nothing has been learnt yet: keep all cells
             worth = replace(worth, needed=self.grid.occupied)
-        grid, self.full = finer_grid(self.grid, worth, self.config.split, self.config.most_rows, yield_callback)
+        grid, full = finer_grid(self.grid, worth, self.config.split, self.config.most_rows, yield_callback)
         resample(self.kernels, self.ema_grid, grid, self.config.bias, yield_callback)
-        self.moments = resampled_moments(self.kernels, self.grid, self.moments, grid, yield_callback)
+        moments = resampled_moments(self.kernels, self.grid, self.moments, grid, yield_callback)
+        # all at once: an abandoned step must find the old level or the new one
+        self.grid, self.moments, self.ema_rows, self.full = grid, moments, grid.rows.clone(), full
         self.level += 1
-        self.grid, self.ema_rows = grid, grid.rows.clone()
 
     # ---- rendering --------------------------------------------------------------------------------------------------
 
@@ -299,7 +297,13 @@ class VoxelModel(Defaults):
         return {f"grid.{k}": v for k, v in self.grid.state().items()}
 
     def state(self) -> dict[str, Tensor]:
-        numbers = {"level": self.level, "updates": self.updates, "error": self.mean_error, "full": self.full}
+        numbers = {
+            "level": self.level,
+            "drops": self.drops,
+            "updates": self.updates,
+            "error": self.mean_error,
+            "full": self.full,
+        }
         return (
             self.grid_state()
             | {k: torch.tensor(v, dtype=torch.float64 if k == "error" else None) for k, v in numbers.items()}
@@ -337,10 +341,14 @@ class VoxelModel(Defaults):
             raise ValueError(
                 f"level {level} of {len(self.schedule.levels)}, {int(state['updates'])} updates, an error of {error}"
             )
+        # an earlier version counted no drops, and dropped cells in the steps of the schedule
+        drops = int(state.get("drops", self.schedule.drops(int(state["updates"]) - 1)))
+        if not 0 <= drops < 64:
+            raise ValueError(f"cells were dropped {drops} times")
         further = len(self.schedule.levels) - 1 - level
         if max(grid.size) << further > MOST_CELLS or len(grid.tables) + further > MOST_SIZES:
             raise ValueError(f"the voxel grid has more cells than level {level} can have")
         self.grid, self.moments, self.ema_rows = grid, *(torch.empty_like(v).copy_(v) for v in (moments, average))
-        self.level, self.updates, self.mean_error = level, int(state["updates"]), error
+        self.level, self.drops, self.updates, self.mean_error = level, drops, int(state["updates"]), error
         self.full = bool(state.get("full", False))
         self.generator.set_state(state["generator"])

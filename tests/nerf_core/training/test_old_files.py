@@ -47,6 +47,7 @@ def test_an_old_run_continues(method: str, demo: Scene, tmp_path: Path, monkeypa
             error = name.replace("seen", "error")
             stored[error] = torch.zeros_like(state[error])
             stored[name.replace("seen", "full")] = torch.tensor(False)
+            stored[name.replace("seen", "drops")] = torch.tensor(0)
             del stored[name]
         elif name.endswith(".moments") and method == "voxels":
             stored[name] = stored[name][:, [14, 15, 13]]
