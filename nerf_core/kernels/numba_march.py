@@ -113,7 +113,7 @@ def advance(cells: Any, way: Any, step: Any, t: Any, notes: Any, n: Any, most: A
 
     Writes each one's cell, position in it, t and Δt to `notes`, from the n-th on. Returns how many there are now, and
     the t where to go on. A cell whose sides were doubled d times is counted in cells of its size, with d << 12 added
-    along x. cells[4] is `occupied` or `kinds`.
+    along x.
     """
     nx, ny, nz = cells.size[0], cells.size[1], cells.size[2]
     blocks_y, blocks_z = (ny + 3) >> 2, (nz + 3) >> 2
@@ -151,7 +151,7 @@ def advance(cells: Any, way: Any, step: Any, t: Any, notes: Any, n: Any, most: A
                 gap = min(gap, STRAIGHT * norm / length)
             t += max(np.floor(gap / dt) + F(1), F(1)) * dt
             continue
-        kind = cells[4][np.uint64((i * ny + j) * nz + k)]
+        kind = cells.kinds[np.uint64((i * ny + j) * nz + k)]
         if kind == 0:
             t += dt
         else:

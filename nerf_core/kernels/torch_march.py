@@ -101,7 +101,7 @@ def _cell_at(cells: Cells, here: _Where) -> _Cell:
     upper = lower + BLOCK * (2 * leap - 1)[:, None]
     gap = torch.maximum((lower - here.position) / here.velocity, (upper - here.position) / here.velocity)
     gap = torch.where(here.velocity == 0, torch.inf, gap).amin(-1)
-    sampled = inside & (leap == 0) & cells.occupied[tuple(cell.unbind(-1))]
+    sampled = inside & (leap == 0) & (cells.kinds[tuple(cell.unbind(-1))] > 0)
     return _Cell(cell, sampled, leap, gap)
 
 

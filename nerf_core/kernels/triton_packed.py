@@ -35,7 +35,7 @@ class TritonPacked:
     def march(self, cells: Cells, rays: BoxRays, step: float, offsets: Tensor, capacity: int = 0) -> BoxSamples:
         count, device = len(rays), offsets.device
         given = [v.contiguous() for v in (rays.origins, rays.directions, rays.near, rays.far, offsets)]
-        held = [v.contiguous().view(torch.uint8) for v in (cells.occupied, cells.leap)]
+        held = [v.contiguous() for v in (cells.kinds, cells.leap)]
         box = [float(v) for v in (*cells.origin, *(1 / cells.voxel))]
 
         def launch(row_offsets: Tensor, counts: Tensor, found: BoxSamples, write: bool) -> None:

@@ -173,8 +173,8 @@ class Trainable(Protocol):
     def undo(self, step: int) -> Callable[[], None]:
         """Return a function that restores the model if training step `step` is abandoned. Call it before the step.
 
-        A step is abandoned before its weights change; see `train`. Made again, it must do what it would have done. The
-        function does not restore random generators; the trainer does that.
+        A step is abandoned before its weights change; see `train`. The function does not restore random generators; the
+        trainer does that.
         """
         ...
 

@@ -117,14 +117,14 @@ def skipped_stage(samples: Samples, cells: Cells, step: float) -> Stage:
     """Return the stage with the occupied cells, where the first ray takes samples. step: cells between two samples."""
     count = 0 if samples.count is None else int(samples.count[0])
     t = samples.t[0, :count].cpu().numpy()
-    share = np.count_nonzero(cells.occupied.cpu().numpy()) / cells.occupied.numel()
+    share = np.count_nonzero(cells.kinds.cpu().numpy()) / cells.kinds.numel()
     return Stage(
         marked("Skipped space"),
         phrase(
             "{share:.1%} of {cells:,} cells may hold something. The ray skips the others and takes a sample every "
             "{step:g} cells: {count} in all.",
             share=share,
-            cells=cells.occupied.numel(),
+            cells=cells.kinds.numel(),
             step=step,
             count=count,
         ),

@@ -20,7 +20,7 @@ class CellArrays(NamedTuple):
     scale: np.ndarray
     size: np.ndarray
     leap: np.ndarray
-    occupied: np.ndarray
+    kinds: np.ndarray
     contracted: bool
 
 
@@ -31,7 +31,7 @@ class Cells:
     size: number of cells along x, y and z.
     origin: (3,) float64, the box's lower corner. voxel: (3,) float64, a cell's sides. Both in box coordinates.
     contracted: whether box coordinates are those of `nerf_core.geometry.spaces.contract`.
-    occupied: (x, y, z) bool.
+    kinds: (x, y, z) uint8, 0 where a cell is empty and 1 where it is occupied; see also `VoxelGrid`.
     leap: uint8 for each block of BLOCK³ cells, the distance in blocks to the nearest block with an occupied cell; 0 if
         the block has one itself.
     """
@@ -40,20 +40,25 @@ class Cells:
     origin: np.ndarray
     voxel: np.ndarray
     contracted: bool
-    occupied: Tensor
+    kinds: Tensor
     leap: Tensor
 
     @staticmethod
     def of(origin: np.ndarray, voxel: np.ndarray, occupied: Tensor, contracted: bool) -> Cells:
-        """Cells with the leaps that `occupied` allows; for the arguments see the class."""
+        """Cells with the leaps that `occupied` (x, y, z) bool allows; for the other arguments see the class."""
         x, y, z = occupied.shape
-        return Cells((x, y, z), origin, voxel, contracted, occupied, leaps(occupied))
+        return Cells((x, y, z), origin, voxel, contracted, occupied.to(torch.uint8), leaps(occupied))
+
+    @property
+    def occupied(self) -> Tensor:
+        """Which cells are occupied, (x, y, z) bool: a new tensor."""
+        return self.kinds > 0
 
     def cell_arrays(self) -> CellArrays:
         """The arrays that the CPU kernels read."""
         return CellArrays(
             self.origin.astype(np.float32), (1 / self.voxel).astype(np.float32), np.array(self.size, np.int64),
-            self.leap.numpy().ravel(), self.occupied.view(torch.uint8).numpy().ravel(), self.contracted,
+            self.leap.numpy().ravel(), self.kinds.numpy().ravel(), self.contracted,
         )  # fmt: skip
 
     def doublings_of(self, cell: Tensor) -> Tensor:

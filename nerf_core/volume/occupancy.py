@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from nerf_core.volume.cells import Cells, leaps
+from nerf_core.volume.cells import Cells
 
 FEW = 1 << 15  # cells in one update, unless all are updated
 
@@ -23,7 +23,7 @@ class Occupancy:
 
     def __init__(self, cells: Cells, empty: float, decay: float) -> None:
         self.cells, self.empty, self.decay = cells, empty, decay
-        self.absorbed = torch.zeros(cells.size, device=cells.occupied.device)
+        self.absorbed = torch.zeros(cells.size, device=cells.kinds.device)
 
     def update(self, tau: Callable[[Tensor], Tensor], everywhere: bool, generator: torch.Generator) -> None:
         """Sample the field at a random point of each chosen cell, and decide anew which cells are occupied.
@@ -36,7 +36,7 @@ class Occupancy:
         if everywhere or total <= FEW:
             chosen = torch.arange(total)
         else:
-            occupied = self.cells.occupied.flatten().nonzero()[:, 0].cpu()
+            occupied = self.cells.kinds.flatten().nonzero()[:, 0].cpu()
             some = torch.randint(total, (FEW // 2,), generator=generator)
             if len(occupied):
                 some = torch.cat([some, occupied[torch.randint(len(occupied), (FEW // 2,), generator=generator)]])
@@ -57,7 +57,7 @@ class Occupancy:
         if not bool(occupied.any()):
             occupied = torch.ones_like(occupied)
         c = self.cells
-        self.cells = Cells(c.size, c.origin, c.voxel, c.contracted, occupied, leaps(occupied))
+        self.cells = Cells.of(c.origin, c.voxel, occupied, c.contracted)
 
 
 def softened(raw: Tensor) -> Tensor:

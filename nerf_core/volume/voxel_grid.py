@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +20,8 @@ from torch.nn import functional
 
 from nerf_core.volume.cells import Cells, blocks, leaps
 
-BRICK = 4  # vertices a side
+DOUBLINGS = 2  # of a vertex's side, to a brick's
+BRICK = 1 << DOUBLINGS  # vertices a side
 WIDTH = 16  # floats of a row
 MOST_SIZES = 10  # sizes of cells in a grid
 MOST_CELLS = 1 << 12  # finest cells along a side: the march stores a cell's size above 12 bits of its place
@@ -36,9 +36,8 @@ SH0, SH1 = 0.28209479, 0.48860251
 class GridArrays(NamedTuple):
     """Numpy views of a `VoxelGrid`, for the kernels.
 
-    The first six are the fields of `CellArrays`; here, `kinds` says which size a cell has. table: all tables, one after
-    another. begins: (D,) where each table begins. sides: (D, 2) its number of bricks along y and z. bricks: those of
-    the grid, one after another.
+    The first six are the fields of `CellArrays`. table: all tables, one after another. begins: (D,) where each table
+    begins. sides: (D, 2) its number of bricks along y and z. bricks: those of the grid, one after another.
     """
 
     origin: np.ndarray
@@ -55,19 +54,20 @@ class GridArrays(NamedTuple):
 
 @dataclass(frozen=True)
 class VoxelGrid(Cells):
-    """Cells with parameters at their vertices. `size`, `voxel` and `occupied` count the finest cells.
+    """Cells with parameters at their vertices. `size`, `voxel` and `kinds` count the finest cells.
 
     Vertices are found by bricks of 4³. Only those of occupied cells have a row, and a third of a brick's have none.
 
     kinds: (x, y, z) uint8 for each finest cell: 0 if it is empty, else 1 + the doublings of the cell that it is in.
     tables: for each number of doublings, (bx, by, bz) int32: the number of each brick; 0 where none is stored.
+    table: all of them, one after another in the same memory: (T,) int32.
     bricks: (B + 1, 5, 5, 5) int32: the rows of the vertices of each brick's 4³ cells; −1 where none is stored, as in
         all of brick 0, which stands for none. The first 4³ are the brick's own, the others belong to its neighbours.
     rows: (M, 16) float32, brick after brick.
     """
 
-    kinds: Tensor
     tables: tuple[Tensor, ...]
+    table: Tensor
     bricks: Tensor
     rows: Tensor
 
@@ -77,42 +77,43 @@ class VoxelGrid(Cells):
         return VoxelGrid.of_kinds(origin, voxel, occupied.to(torch.uint8), contracted)
 
     @staticmethod
-    def of_kinds(origin: np.ndarray, voxel: np.ndarray, kinds: Tensor, contracted: bool, sizes: int = 0) -> VoxelGrid:
-        """A grid of zeros with rows for all vertices of occupied cells.
+    def of_kinds(
+        origin: np.ndarray, voxel: np.ndarray, kinds: Tensor, contracted: bool, sizes: int = 0,
+        rows: Tensor | None = None,
+    ) -> VoxelGrid:  # fmt: skip
+        """A grid with rows for all vertices of occupied cells.
 
-        sizes: how many tables it has; 0: one for each size up to the largest cell's. For the other arguments see the
-        class.
+        sizes: how many tables it has; 0: one for each size up to the largest cell's. rows: None: zeros. For the other
+        arguments see the class.
         """
         tables, own, first = [], [torch.full((1, BRICK, BRICK, BRICK), -1, dtype=torch.int32, device=kinds.device)], 0
         for cells in cells_of_each_size(kinds, sizes):
             vertices = vertices_of(cells)
             stored = blocks(vertices)
-            held = by_bricks(vertices)[stored]
+            held = blocks_of(vertices, DOUBLINGS)[stored]
             begin, last = sum(map(len, own)), first + int(held.sum())
             table = torch.zeros(stored.shape, dtype=torch.int32, device=kinds.device)
             table[stored] = torch.arange(begin, begin + len(held), dtype=torch.int32, device=kinds.device)
-            rows = torch.full(held.shape, -1, dtype=torch.int32, device=kinds.device)
-            rows[held] = torch.arange(first, last, dtype=torch.int32, device=kinds.device)
+            numbers = torch.full(held.shape, -1, dtype=torch.int32, device=kinds.device)
+            numbers[held] = torch.arange(first, last, dtype=torch.int32, device=kinds.device)
             tables.append(table)
-            own.append(rows)
+            own.append(numbers)
             first = last
         x, y, z = kinds.shape
-        occupied, rows = kinds > 0, torch.zeros(first, WIDTH, device=kinds.device)
+        bricks = _with_neighbours(torch.cat(own), tables)
+        table = torch.cat([one.flatten() for one in tables])
+        parts = table.split([one.numel() for one in tables])
+        views = tuple(part.view(one.shape) for part, one in zip(parts, tables, strict=True))
         return VoxelGrid(
-            (x, y, z), origin, voxel, contracted, occupied, leaps(occupied), kinds, tuple(tables),
-            _with_neighbours(torch.cat(own), tables), rows,
+            (x, y, z), origin, voxel, contracted, kinds, leaps(kinds > 0), views, table, bricks,
+            torch.zeros(first, WIDTH, device=kinds.device) if rows is None else rows,
         )  # fmt: skip
 
     def arrays(self) -> GridArrays:
         """The arrays that the CPU kernels read."""
-        own = self.cell_arrays()._replace(occupied=self.kinds.numpy().ravel())
         shapes = np.array([table.shape for table in self.tables], np.int64)
-        ends, bricks = np.cumsum(shapes.prod(1)), self.bricks.numpy().ravel()
-        return GridArrays(*own, self._table, ends - shapes.prod(1), np.ascontiguousarray(shapes[:, 1:]), bricks)
-
-    @cached_property
-    def _table(self) -> np.ndarray:
-        return np.concatenate([table.numpy().ravel() for table in self.tables])
+        begins, sides = np.cumsum(shapes.prod(1)) - shapes.prod(1), np.ascontiguousarray(shapes[:, 1:])
+        return GridArrays(*self.cell_arrays(), self.table.numpy(), begins, sides, self.bricks.numpy().ravel())
 
     @property
     def brick_count(self) -> int:
@@ -137,10 +138,10 @@ class VoxelGrid(Cells):
         kinds, kept = self.kinds * occupied, []
         for cells, table in zip(cells_of_each_size(kinds, len(self.tables)), self.tables, strict=True):
             of_bricks = self._own[table[table > 0].long() - 1]
-            kept.append(by_bricks(vertices_of(cells))[table > 0][of_bricks >= 0])
-        grid = VoxelGrid.of_kinds(self.origin, self.voxel, kinds, self.contracted, len(self.tables))
+            kept.append(blocks_of(vertices_of(cells), DOUBLINGS)[table > 0][of_bricks >= 0])
         rows = torch.cat(kept)
-        return replace(grid, rows=self.rows[rows]), rows
+        sizes = len(self.tables)
+        return VoxelGrid.of_kinds(self.origin, self.voxel, kinds, self.contracted, sizes, self.rows[rows]), rows
 
     def cells_with(self, values: Tensor) -> tuple[Tensor, ...]:
         """Spread one value for each row (M,) over the cells whose lowest vertex the row is.
@@ -276,16 +277,21 @@ def cells_of_each_size(kinds: Tensor, sizes: int = 0) -> list[Tensor]:
 
 def spread(cells: Tensor, doublings: int) -> Tensor:
     """Repeat each cell 2ᵈ times along each axis: (x, y, z) → (2ᵈ x, 2ᵈ y, 2ᵈ z)."""
-    for axis in range(3):
+    for axis in range(3 if doublings else 0):
         cells = cells.repeat_interleave(1 << doublings, axis)
     return cells
 
 
 def pooled(cells: Tensor, doublings: int) -> Tensor:
     """The greatest of 2ᵈ × 2ᵈ × 2ᵈ cells; the sides are multiples of 2ᵈ: the reverse of `spread`."""
+    return blocks_of(cells, doublings).amax((3, 4, 5))
+
+
+def blocks_of(cells: Tensor, doublings: int) -> Tensor:
+    """View 2ᵈ × 2ᵈ × 2ᵈ cells as a block: (2ᵈ x, 2ᵈ y, 2ᵈ z) → (x, y, z, 2ᵈ, 2ᵈ, 2ᵈ)."""
     side = 1 << doublings
     x, y, z = (n // side for n in cells.shape)
-    return cells.view(x, side, y, side, z, side).amax(5).amax(3).amax(1)
+    return cells.view(x, side, y, side, z, side).permute(0, 2, 4, 1, 3, 5)
 
 
 def vertices_of(cells: Tensor) -> Tensor:
@@ -312,12 +318,6 @@ def _with_neighbours(own: Tensor, tables: list[Tensor]) -> Tensor:
             there, here = ([far if n else own_part for n in beside], [near if n else own_part for n in beside])
             whole[(number, *there)] = theirs[(slice(None), *here)]
     return whole
-
-
-def by_bricks(vertices: Tensor) -> Tensor:
-    """View vertices by bricks: (4 bx, 4 by, 4 bz) → (bx, by, bz, 4, 4, 4)."""
-    x, y, z = (n // BRICK for n in vertices.shape)
-    return vertices.view(x, BRICK, y, BRICK, z, BRICK).permute(0, 2, 4, 1, 3, 5)
 
 
 def view_basis(d: Tensor) -> Tensor:

@@ -74,9 +74,9 @@ def dips(folder: Path, steps: int = 2000) -> dict[str, list[float]]:
         since = 0
         deepest, at, best, last = 0.0, 0, 0.0, 0.0
         while trainer.step_count < steps:
-            before = trainer.method.level, trainer.method.drops
+            before = trainer.method.level, len(trainer.method.grid.rows)
             trainer.step()
-            since = since + 1 if (trainer.method.level, trainer.method.drops) == before else 0
+            since = since + 1 if (trainer.method.level, len(trainer.method.grid.rows)) == before else 0
             if since >= 12 and trainer.step_count % 50:
                 continue
             last = held_out_psnr(trainer, views)

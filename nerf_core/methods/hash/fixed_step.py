@@ -40,7 +40,7 @@ class FixedStep:
     ) -> None:  # fmt: skip
         self.field, self.kernels, self.capacity, self.step, self.length = field, kernels, capacity, step, length
         self.background, self.into, self.update = background, into, update
-        self.cells = replace(cells, occupied=cells.occupied.clone(), leap=cells.leap.clone())
+        self.cells = replace(cells, kinds=cells.kinds.clone(), leap=cells.leap.clone())
         self.scale = 2 / (3 * (batch or rays))
         device = background.device
         one, three = torch.zeros(rays, device=device), torch.zeros(rays, 3, device=device)
@@ -56,7 +56,7 @@ class FixedStep:
             getattr(self.rays, f.name).copy_(getattr(rays, f.name))
         self.offsets.copy_(offsets)
         self.truth.copy_(truth)
-        self.cells.occupied.copy_(cells.occupied)
+        self.cells.kinds.copy_(cells.kinds)
         self.cells.leap.copy_(cells.leap)
         self.calls += 1
         if self.background.device.type != "cuda":

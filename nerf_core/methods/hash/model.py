@@ -261,7 +261,7 @@ class HashModel(Defaults):
         """Return the density in occupied cells, and 0 elsewhere, because rays take no samples there."""
         raw, _ = self._geometry(points)
         cell, _ = self.occupancy.cells.cells_of(self.space.points(points.to(self.device, torch.float32)))
-        return torch.where(self.occupancy.cells.occupied[tuple(cell.unbind(-1))], softened(raw) / self.space.extent, 0)
+        return torch.where(self.occupancy.cells.kinds[tuple(cell.unbind(-1))] > 0, softened(raw) / self.space.extent, 0)
 
     def _geometry(self, points: Tensor) -> tuple[Tensor, Tensor]:
         return self.ema_field.geometry(self.ema_field.encode(self.unit_points(points)))

@@ -232,7 +232,7 @@ class GridModel(Defaults):
         volume = self.volume
         sigma = optical_depth(self._logits(points)[:, ALPHA], 1 / (volume.cell * volume.space.extent))
         cell, _ = self.cells.cells_of(volume.space.points(points.to(self.device, torch.float32)))
-        return torch.where(self.cells.occupied[tuple(cell.unbind(-1))], sigma, 0)
+        return torch.where(self.cells.kinds[tuple(cell.unbind(-1))] > 0, sigma, 0)
 
     def _logits(self, points: Tensor) -> Tensor:
         return self.volume.at(self.kernels, self.volume.unit(points.to(self.device, torch.float32)))

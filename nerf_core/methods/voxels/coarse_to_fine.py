@@ -22,6 +22,7 @@ from nerf_core.volume.voxel_grid import (
     DENSITY,
     WIDTH,
     VoxelGrid,
+    blocks_of,
     cells_of_each_size,
     pooled,
     spread,
@@ -74,13 +75,13 @@ class Schedule:
         """Return the sides (3,) of a level's cells in box coordinates."""
         return self.finest * self.levels[level].scale
 
-    def drops(self, step: int) -> int:
-        """How often cells of the last level are dropped before its step `step`, or were before that.
+    def drops(self, step: int) -> bool:
+        """Whether to drop cells in a step of the last level: after `prune_every` steps, 3, 7, 15 … times as many.
 
-        After `prune_every` of its steps, 3, 7, 15 … times as many. The levels before drop cells at their end.
+        The levels before drop cells at their end.
         """
-        times = (step - self.levels[-1].begin) // self.prune_every
-        return (times + 1).bit_length() - 1 if times > 0 else 0
+        times, rest = divmod(step - self.levels[-1].begin, self.prune_every)
+        return times > 0 and rest == 0 and (times + 1).bit_count() == 1
 
 
 def finest_cells(scene: Scene, space: Space, c: VoxelConfig) -> np.ndarray:
@@ -157,7 +158,8 @@ class Worth:
         for d, worth in enumerate(of_each):
             yield_callback()
             needed |= spread(worth > 0, d)[tuple(slice(n) for n in grid.size)]
-        return Worth(needed & grid.occupied, grid.cells_with(second))
+        del of_each  # a byte for each of the finest cells
+        return Worth(needed.logical_and_(grid.occupied), grid.cells_with(second))
 
 
 def class_of(weight: float) -> int:
@@ -167,15 +169,15 @@ def class_of(weight: float) -> int:
 
 def _around(grid: VoxelGrid, of_each: tuple[Tensor, ...], yield_callback: Callable[[], None]) -> Tensor:
     """The greatest worth among each cell and its neighbours: (x, y, z) uint8, 0 where no cell is."""
-    found = torch.zeros_like(grid.kinds)
-    for d, worth in enumerate(of_each):
+    found = grow(of_each[0])
+    for d, worth in enumerate(of_each[1:], 1):
         yield_callback()
-        found = torch.maximum(found, spread(grow(worth), d)[tuple(slice(n) for n in grid.size)])
+        torch.maximum(found, spread(grow(worth), d)[tuple(slice(n) for n in grid.size)], out=found)
     for d in range(1, len(of_each)):  # a larger cell is taken whole
         yield_callback()
-        own = grid.kinds == d + 1
-        found = torch.where(own, spread(pooled(found * own, d), d), found)
-    return found * grid.occupied
+        own = cells_of_each_size(grid.kinds, len(of_each))[d]
+        blocks_of(found, d)[own] = pooled(found, d)[own][:, None, None, None]
+    return found.mul_(grid.occupied)
 
 
 def finer_grid(

@@ -28,6 +28,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from nerf_core.common.language import phrase
+from nerf_core.common.memory import give_back
 from nerf_core.geometry.cameras import camera_rays
 from nerf_core.geometry.rays import Rays, Rendering, Trace
 from nerf_core.geometry.scene import Scene
@@ -75,7 +76,7 @@ class VoxelModel(Defaults):
         self.kernels = voxel_kernels(self.device)
         self.tile = TILE
         self.schedule = Schedule.of(scene, self.space, config)
-        self.level, self.drops = 0, 0  # drops: how often cells of the last level were dropped
+        self.level = 0
         self.grid = first_grid(self.space, self.schedule.voxel(self.level), config.most_rows)
         # across the view nothing could be learnt: the slope of (g · d)² is 0 there
         away = (self.grid.vertices() - torch.tensor(self.grid.size) / 2) * torch.from_numpy(self.grid.voxel)
@@ -86,6 +87,7 @@ class VoxelModel(Defaults):
         self.ema_rows = self.grid.rows.clone()
         self.updates = 0  # Adam's updates
         self.mean_error = 1.0  # mean squared error of the last some 20 steps
+        self._before: list[tuple[VoxelGrid, Tensor, Tensor, int, bool]] = []  # what an abandoned step restores
         self.full = False  # whether the grid lacks rows for all the cells that are worth dividing
 
     @property
@@ -99,8 +101,14 @@ class VoxelModel(Defaults):
     # ---- training ---------------------------------------------------------------------------------------------------
 
     def undo(self, step: int) -> Callable[[], None]:
-        """Return a function that drops gradients. A level that the step began stays: it shows the same picture."""
-        return self.kernels.forget
+        """Return a function that drops gradients, and restores the coarser grid if the step began a new level."""
+        before = self._before = [(self.grid, self.moments, self.ema_rows, self.level, self.full)]
+
+        def back() -> None:
+            self.kernels.forget()
+            self.grid, self.moments, self.ema_rows, self.level, self.full = before[0]
+
+        return back
 
     def draw(self, step: int) -> Draw:
         level = self.schedule.level_at(step)
@@ -116,11 +124,12 @@ class VoxelModel(Defaults):
         Gradients are not divided by the number of rays, so that Adam's ε means the same for every batch size.
         """
         rays, truth = rays.to(self.device), truth.to(self.device)
-        c, error = self.config, 0.0
+        c, error, level = self.config, 0.0, self.level
         while self.level < self.schedule.level_at(step):
             self._refine(yield_callback)
-        while self.drops < self.schedule.drops(step):
-            self._drop_cells(yield_callback)
+        needed = self.worth(yield_callback).needed if self.schedule.drops(step) else None
+        if self.level > level or needed is not None:
+            give_back()
         offsets = torch.rand(len(rays), generator=self.generator)
         for start in range(0, len(rays), PIECE):
             part = slice(start, start + PIECE)
@@ -143,6 +152,8 @@ class VoxelModel(Defaults):
                 c.keep_square, correction2, c.epsilon, ema_rate,
             ),
         )  # fmt: skip
+        if needed is not None and needed.any():  # a picture of pure background must keep cells that can learn
+            self._drop_all_but(needed)
         mean = error / (3 * len(rays))
         self.mean_error += max(1 - MEMORY, 1 / (step + 1)) * (mean - self.mean_error)
         return mean
@@ -191,6 +202,7 @@ class VoxelModel(Defaults):
             second = torch.maximum(second, torch.minimum(best, marked))
             best = torch.maximum(best, marked)
             photos += 1
+        self.kernels.forget()  # a fine grid's gradients take more than all that is needed from here on
         return Worth.of(self.grid, best, second if photos > 1 else best, self.config.beside, yield_callback)
 
     def _training_pixels(self) -> Iterator[Rays]:
@@ -211,24 +223,25 @@ class VoxelModel(Defaults):
                 pixels = pixels[mask[middle[:, 1], middle[:, 0]]]
             yield camera_rays(camera, self.scene.near, self.scene.far, pixels).to(self.device)
 
-    def _drop_cells(self, yield_callback: Callable[[], None]) -> None:
-        cells = self.worth(yield_callback).needed
-        if cells.any():  # a picture of pure background must keep cells that can learn
-            self.kernels.forget()  # frees the old grid's gradients before the new one takes memory
-            grid, kept = self.grid.with_cells(cells)
-            self.grid, self.moments, self.ema_rows = grid, self.moments[kept], self.ema_rows[kept]
-        self.drops += 1
+    def _drop_all_but(self, needed: Tensor) -> None:
+        """Drop the other cells. The step's weights have changed, so that it can no longer be undone.
+
+        What it could be undone with, and gradients, are freed before the new grid takes memory.
+        """
+        self.kernels.forget()
+        self._before.clear()
+        self.grid, kept = self.grid.with_cells(needed)
+        self.moments = self.moments[kept]
+        self.ema_rows = self.ema_rows[kept]
 
     def _refine(self, yield_callback: Callable[[], None]) -> None:
         """Begin the next level: a smaller box around the needed cells, and smaller cells where that shows."""
         worth = self.worth(yield_callback)
-        self.kernels.forget()
         if not worth.needed.any():  # nothing has been learnt yet: keep all cells
             worth = replace(worth, needed=self.grid.occupied)
         grid, full = finer_grid(self.grid, worth, self.config.split, self.config.most_rows, yield_callback)
         resample(self.kernels, self.ema_grid, grid, self.config.bias, yield_callback)
         moments = resampled_moments(self.kernels, self.grid, self.moments, grid, yield_callback)
-        # all at once: an abandoned step must find the old level or the new one
         self.grid, self.moments, self.ema_rows, self.full = grid, moments, grid.rows.clone(), full
         self.level += 1
 
@@ -267,7 +280,7 @@ class VoxelModel(Defaults):
         rows, cell = self._rows_at(points)
         unit = float(np.prod(self.grid.voxel) ** (1 / 3)) * self.space.extent * (1 << self.grid.doublings_of(cell))
         sigma = functional.softplus(rows[:, DENSITY] + self.config.bias) / unit
-        return torch.where(self.grid.occupied[tuple(cell.unbind(-1))], sigma, 0)
+        return torch.where(self.grid.kinds[tuple(cell.unbind(-1))] > 0, sigma, 0)
 
     def _rows_at(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Interpolated rows (P, 16) at world points (P, 3), and their cells (P, 3)."""
@@ -280,30 +293,28 @@ class VoxelModel(Defaults):
         """Return a copy whose picture stays the same while training goes on."""
         copy = object.__new__(type(self))
         copy.__dict__ |= self.__dict__
-        copy.ema_rows = self.ema_rows.clone()
+        copy._show_only(self.ema_rows.clone())
         return copy
+
+    def _show_only(self, rows: Tensor) -> None:
+        """Keep what pictures need, with the given rows."""
+        self.grid, self.ema_rows = replace(self.grid, rows=rows), rows
+        self.moments, self._before = self.moments[:0].clone(), []
 
     def parameters(self) -> list[Tensor]:
         return [self.grid.rows]
 
     def finish(self) -> None:
         """End training: free everything that pictures do not need."""
-        self.grid = self.ema_grid
-        self.ema_rows = self.grid.rows
-        self.moments, self.kernels = self.moments[:0].clone(), voxel_kernels(self.device)
+        self._show_only(self.ema_rows)
+        self.kernels.forget()
 
     def grid_state(self) -> dict[str, Tensor]:
         """Return the tensors that pictures need, by name."""
         return {f"grid.{k}": v for k, v in self.grid.state().items()}
 
     def state(self) -> dict[str, Tensor]:
-        numbers = {
-            "level": self.level,
-            "drops": self.drops,
-            "updates": self.updates,
-            "error": self.mean_error,
-            "full": self.full,
-        }
+        numbers = {"level": self.level, "updates": self.updates, "error": self.mean_error, "full": self.full}
         return (
             self.grid_state()
             | {k: torch.tensor(v, dtype=torch.float64 if k == "error" else None) for k, v in numbers.items()}
@@ -341,14 +352,10 @@ class VoxelModel(Defaults):
             raise ValueError(
                 f"level {level} of {len(self.schedule.levels)}, {int(state['updates'])} updates, an error of {error}"
             )
-        # an earlier version counted no drops, and dropped cells in the steps of the schedule
-        drops = int(state.get("drops", self.schedule.drops(int(state["updates"]) - 1)))
-        if not 0 <= drops < 64:
-            raise ValueError(f"cells were dropped {drops} times")
         further = len(self.schedule.levels) - 1 - level
         if max(grid.size) << further > MOST_CELLS or len(grid.tables) + further > MOST_SIZES:
             raise ValueError(f"the voxel grid has more cells than level {level} can have")
         self.grid, self.moments, self.ema_rows = grid, *(torch.empty_like(v).copy_(v) for v in (moments, average))
-        self.level, self.drops, self.updates, self.mean_error = level, drops, int(state["updates"]), error
+        self.level, self.updates, self.mean_error = level, int(state["updates"]), error
         self.full = bool(state.get("full", False))
         self.generator.set_state(state["generator"])

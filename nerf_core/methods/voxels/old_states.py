@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from nerf_core.volume.cells import blocks
-from nerf_core.volume.voxel_grid import MOST_SIZES, by_bricks, cells_of_each_size, vertices_of
+from nerf_core.volume.voxel_grid import DOUBLINGS, MOST_SIZES, blocks_of, cells_of_each_size, vertices_of
 
 BRICKS = "grid.bricks"
 OF_ROWS = ("grid.rows", "average", "moments")
@@ -47,7 +47,7 @@ def _rows_in_use(kinds: Tensor, bricks: list[Tensor], count: int) -> Tensor:
         needed = blocks(vertices)
         if stored.dtype != torch.bool or stored.shape != needed.shape or bool((needed & ~stored).any()):
             raise ValueError("the voxel grid lacks rows for its cells")
-        kept.append(by_bricks(vertices)[stored].flatten())
+        kept.append(blocks_of(vertices, DOUBLINGS)[stored].flatten())
     if sum(map(len, kept)) != count:
         raise ValueError("the voxel grid's rows do not fit its bricks")
     return torch.cat(kept)

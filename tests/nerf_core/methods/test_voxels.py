@@ -37,7 +37,7 @@ from nerf_core.volume.voxel_grid import (
     GLOSS,
     MOST_CELLS,
     VoxelGrid,
-    by_bricks,
+    blocks_of,
     cells_of_each_size,
     colors_of,
     spread,
@@ -356,7 +356,7 @@ def test_rows_of_no_cell_that_an_earlier_version_wrote_are_left_out(scene: Scene
         stored = blocks(vertices)
         stored[0, 0, 0] = True
         state[f"grid.bricks.{d}"] = stored
-        used.append(by_bricks(vertices)[stored].flatten())
+        used.append(blocks_of(vertices, 2)[stored].flatten())
     held = torch.cat(used)
     assert not held.all()
     for name in ("grid.rows", "average", "moments"):
@@ -452,7 +452,7 @@ def test_dropping_cells_costs_no_pixel_a_level_and_held_out_photos_a_tenth_of_a_
     rays = [camera_rays(scene.views[i].camera, scene.near, scene.far) for i in range(len(scene.views))]
     before = [method.render(r).color for r in rays]
     cells = int(method.grid.occupied.sum())
-    method._drop_cells(nothing)
+    method._drop_all_but(method.worth().needed)
     assert int(method.grid.occupied.sum()) < cells
     for i, r in enumerate(rays):
         after = method.render(r).color
@@ -505,8 +505,8 @@ def test_cells_are_dropped_in_the_last_level_at_growing_intervals(
 ) -> None:
     trainer = run(scene, 0, prune_every=8)
     method, dropped = voxels_of(trainer), []
-    drop = method._drop_cells
-    monkeypatch.setattr(method, "_drop_cells", lambda callback: (dropped.append(trainer.step_count), drop(callback)))
+    drop = method._drop_all_but
+    monkeypatch.setattr(method, "_drop_all_but", lambda cells: (dropped.append(trainer.step_count), drop(cells)))
     begin = method.schedule.levels[-1].begin
     while trainer.step_count < begin + 60:
         trainer.step()

@@ -14,7 +14,7 @@ from nerf_core.live.pin_files import restored_pins, with_histories
 from nerf_core.training import checkpoint
 from nerf_core.training.run_folder import RunFolder
 from nerf_core.training.trainer import Trainer
-from nerf_core.volume.voxel_grid import by_bricks, vertices_of
+from nerf_core.volume.voxel_grid import blocks_of, vertices_of
 
 FILES = Path(__file__).parents[2] / "fixtures" / "before_packages"
 METHODS = ("voxels", "hash", "nerf", "nerf-guided")
@@ -39,7 +39,7 @@ def test_an_old_run_continues(method: str, demo: Scene, tmp_path: Path, monkeypa
             grid = name.removesuffix("occupied")
             occupied, bricks = stored.pop(name), stored.pop(f"{grid}bricks")
             stored |= {f"{grid}kinds": occupied.to(torch.uint8), f"{grid}sizes": torch.tensor(1)}
-            used = by_bricks(vertices_of(occupied))[bricks].flatten()
+            used = blocks_of(vertices_of(occupied), 2)[bricks].flatten()
             for one in (f"{grid}rows", f"{grid.removesuffix('grid.')}average", f"{grid.removesuffix('grid.')}moments"):
                 if one in stored:
                     stored[one] = stored[one][used]
@@ -47,7 +47,6 @@ def test_an_old_run_continues(method: str, demo: Scene, tmp_path: Path, monkeypa
             error = name.replace("seen", "error")
             stored[error] = torch.zeros_like(state[error])
             stored[name.replace("seen", "full")] = torch.tensor(False)
-            stored[name.replace("seen", "drops")] = torch.tensor(0)
             del stored[name]
         elif name.endswith(".moments") and method == "voxels":
             stored[name] = stored[name][:, [14, 15, 13]]
