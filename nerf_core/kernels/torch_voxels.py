@@ -101,8 +101,7 @@ class TorchVoxels:
     name = "torch"
 
     def __init__(self) -> None:
-        self._of: Tensor | None = None  # the rows that the tensors below have the size of
-        self._gradient = self._touched = self._marks = torch.empty(0)
+        self.forget()
 
     def _fit(self, grid: VoxelGrid) -> None:
         if self._of is not grid.rows:
@@ -185,8 +184,8 @@ class TorchVoxels:
         self._touched[corner.flatten()] = True
 
     def forget(self) -> None:
-        self._gradient.zero_()
-        self._touched.zero_()
+        self._of: Tensor | None = None  # the rows that the tensors below have the size of
+        self._gradient = self._touched = self._marks = torch.empty(0)
 
     def gradient(self, grid: VoxelGrid) -> Tensor:
         self._fit(grid)

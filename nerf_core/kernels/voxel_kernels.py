@@ -80,7 +80,10 @@ class Traced(Packed):
 
 
 class VoxelKernels(Protocol):
-    """The operations. Gradients are summed inside until `update` applies them or `forget` drops them."""
+    """The operations. Gradients are summed inside until `update` applies them or `forget` drops them.
+
+    Every cell of a grid has rows at its eight vertices; the kernels do not check that.
+    """
 
     name: str
 
@@ -120,7 +123,7 @@ class VoxelKernels(Protocol):
         ...
 
     def forget(self) -> None:
-        """Drop the gradients that were summed."""
+        """Drop gradients and marks, and free their memory."""
         ...
 
     def gradient(self, grid: VoxelGrid) -> Tensor:

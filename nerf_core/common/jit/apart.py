@@ -15,8 +15,8 @@ from nerf_core.common.subprograms import run_limited
 SECONDS = 600.0  # ten seconds on a laptop; after this, a machine is so busy that it makes no difference who compiles
 CHILD = """
 import os, sys
-sys.path[:] = {path!r}
-os.environ["NUMBA_CACHE_DIR"] = {folder!r}
+sys.path[:] = {path!a}
+os.environ["NUMBA_CACHE_DIR"] = {folder!a}
 from {module} import {name}
 {name}()
 """
