@@ -123,7 +123,7 @@ def threads() -> str:
         text(gui, 380, "Helpers", size=18, bold=True),
         block(gui, 394, 280, "threads of datasets.loading", ("decode photos while a capture opens",), SAND),
         block(gui + 310, 394, 280, "threads of common.jit.shards", ("run the numba loops, a fixed shard each",), SAND),
-        block(gui + 620, 394, 270, "child processes", ("COLMAP's reader, ffmpeg",), SAND),
+        block(gui + 620, 394, 270, "child processes", ("COLMAP, ffmpeg, numba's compiler",), SAND),
     ]  # fmt: skip
     return page(930, 465, parts)
 

@@ -92,7 +92,7 @@ class CpuVoxels:
 
     def resample(self, old: VoxelGrid, new: VoxelGrid, first: int, last: int) -> Tensor:
         begin, step = old.at_vertex(new)
-        arrays, places, rows_of = old.arrays(), new.places()[first:last].numpy(), new.rows_of(first, last)
+        arrays, places, rows_of = old.arrays(), new.places[first:last].numpy(), new.rows_of(first, last)
         rows, out = old.rows.numpy().ravel(), new.rows[rows_of].numpy().ravel()
         found = torch.zeros(len(new.rows[rows_of]), dtype=torch.uint8)
         bricks = new.bricks[1:][first:last].numpy()

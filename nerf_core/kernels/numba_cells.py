@@ -70,9 +70,8 @@ def resample(
 ) -> None:  # fmt: skip
     """Interpolate rows for the vertices of `bricks` first ≤ b < last, which lie at `places` in their tables.
 
-    Finest vertex v lies at begin + v · step, in finest cells of `grid`. out, found: of the rows from
-    first_row on. found: the doublings of the cells that were
-    interpolated; see `VoxelKernels.resample`.
+    Finest vertex v lies at begin + v · step, in finest cells of `grid`. Writes the rows from first_row on to `out`, and
+    to `found` the doublings of the cells that were interpolated; see `VoxelKernels.resample`.
     """
     corners, weights, values = scratch.corners, scratch.weights, scratch.values
     for b in range(first, last):

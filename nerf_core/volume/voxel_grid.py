@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -20,8 +21,8 @@ from torch.nn import functional
 
 from nerf_core.volume.cells import Cells, blocks, leaps
 
-DOUBLINGS = 2  # of a vertex's side, to a brick's
-BRICK = 1 << DOUBLINGS  # vertices a side
+DOUBLINGS = 2  # of a cell's side, to a brick's
+BRICK = 1 << DOUBLINGS  # cells a side, and vertices that are its own
 WIDTH = 16  # floats of a row
 MOST_SIZES = 10  # sizes of cells in a grid
 MOST_CELLS = 1 << 12  # finest cells along a side: the march stores a cell's size above 12 bits of its place
@@ -122,7 +123,7 @@ class VoxelGrid(Cells):
 
     def rows_of(self, first: int, last: int) -> slice:
         """The rows of the bricks first ≤ b < last, counted from 0."""
-        own = self._own[first:last]
+        own = self._own_rows[first:last]
         own = own[own >= 0]
         return slice(int(own[0]), int(own[-1]) + 1)
 
@@ -133,15 +134,15 @@ class VoxelGrid(Cells):
             occupied: (x, y, z) bool, the cells that stay.
 
         Returns:
-            The grid, and which rows of this one it has: (M,) bool.
+            The grid without rows, and which rows of this one it is to have: (M,) bool.
         """
         kinds, kept = self.kinds * occupied, []
         for cells, table in zip(cells_of_each_size(kinds, len(self.tables)), self.tables, strict=True):
-            of_bricks = self._own[table[table > 0].long() - 1]
+            of_bricks = self._own_rows[table[table > 0].long() - 1]
             kept.append(blocks_of(vertices_of(cells), DOUBLINGS)[table > 0][of_bricks >= 0])
-        rows = torch.cat(kept)
         sizes = len(self.tables)
-        return VoxelGrid.of_kinds(self.origin, self.voxel, kinds, self.contracted, sizes, self.rows[rows]), rows
+        grid = VoxelGrid.of_kinds(self.origin, self.voxel, kinds, self.contracted, sizes, self.rows[:0])
+        return grid, torch.cat(kept)
 
     def cells_with(self, values: Tensor) -> tuple[Tensor, ...]:
         """Spread one value for each row (M,) over the cells whose lowest vertex the row is.
@@ -152,7 +153,7 @@ class VoxelGrid(Cells):
         for d, table in enumerate(self.tables):
             bricks = torch.zeros(*table.shape, BRICK, BRICK, BRICK, dtype=values.dtype, device=values.device)
             stored = table > 0
-            held = self._own[table[stored].long() - 1] >= 0
+            held = self._own_rows[table[stored].long() - 1] >= 0
             spaced, count = torch.zeros_like(held, dtype=values.dtype), int(held.sum())
             spaced[held] = values[first : first + count]
             bricks[stored], first = spaced, first + count
@@ -162,6 +163,7 @@ class VoxelGrid(Cells):
             spread.append(whole[:x, :y, :z])
         return tuple(spread)
 
+    @cached_property
     def places(self) -> Tensor:
         """For each brick in the order of the rows, its doublings and its place in that table: (B, 4) int64."""
         found = []
@@ -216,16 +218,16 @@ class VoxelGrid(Cells):
 
     def vertices(self, first: int = 0, last: int | None = None) -> Tensor:
         """The vertex of each row of the bricks first ≤ b < last, in finest cells: (rows, 3) int64."""
-        place = self.places()[first:last]
+        place = self.places[first:last]
         inside = torch.cartesian_prod(*[torch.arange(BRICK, device=place.device)] * 3)
-        return ((BRICK * place[:, None, 1:] + inside) << place[:, None, :1])[self._own[first:last].flatten(1) >= 0]
+        return ((BRICK * place[:, None, 1:] + inside) << place[:, None, :1])[self._own_rows[first:last].flatten(1) >= 0]
 
     def doublings_of_rows(self, first: int = 0, last: int | None = None) -> Tensor:
         """The doublings of the size that each row of the bricks first ≤ b < last belongs to: (rows,) int64."""
-        return self.places()[first:last, :1].expand(-1, BRICK**3)[self._own[first:last].flatten(1) >= 0]
+        return self.places[first:last, :1].expand(-1, BRICK**3)[self._own_rows[first:last].flatten(1) >= 0]
 
     @property
-    def _own(self) -> Tensor:
+    def _own_rows(self) -> Tensor:
         """The rows of each brick's own vertices, without brick 0: (B, 4, 4, 4)."""
         return self.bricks[1:, :BRICK, :BRICK, :BRICK]
 
@@ -312,7 +314,7 @@ def _with_neighbours(own: Tensor, tables: list[Tensor]) -> Tensor:
     for table in tables:
         number, place = table[table > 0].long(), (table > 0).nonzero()
         padded = functional.pad(table, (0, 1) * 3)
-        for beside in itertools.product((0, 1), repeat=3):
+        for beside in itertools.islice(itertools.product((0, 1), repeat=3), 1, None):
             x, y, z = (place + torch.tensor(beside, device=place.device)).unbind(-1)
             theirs = own[padded[x, y, z].long()]
             there, here = ([far if n else own_part for n in beside], [near if n else own_part for n in beside])

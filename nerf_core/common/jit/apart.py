@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import platform
 import subprocess
 import sys
@@ -9,8 +10,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
-from nerf_core.common.jit.cache import cache_folder
-from nerf_core.common.subprograms import run_limited
+from nerf_core.common.jit.cache import PACKAGE, cache_folder, sources_digest
 
 SECONDS = 600.0  # ten seconds on a laptop; after this, a machine is so busy that it makes no difference who compiles
 CHILD = """
@@ -34,22 +34,31 @@ def compile_loops(call_each: Callable[[], None]) -> None:
             are used.
     """
     folder = cache_folder()
-    mark = Path(folder) / f"{call_each.__module__}-{_compiler()}.compiled"
-    if sys.executable and not mark.exists():
-        code = CHILD.format(path=sys.path, folder=folder, module=call_each.__module__, name=call_each.__name__)
-        try:
-            if not run_limited([sys.executable, "-P", "-c", code], SECONDS).reason:
-                mark.touch()
-        except (OSError, subprocess.TimeoutExpired):
-            pass  # then the loops are compiled here, below
+    mark = Path(folder) / f"{call_each.__module__}-{_key()}.compiled"
+    code = CHILD.format(path=sys.path, folder=folder, module=call_each.__module__, name=call_each.__name__)
+    try:
+        if not mark.exists() and sys.executable and not getattr(sys, "frozen", False):
+            # in a session of its own: a Ctrl-C in the terminal is for this process, which would else compile as well
+            subprocess.run(
+                [sys.executable, "-P", "-c", code], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL, timeout=SECONDS, check=True, start_new_session=True,
+            )  # fmt: skip
+            mark.touch()
+    except (OSError, subprocess.SubprocessError):
+        pass  # then the loops are compiled here, below
     call_each()
 
 
-def _compiler() -> str:
-    """What numba's own index asks for, besides the source: other versions and processors have loops of their own."""
+def _key() -> str:
+    """What numba's index asks for: the files, versions of Python, numba and LLVM, and the processor."""
     import llvmlite
     import numba
+    from llvmlite import binding
     from numba.core import config
 
-    processor = getattr(config, "CPU_NAME", None) or llvmlite.binding.get_host_cpu_name()
-    return "-".join((platform.python_version(), numba.__version__, llvmlite.__version__, processor))
+    processor = (
+        getattr(config, "CPU_NAME", None) or binding.get_host_cpu_name(),
+        getattr(config, "CPU_FEATURES", None) or binding.get_host_cpu_features().flatten(),
+    )
+    parts = (sources_digest(), PACKAGE, platform.python_version(), numba.__version__, llvmlite.__version__, *processor)
+    return hashlib.sha256("\n".join(map(str, parts)).encode("utf-8", "surrogateescape")).hexdigest()[:12]

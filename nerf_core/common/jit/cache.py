@@ -34,6 +34,14 @@ def sources() -> list[Path]:
     return sorted({*importing, *(PACKAGE / name for name in ALSO_COMPILED)})
 
 
+def sources_digest() -> str:
+    """Return 12 characters that change with the sources."""
+    digest = hashlib.sha256()
+    for file in sources():
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:12]
+
+
 @lru_cache
 def cache_folder() -> str:
     """Return the folder of compiled loops: NUMBA_CACHE_DIR, or one in the user's cache."""
@@ -46,10 +54,7 @@ def _own_folder() -> Path:
     The folder's name contains a hash of all sources. numba recompiles a function when its own file changes, but not
     when a file changes whose functions it inlines.
     """
-    digest = hashlib.sha256()
-    for file in sources():
-        digest.update(file.read_bytes())
-    name = f"numba-{digest.hexdigest()[:12]}"
+    name = f"numba-{sources_digest()}"
     try:
         import platformdirs
 

@@ -175,7 +175,7 @@ def _around(grid: VoxelGrid, of_each: tuple[Tensor, ...], yield_callback: Callab
         torch.maximum(found, spread(grow(worth), d)[tuple(slice(n) for n in grid.size)], out=found)
     for d in range(1, len(of_each)):  # a larger cell is taken whole
         yield_callback()
-        own = cells_of_each_size(grid.kinds, len(of_each))[d]
+        own = grid.kinds[:: 1 << d, :: 1 << d, :: 1 << d] == d + 1
         blocks_of(found, d)[own] = pooled(found, d)[own][:, None, None, None]
     return found.mul_(grid.occupied)
 

@@ -17,7 +17,7 @@ from nerf_core.kernels.voxel_kernels import MOST_SHARDS
 from nerf_core.methods.voxels.sparse_depths import SparseDepths
 
 # What a row takes: 64 bytes for values, average, the copy that a picture is drawn from, and the last good state, 12 for
-# moments, 12 of a brick, a few for marks. Each thread adds 64 for gradients.
+# moments, and some 12 of its brick. Each thread adds 64 for gradients, and one for marks.
 ROW_BYTES, THREAD_BYTES = 280, 65
 MEMORY_SHARE = 1 / 4  # of the machine's memory, for a grid of all rows
 DEPTH_WEIGHT = 10.0  # of captures with sparse points: better than 0 on each that was tried, or within 0.03 dB of it

@@ -106,7 +106,8 @@ class VoxelModel(Defaults):
 
         def back() -> None:
             self.kernels.forget()
-            self.grid, self.moments, self.ema_rows, self.level, self.full = before[0]
+            if before:  # else the step was done
+                self.grid, self.moments, self.ema_rows, self.level, self.full = before.pop()
 
         return back
 
@@ -127,8 +128,8 @@ class VoxelModel(Defaults):
         c, error, level = self.config, 0.0, self.level
         while self.level < self.schedule.level_at(step):
             self._refine(yield_callback)
-        needed = self.worth(yield_callback).needed if self.schedule.drops(step) else None
-        if self.level > level or needed is not None:
+        fewer = self._fewer_cells(yield_callback) if self.schedule.drops(step) else None
+        if self.level > level or fewer is not None:
             give_back()
         offsets = torch.rand(len(rays), generator=self.generator)
         for start in range(0, len(rays), PIECE):
@@ -152,8 +153,11 @@ class VoxelModel(Defaults):
                 c.keep_square, correction2, c.epsilon, ema_rate,
             ),
         )  # fmt: skip
-        if needed is not None and needed.any():  # a picture of pure background must keep cells that can learn
-            self._drop_all_but(needed)
+        if fewer is not None:
+            self._take(*fewer)
+        self._before.clear()  # frees what the step could have been undone with
+        if self.level > level or fewer is not None:
+            give_back()
         mean = error / (3 * len(rays))
         self.mean_error += max(1 - MEMORY, 1 / (step + 1)) * (mean - self.mean_error)
         return mean
@@ -223,16 +227,21 @@ class VoxelModel(Defaults):
                 pixels = pixels[mask[middle[:, 1], middle[:, 0]]]
             yield camera_rays(camera, self.scene.near, self.scene.far, pixels).to(self.device)
 
-    def _drop_all_but(self, needed: Tensor) -> None:
-        """Drop the other cells. The step's weights have changed, so that it can no longer be undone.
+    def _fewer_cells(self, yield_callback: Callable[[], None]) -> tuple[VoxelGrid, Tensor] | None:
+        """Return what `VoxelGrid.with_cells` returns for the needed cells; None if there are none.
 
-        What it could be undone with, and gradients, are freed before the new grid takes memory.
+        A picture of pure background must keep cells that can learn.
         """
-        self.kernels.forget()
-        self._before.clear()
-        self.grid, kept = self.grid.with_cells(needed)
-        self.moments = self.moments[kept]
-        self.ema_rows = self.ema_rows[kept]
+        needed = self.worth(yield_callback).needed
+        yield_callback()
+        return self.grid.with_cells(needed) if needed.any() else None
+
+    def _take(self, fewer: VoxelGrid, kept: Tensor) -> None:
+        """Go on with fewer cells, after the step's update, so that nothing needs to be kept to undo it."""
+        self.kernels.forget()  # gradients take more than the new rows
+        self.grid, self.moments, self.ema_rows = (
+            replace(fewer, rows=self.grid.rows[kept]), self.moments[kept], self.ema_rows[kept],
+        )  # fmt: skip
 
     def _refine(self, yield_callback: Callable[[], None]) -> None:
         """Begin the next level: a smaller box around the needed cells, and smaller cells where that shows."""
@@ -358,4 +367,5 @@ class VoxelModel(Defaults):
         self.grid, self.moments, self.ema_rows = grid, *(torch.empty_like(v).copy_(v) for v in (moments, average))
         self.level, self.updates, self.mean_error = level, int(state["updates"]), error
         self.full = bool(state.get("full", False))
+        self._before = []
         self.generator.set_state(state["generator"])

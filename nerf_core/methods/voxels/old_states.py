@@ -24,10 +24,14 @@ def of_today(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """
     state = dict(state)
     if "grid.occupied" in state:
+        if state["grid.occupied"].dtype != torch.bool:
+            raise ValueError("the voxel grid is not of the kind that is written")
         state["grid.kinds"] = state.pop("grid.occupied").to(torch.uint8)
         state[f"{BRICKS}.0"] = state.pop(BRICKS)
     names = sorted(name for name in state if name.startswith(BRICKS))
     if names:
+        if names != [f"{BRICKS}.{d}" for d in range(len(names))]:
+            raise ValueError("the voxel grid is not of the kind that is written")
         kept = _rows_in_use(state["grid.kinds"], [state.pop(name) for name in names], len(state["grid.rows"]))
         state |= {name: state[name][kept] for name in OF_ROWS if name in state and len(state[name]) == len(kept)}
         state["grid.sizes"] = torch.tensor(len(names))
@@ -39,7 +43,13 @@ def of_today(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
 def _rows_in_use(kinds: Tensor, bricks: list[Tensor], count: int) -> Tensor:
     """Which of `count` rows belong to vertices of cells, (count,) bool."""
     sizes = len(bricks)
-    if not 1 <= sizes <= MOST_SIZES or kinds.ndim != 3 or kinds.dtype != torch.uint8 or int(kinds.max()) > sizes:
+    if (
+        not 1 <= sizes <= MOST_SIZES
+        or kinds.ndim != 3
+        or kinds.dtype != torch.uint8
+        or not kinds.any()
+        or int(kinds.max()) > sizes
+    ):
         raise ValueError("the voxel grid is not of the kind that is written")
     kept = [torch.zeros(0, dtype=torch.bool)]
     for cells, stored in zip(cells_of_each_size(kinds, sizes), bricks, strict=True):

@@ -63,6 +63,15 @@ def test_another_process_compiles_and_this_one_reads(loops: ModuleType, tmp_path
     assert callers(tmp_path)[2:] == [os.getpid()]
 
 
+def test_loops_of_other_sources_are_compiled_anew(
+    loops: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    apart.compile_loops(loops.call_each)
+    monkeypatch.setattr(apart, "sources_digest", lambda: "others")
+    apart.compile_loops.__wrapped__(loops.call_each)
+    assert [caller == os.getpid() for caller in callers(tmp_path)] == [False, True, False, True]
+
+
 def test_where_it_fails_this_process_compiles(loops: ModuleType, tmp_path: Path) -> None:
     (tmp_path / "only-here").write_text(str(os.getpid()))
     apart.compile_loops(loops.call_each)

@@ -23,6 +23,7 @@ from nerf_core.kernels.implementations import on_numba
 from nerf_core.kernels.torch_voxels import TorchVoxels
 from nerf_core.kernels.voxel_kernels import HALVINGS, March, VoxelKernels
 from nerf_core.methods.voxels import config as voxel_config
+from nerf_core.methods.voxels import model as voxel_model
 from nerf_core.methods.voxels.coarse_to_fine import Worth, class_of, finer_grid, planned, resample
 from nerf_core.methods.voxels.config import VoxelConfig
 from nerf_core.methods.voxels.method import Voxels
@@ -206,7 +207,7 @@ def test_a_refinement_changes_no_picture_and_training_goes_on(scene: Scene, plac
 @pytest.mark.parametrize("contracted", [False, True])
 @pytest.mark.parametrize("kernels", [CpuVoxels(2), TorchVoxels()], ids=["numba", "torch"])
 def test_cells_that_are_not_divided_keep_the_picture_exactly(kernels: VoxelKernels, contracted: bool) -> None:
-    """Cells of three sizes side by side, in bricks that also hold vertices of no cell."""
+    """Cells of three sizes side by side."""
     g = torch.Generator().manual_seed(0)
     kinds = spread(torch.randint(1, 4, (5, 4, 6), generator=g), 2)
     kinds = torch.where(
@@ -384,8 +385,8 @@ def test_a_grid_without_some_cells_keeps_the_rows_of_the_others(scene: Scene) ->
         some, [v for n, m in zip(old.size[::-1], some.shape[::-1], strict=True) for v in (0, n - m)]
     )
     grid, kept = old.with_cells(old.occupied & some)
-    assert 0 < len(grid.rows) == int(kept.sum()) < len(old.rows)
-    assert torch.equal(grid.rows, old.rows[kept])
+    grid = replace(grid, rows=old.rows[kept])
+    assert 0 < len(grid.rows) < len(old.rows)
     for d in range(len(old.tables)):
         at = grid.vertices()[grid.doublings_of_rows() == d] >> d
         assert torch.equal(old.rows[old.row_of(at, d)], grid.rows[grid.row_of(at, d)])
@@ -452,7 +453,9 @@ def test_dropping_cells_costs_no_pixel_a_level_and_held_out_photos_a_tenth_of_a_
     rays = [camera_rays(scene.views[i].camera, scene.near, scene.far) for i in range(len(scene.views))]
     before = [method.render(r).color for r in rays]
     cells = int(method.grid.occupied.sum())
-    method._drop_all_but(method.worth().needed)
+    fewer = method._fewer_cells(nothing)
+    assert fewer is not None
+    method._take(*fewer)
     assert int(method.grid.occupied.sum()) < cells
     for i, r in enumerate(rays):
         after = method.render(r).color
@@ -505,12 +508,31 @@ def test_cells_are_dropped_in_the_last_level_at_growing_intervals(
 ) -> None:
     trainer = run(scene, 0, prune_every=8)
     method, dropped = voxels_of(trainer), []
-    drop = method._drop_all_but
-    monkeypatch.setattr(method, "_drop_all_but", lambda cells: (dropped.append(trainer.step_count), drop(cells)))
+    take, given = method._take, []
+    monkeypatch.setattr(method, "_take", lambda *fewer: (dropped.append(trainer.step_count), take(*fewer)))
+    monkeypatch.setattr(voxel_model, "give_back", lambda: given.append(trainer.step_count))
     begin = method.schedule.levels[-1].begin
     while trainer.step_count < begin + 60:
         trainer.step()
     assert dropped == [begin + 8, begin + 24, begin + 56]
+    assert set(given) == {level.begin for level in method.schedule.levels[1:]} | set(dropped)
+
+
+def test_a_drop_that_fails_leaves_a_model_that_goes_on(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    trainer = run(scene, 0, prune_every=8)
+    method = voxels_of(trainer)
+    while trainer.step_count < method.schedule.levels[-1].begin + 8:
+        trainer.step()
+    old = method.grid
+    with monkeypatch.context() as patch:
+        # rows that cannot be taken, as where memory has run out
+        patch.setattr(VoxelGrid, "with_cells", lambda grid, needed: (grid, torch.zeros(3, dtype=torch.bool)))
+        with pytest.raises(IndexError):
+            trainer.step()
+    assert method.grid is old
+    assert len(old.rows) == len(method.moments) == len(method.ema_rows)
+    trainer.step()
+    assert len(method.grid.rows) == len(method.moments) == len(method.ema_rows) < len(old.rows)
 
 
 @pytest.mark.parametrize("change", ["resolution=0", "split=1e308", "pixels=1e300", "step=1e30", "bias=nan", "bias=inf"])
