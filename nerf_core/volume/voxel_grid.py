@@ -92,7 +92,7 @@ class VoxelGrid(Cells):
             vertices = vertices_of(cells)
             stored = blocks(vertices)
             held = blocks_of(vertices, DOUBLINGS)[stored]
-            begin, last = sum(map(len, own)), first + int(held.sum())
+            begin, last = sum(map(len, own)), first + int(held.count_nonzero())
             table = torch.zeros(stored.shape, dtype=torch.int32, device=kinds.device)
             table[stored] = torch.arange(begin, begin + len(held), dtype=torch.int32, device=kinds.device)
             numbers = torch.full(held.shape, -1, dtype=torch.int32, device=kinds.device)
@@ -154,7 +154,7 @@ class VoxelGrid(Cells):
             bricks = torch.zeros(*table.shape, BRICK, BRICK, BRICK, dtype=values.dtype, device=values.device)
             stored = table > 0
             held = self._own_rows[table[stored].long() - 1] >= 0
-            spaced, count = torch.zeros_like(held, dtype=values.dtype), int(held.sum())
+            spaced, count = torch.zeros_like(held, dtype=values.dtype), int(held.count_nonzero())
             spaced[held] = values[first : first + count]
             bricks[stored], first = spaced, first + count
             shape = [BRICK * n for n in table.shape]
