@@ -262,11 +262,10 @@ class VoxelGrid(Cells):
         kinds = kinds.contiguous().clone()
         if any(not torch.equal(spread(c, d), kinds == d + 1) for d, c in enumerate(cells_of_each_size(kinds, sizes))):
             raise ValueError("the voxel grid has parts of cells")
-        grid = VoxelGrid.of_kinds(origin, voxel, kinds, contracted, sizes)
-        if rows.shape != grid.rows.shape:
+        if rows.shape != (row_count(kinds), WIDTH):  # before cells that have none take memory
             raise ValueError("the voxel grid's rows do not fit its cells")
-        grid.rows.copy_(rows)  # a copy: kernels change it in place, and need its alignment
-        return grid
+        own = rows.clone(memory_format=torch.contiguous_format)  # kernels change it in place, and need its alignment
+        return VoxelGrid.of_kinds(origin, voxel, kinds, contracted, sizes, own)
 
 
 def cells_of_each_size(kinds: Tensor, sizes: int = 0) -> list[Tensor]:
@@ -279,7 +278,9 @@ def cells_of_each_size(kinds: Tensor, sizes: int = 0) -> list[Tensor]:
 
 def spread(cells: Tensor, doublings: int) -> Tensor:
     """Repeat each cell 2ᵈ times along each axis: (x, y, z) → (2ᵈ x, 2ᵈ y, 2ᵈ z)."""
-    for axis in range(3 if doublings else 0):
+    if doublings == 0:
+        return cells  # three copies less
+    for axis in range(3):
         cells = cells.repeat_interleave(1 << doublings, axis)
     return cells
 
@@ -305,6 +306,12 @@ def vertices_of(cells: Tensor) -> Tensor:
             for c in (0, 1):
                 vertices[a : a + x, b : b + y, c : c + z] |= cells
     return vertices
+
+
+def row_count(kinds: Tensor) -> int:
+    """How many rows a grid of these cells has; `kinds` as in `VoxelGrid`."""
+    # not sums, which take eight bytes for each vertex
+    return sum(int(vertices_of(cells).count_nonzero()) for cells in cells_of_each_size(kinds))
 
 
 def _with_neighbours(own: Tensor, tables: list[Tensor]) -> Tensor:

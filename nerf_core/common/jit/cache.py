@@ -34,6 +34,7 @@ def sources() -> list[Path]:
     return sorted({*importing, *(PACKAGE / name for name in ALSO_COMPILED)})
 
 
+@lru_cache
 def sources_digest() -> str:
     """Return 12 characters that change with the sources."""
     digest = hashlib.sha256()

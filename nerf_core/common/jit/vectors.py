@@ -166,8 +166,8 @@ def place(
         table = builder.gep(_pointer(context, builder, kinds[3], args[3], args[5]), [brick])
         first = builder.mul(builder.sext(builder.load(table), _I64), number(5**3))
         for q in range(4):  # vertices beside each other along z
-            near = builder.add(builder.add(first, vertex), number(25 * (q >> 1) + 5 * (q & 1)))
-            source = _pointer(context, builder, kinds[4], args[4], near)
+            corner = builder.add(builder.add(first, vertex), number(25 * (q >> 1) + 5 * (q & 1)))
+            source = _pointer(context, builder, kinds[4], args[4], corner)
             rows = builder.load(builder.bitcast(source, ir.VectorType(_I32, 2).as_pointer()), align=4)
             offsets = builder.shl(builder.sext(rows, pair_of_longs), ir.Constant(pair_of_longs, [4] * 2))
             target = _pointer(context, builder, kinds[0], args[0], builder.add(args[2], number(2 * q)))

@@ -649,6 +649,15 @@ def test_a_state_that_does_not_fit_is_refused(scene: Scene, name: str, value: to
         method.load_state(method.state() | {name: value})
 
 
+def test_cells_without_rows_are_refused_before_they_take_memory(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file with a byte for each cell would otherwise ask for 64 for each vertex."""
+    method = run(scene, 10).method
+    state = method.state() | {"grid.kinds": torch.ones(64, 64, 64, dtype=torch.uint8), "grid.sizes": torch.tensor(1)}
+    monkeypatch.setattr(VoxelGrid, "of_kinds", lambda *_: pytest.fail("it was made"))
+    with pytest.raises(ValueError, match="do not fit its cells"):
+        method.load_state(state)
+
+
 def test_without_numba_torch_does_the_same_and_a_note_says_so(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     fast = run(scene, 3)
     monkeypatch.setattr(on_numba, "numba_obstacle", lambda: "numba cannot be imported (gone)")
