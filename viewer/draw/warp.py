@@ -200,8 +200,8 @@ class Layer:
         if not hit.all() and self.preview.stride < SOFT:
             meshes.append(sheet(self.preview, self._middle))
         for points, triangles in meshes:
-            vertices = self._context.buffer(points.astype("f4").tobytes())
-            indices = self._context.buffer(triangles.astype("i4").tobytes())
+            vertices = self._context.buffer(np.ascontiguousarray(points))
+            indices = self._context.buffer(np.ascontiguousarray(triangles))
             layout = [(vertices, "3f 2f 1f", "point", "colored", "spread")]
             arrays = self._context.vertex_array(program, layout, index_buffer=indices)
             self._meshes.append((arrays, vertices, indices))

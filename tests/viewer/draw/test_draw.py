@@ -19,7 +19,7 @@ from viewer.draw.textures import TextureCache
 from viewer.draw.viewport import ViewportPicture
 from viewer.draw.visits import Ink
 from viewer.draw.warp import Layer
-from viewer.draw.warp_mesh import SMOOTH, SOFT, warp_mesh
+from viewer.draw.warp_mesh import MESH_CELLS, SHEET_CELLS, SMOOTH, SOFT, warp_mesh
 from viewer.window import Window
 
 BLACK = (0.0, 0.0, 0.0)
@@ -288,6 +288,16 @@ def test_a_coarse_picture_of_a_plane_stays_a_plane(stride: int) -> None:
     expected = 1 / (np.column_stack([points[:, :2], np.ones(len(points))]) @ plane)
     assert inside.sum() > 50
     np.testing.assert_allclose(points[inside, 2], expected[inside], rtol=1e-4)
+
+
+@pytest.mark.parametrize("stride", [2, SOFT, 8])
+def test_a_sheet_has_a_quarter_of_the_cells_of_a_picture_with_edges(stride: int) -> None:
+    """Software GL takes its time by triangles."""
+    preview, _ = coarse_floor(stride)
+    assert max(preview.depth.shape) >= SHEET_CELLS
+    triangles = warp_mesh(preview)[1]
+    most = MESH_CELLS if stride < SOFT else SHEET_CELLS
+    assert 2 * (most / 2) ** 2 < len(triangles) <= 2 * most**2
 
 
 @pytest.mark.parametrize("stride", [SOFT, 8, 16, 32])
