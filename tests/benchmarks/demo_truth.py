@@ -130,7 +130,7 @@ def microscope(trainer: Trainer, pixels: int = 24, seed: int = 0) -> dict[str, f
     t, normal, objects = demo_scene.hit(rays.origins.double().numpy(), rays.directions.double().numpy())
     shiny = np.flatnonzero(np.isfinite(t) & (objects == demo_scene.BALL))
     training_views, found = TrainingViews(scene), []
-    for flat in rng.choice(shiny, min(pixels, len(shiny)), replace=False).tolist():
+    for flat in rng.permutation(shiny)[:pixels].tolist():
         at = flat % camera.width, flat // camera.width
         *_, opened = pieces(trainer.method, training_views, camera, at, trainer.step_count, None, "viewer")
         assert opened.verdict is not None

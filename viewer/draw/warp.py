@@ -200,8 +200,8 @@ class Layer:
         if not hit.all() and self.preview.stride < SOFT:
             meshes.append(sheet(self.preview, self._middle))
         for points, triangles in meshes:
-            vertices = self._context.buffer(np.ascontiguousarray(points))
-            indices = self._context.buffer(np.ascontiguousarray(triangles))
+            vertices = self._context.buffer(np.ascontiguousarray(points, np.float32))
+            indices = self._context.buffer(np.ascontiguousarray(triangles, np.int32))
             layout = [(vertices, "3f 2f 1f", "point", "colored", "spread")]
             arrays = self._context.vertex_array(program, layout, index_buffer=indices)
             self._meshes.append((arrays, vertices, indices))

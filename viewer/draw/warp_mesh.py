@@ -14,12 +14,12 @@ JUMP = (
 # Along the longer side. Software GL takes 7 ms for 14,000 triangles: a sheet without edges has no more than it needs.
 MESH_CELLS = 160  # fine enough for silhouettes
 SHEET_CELLS = 80
-SMOOTH = 2  # texels around one over which a coarse picture averages its depth
+SMOOTH = 2  # texels around one over which a coarse picture averages its depth, at least
 SOFT = 4  # the stride from which on a picture has no edges: warped cells that are torn apart would show as blocks
 
 
 def warp_mesh(preview: Preview) -> tuple[np.ndarray, np.ndarray]:
-    """Return a mesh over the picture: points (P, 6) float32 and triangles (T, 3) int32.
+    """Return a mesh over the picture: points (P, 6) float32 and triangles (T, 3) int32, only to be read.
 
     A point is pixel x, y, z-depth, x, y of its colour, and how many pixels have one colour.
 
@@ -34,12 +34,14 @@ def warp_mesh(preview: Preview) -> tuple[np.ndarray, np.ndarray]:
     step = max(1, -(-max(width, height) // (MESH_CELLS if preview.stride < SOFT else SHEET_CELLS)))
     rows, columns = _lattice(height, step), _lattice(width, step)
     depth = preview.depth[np.ix_(rows, columns)].astype(np.float64)
-    missing = np.isnan(depth)
-    if missing.any():
-        depth = np.where(missing, _depth_around(preview.depth, step, rows, columns), depth)
-    if preview.stride >= SOFT and not missing.all():
-        smooth = _depth_around(preview.depth, max(step, SMOOTH), rows, columns)  # so that it does not fold
+    missing = ~np.isfinite(depth)
+    soft = preview.stride >= SOFT and not missing.all()
+    if soft:
+        reach = max(SMOOTH, -(-max(width, height) // MESH_CELLS))
+        smooth = _depth_around(preview.depth, reach, rows, columns)  # so that it does not fold
         depth = np.where(np.isnan(smooth), np.median(depth[~missing]), smooth)
+    elif missing.any():
+        depth = np.where(missing, _depth_around(preview.depth, step, rows, columns), depth)
     x, y = columns * preview.stride + 0.5, rows * preview.stride + 0.5
     x[0] = y[0] = 0  # the borders, because texel centres end before them
     x[-1], y[-1] = preview.camera.width, preview.camera.height
@@ -48,21 +50,22 @@ def warp_mesh(preview: Preview) -> tuple[np.ndarray, np.ndarray]:
     grid[..., 1] = grid[..., 4] = y[:, None]
     grid[..., 2], grid[..., 5] = depth, preview.stride
     points, triangles = grid.reshape(-1, 6), _triangles(len(rows), len(columns))
-    if preview.stride >= SOFT and not missing.all():
+    if soft:
         return points, triangles
     a, b, c, d = depth[:-1, :-1], depth[:-1, 1:], depth[1:, :-1], depth[1:, 1:]
     far, near = (np.stack([each(each(b, c), a), each(each(b, c), d)]).ravel() for each in (np.maximum, np.minimum))
-    jumps = (far > JUMP * near) & (preview.stride < SOFT)
+    solid = np.isfinite(far)
+    jumps = solid & (far > JUMP * near) & (preview.stride < SOFT)
     beside = triangles[jumps]
     torn = points[beside]  # (J, 3, 6)
-    torn[..., 3:5] = torn[np.arange(len(torn)), torn[..., 2].argmax(-1), None, 3:5]
+    torn[..., 3:5] = torn[np.arange(len(torn)), depth.ravel()[beside].argmax(-1), None, 3:5]
     torn[..., 5] = step * preview.stride
     own = len(points) + np.arange(3 * len(torn), dtype=np.int32).reshape(-1, 3)
-    whole = triangles[np.isfinite(far) & ~jumps]
+    whole = triangles[solid & ~jumps]
     return np.concatenate([points, torn.reshape(-1, 6)]), np.concatenate([whole, own])
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=16)  # a window has one lattice for each stride
 def _triangles(rows: int, columns: int) -> np.ndarray:
     """Two triangles for each cell of a lattice, (T, 3) int32: first all upper left ones, then all lower right ones."""
     index = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
@@ -73,7 +76,7 @@ def _triangles(rows: int, columns: int) -> np.ndarray:
 
 
 def sheet(preview: Preview, depth: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return a mesh for what was not hit: the whole picture at one depth, that of the things beside it."""
+    """Return a mesh for what was not hit, as `warp_mesh`: the whole picture at one depth, that of what is beside it."""
     ends = [(x, y) for y in (0, preview.camera.height) for x in (0, preview.camera.width)]
     points = np.array([(x, y, depth, x, y, preview.stride) for x, y in ends], np.float32)
     return points, _triangles(2, 2)
@@ -92,7 +95,7 @@ def _depth_around(depth: np.ndarray, reach: int, rows: np.ndarray, columns: np.n
     It is 1 / mean(1/z). Over the picture of a plane 1/z is linear, so that a plane stays a plane. The mean of z itself
     would bend it.
     """
-    hit = depth > 0
+    hit = np.isfinite(depth) & (depth > 0)
     with np.errstate(invalid="ignore", divide="ignore"):
         inverse = np.where(hit, 1 / depth, np.float32(0)).astype(np.float64)
     sums = [inverse, hit.astype(np.float64)]
