@@ -19,7 +19,7 @@ SOFT = 4  # the stride from which on a picture has no edges: warped cells that a
 
 
 def warp_mesh(preview: Preview) -> tuple[np.ndarray, np.ndarray]:
-    """Return a mesh over the picture: points (P, 6) float32 and triangles (T, 3) int32, only to be read.
+    """Return a mesh over the picture: points (P, 6) float32 and triangles (T, 3) int32.
 
     A point is pixel x, y, z-depth, x, y of its colour, and how many pixels have one colour.
 
@@ -35,11 +35,11 @@ def warp_mesh(preview: Preview) -> tuple[np.ndarray, np.ndarray]:
     rows, columns = _lattice(height, step), _lattice(width, step)
     depth = preview.depth[np.ix_(rows, columns)].astype(np.float64)
     missing = ~np.isfinite(depth)
-    soft = preview.stride >= SOFT and not missing.all()
-    if soft:
-        reach = max(SMOOTH, -(-max(width, height) // MESH_CELLS))
-        smooth = _depth_around(preview.depth, reach, rows, columns)  # so that it does not fold
-        depth = np.where(np.isnan(smooth), np.median(depth[~missing]), smooth)
+    if preview.stride >= SOFT:  # smooth, so that it does not fold
+        depth = _depth_around(preview.depth, max(SMOOTH, -(-max(width, height) // MESH_CELLS)), rows, columns)
+        missing = np.isnan(depth)
+        if not missing.all():
+            depth[missing] = np.median(depth[~missing])
     elif missing.any():
         depth = np.where(missing, _depth_around(preview.depth, step, rows, columns), depth)
     x, y = columns * preview.stride + 0.5, rows * preview.stride + 0.5
@@ -50,8 +50,6 @@ def warp_mesh(preview: Preview) -> tuple[np.ndarray, np.ndarray]:
     grid[..., 1] = grid[..., 4] = y[:, None]
     grid[..., 2], grid[..., 5] = depth, preview.stride
     points, triangles = grid.reshape(-1, 6), _triangles(len(rows), len(columns))
-    if soft:
-        return points, triangles
     a, b, c, d = depth[:-1, :-1], depth[:-1, 1:], depth[1:, :-1], depth[1:, 1:]
     far, near = (np.stack([each(each(b, c), a), each(each(b, c), d)]).ravel() for each in (np.maximum, np.minimum))
     solid = np.isfinite(far)

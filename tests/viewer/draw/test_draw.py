@@ -301,6 +301,16 @@ def test_a_sheet_without_edges_has_a_quarter_of_the_triangles() -> None:
     assert 4 * len(sheet) == len(sharp)
 
 
+def test_a_sheet_is_there_if_only_a_texel_between_its_points_was_hit() -> None:
+    preview, _ = coarse_floor(SOFT)
+    z = preview.depth[81, 77]
+    preview.depth[:] = np.nan
+    preview.depth[81, 77] = z
+    points, triangles = warp_mesh(preview)
+    assert len(triangles) == 2 * SHEET_CELLS**2
+    np.testing.assert_allclose(points[:, 2], z, rtol=1e-6)
+
+
 @pytest.mark.parametrize("stride", [1, SOFT])
 def test_a_depth_that_is_infinite_counts_as_not_hit(stride: int) -> None:
     preview, _ = coarse_floor(stride)
