@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 import zlib
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,9 @@ from nerf_core.datasets.exr import MAGIC
 from nerf_core.datasets.images import UnreadableError, measure, read_photo
 from nerf_core.datasets.resample import composite
 
-PEAK = """
+# A process that has loaded the reader, and reads each photo in a child of its own: the peak is then the photo's alone.
+PEAKS = """
+import os
 import sys
 from pathlib import Path
 from nerf_core.datasets.images import read_photo
@@ -30,11 +33,39 @@ def peak():  # getrusage would begin with the peak of the process that started t
     (line,) = (line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM"))
     return int(line.split()[1])
 
-before = peak()
-pixels = read_photo(Path(sys.argv[1]), (int(sys.argv[2]), int(sys.argv[2])), (0, 0, 0))
-assert pixels.shape[0] == int(sys.argv[2])
-print(peak() - before)
+for line in sys.stdin:
+    side, path = line.rstrip("\\n").split(" ", 1)
+    if (child := os.fork()) == 0:
+        before = peak()
+        pixels = read_photo(Path(path), (int(side), int(side)), (0, 0, 0))
+        assert pixels.shape[0] == int(side)
+        print(peak() - before, flush=True)
+        os._exit(0)
+    if os.waitpid(child, 0)[1]:
+        print("failed", flush=True)
 """
+PeakMb = Callable[[Path, int], float]
+
+
+@pytest.fixture(scope="module")
+def peak_mb() -> Iterator[PeakMb]:
+    """A function that tells how many MiB reading a photo adds to the peak of a new process."""
+    if not Path("/proc/self/status").exists():
+        pytest.skip("only Linux tells the peak of a process")
+    with subprocess.Popen(
+        [sys.executable, "-c", PEAKS], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as reader:
+        assert reader.stdin is not None
+        assert reader.stdout is not None
+        given, told = reader.stdin, reader.stdout
+
+        def ask(path: Path, side: int) -> float:
+            given.write(f"{side} {path}\n")
+            given.flush()
+            return int(told.readline()) / 1024
+
+        yield ask
+        given.close()
 
 
 def chunk(kind: bytes, data: bytes) -> bytes:
@@ -47,17 +78,7 @@ def png(path: Path, side: int, data: bytes, depth: int = 8) -> Path:
     return path
 
 
-def peak_mb(path: Path, side: int) -> float:
-    """MiB that reading a photo adds to the peak of a new process."""
-    if not Path("/proc/self/status").exists():
-        pytest.skip("only Linux tells the peak of a process")
-    done = subprocess.run(
-        [sys.executable, "-c", PEAK, str(path), str(side)], capture_output=True, text=True, timeout=60, check=True
-    )
-    return int(done.stdout) / 1024
-
-
-def test_a_large_photo_takes_under_a_gigabyte(tmp_path: Path) -> None:
+def test_a_large_photo_takes_under_a_gigabyte(tmp_path: Path, peak_mb: PeakMb) -> None:
     side = 14_100
     packer = zlib.compressobj(1)
     row = b"\0" + bytes(range(1, 4)) * side
@@ -105,14 +126,14 @@ LARGE = [
 
 
 @pytest.mark.parametrize(("kind", "wanted"), [*((kind, 400) for kind in KINDS), *LARGE])
-def test_a_photo_takes_the_memory_that_is_counted(tmp_path: Path, kind: str, wanted: int) -> None:
+def test_a_photo_takes_the_memory_that_is_counted(tmp_path: Path, peak_mb: PeakMb, kind: str, wanted: int) -> None:
     side = 4000
     path = photo(tmp_path, kind, side)
     counted, taken = measure(path).memory.peak((side, side), (wanted, wanted)) / 2**20, peak_mb(path, wanted)
     assert taken < counted < 1.4 * taken + 50  # MiB: the float rows in work may take that less
 
 
-def test_only_rows_in_work_are_copied(tmp_path: Path) -> None:
+def test_only_rows_in_work_are_copied(tmp_path: Path, peak_mb: PeakMb) -> None:
     """Pillow's picture has 4 bytes a pixel, two of them have 8; as arrays they took 10 to 23."""
     for kind, size in {"png P transparent": 1, "jpg RGB": 4, "png RGB profile": 4, "png RGB16": 8}.items():
         assert peak_mb(photo(tmp_path, kind, 4000), 100) < (size + 1.5) * 4000**2 / 2**20

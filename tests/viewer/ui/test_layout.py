@@ -28,12 +28,16 @@ Open = Callable[..., App]
 
 @pytest.fixture
 def opened(offscreen: Offscreen) -> Iterator[Open]:
-    """A function that opens apps, one at a time. Those that a failed test leaves open are closed."""
+    """A function that opens apps, one at a time. Those that a failed test leaves open are closed.
+
+    Their viewports stay empty, which spares most of the time, unless a picture is asked for.
+    """
     apps: list[App] = []
 
-    def open_app(file: Path | None, size: tuple[int, int] = SIZE, scale: float = 1.0) -> App:
+    def open_app(file: Path | None, size: tuple[int, int] = SIZE, scale: float = 1.0, picture: bool = False) -> App:
         clock = itertools.count(100.0, 0.5)  # imgui waits 5 seconds after a change before it asks to be saved
         worker = scripted.ScriptedWorker(scripted.make_scene())
+        worker.answering = picture
         app = App(offscreen(size, scale), worker, layout_file=file, time=lambda: next(clock))
         apps.append(app)
         app.settle(5)
@@ -302,7 +306,7 @@ def test_the_default_comes_back_on_demand(opened: Open) -> None:
 
 def test_a_panel_that_floats_covers_what_is_under_it(opened: Open) -> None:
     """Docked panels paint no background, because only the cleared window lies behind them. Floating panels do."""
-    app = opened(None)
+    app = opened(None, picture=True)
     left, top, right, bottom = (round(edge) for edge in viewport_of(app))
     x, y = (left + right) // 2, (top + bottom) // 2
     surface = [round(255 * channel) for channel in (app.theme.surface.x, app.theme.surface.y, app.theme.surface.z)]
