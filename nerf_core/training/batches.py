@@ -21,6 +21,8 @@ from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Draw
 
 TAPS = 4  # pixels a side, at most, that stand for a block of a large capture's photo: all of a block of 4 × 4
+# 1/r, 1/r², 1/r³ in units of 2⁻⁶⁴, r⁴ = r + 1: what the sequence moves on by. See `PixelSampler`.
+STRIDES = np.array([round(2**64 / 1.2207440846057596**k) for k in (1, 2, 3)], np.uint64)
 TRIES = 16  # rounds of drawing pixels until enough of them are not masked
 
 
@@ -84,10 +86,14 @@ class _Level:
 
 
 class PixelSampler:
-    """Draws random pixels of the training photos, as rays with their colours. It has a generator of its own.
+    """Draws pixels of the training photos, as rays with their colours. It has random numbers of its own.
 
-    Pixels are drawn with replacement. NeRF's official code draws without, but among 640,000 pixels a batch of 1,024
-    rarely repeats one. Photos may differ in size: a photo is drawn in proportion to its number of pixels.
+    All pixels are equally likely, and they are drawn evenly: a Kronecker sequence u_k = (s + k · a) mod 1 in three
+    dimensions, of which the first picks the photo, in proportion to its number of pixels, and the others the place in
+    it. The shift s is random, and a = (1/r, 1/r², 1/r³) with r⁴ = r + 1, which leaves small gaps at any k (M. Roberts,
+    "The unreasonable effectiveness of quasirandom sequences", 2018). So any two batches together cover the photos about
+    as evenly as one of twice the size, where random pixels would repeat some and leave others out. NeRF's official code
+    shuffles all pixels to the same end.
     """
 
     def __init__(self, scene: Scene, train_images: int, device: torch.device, seed: int) -> None:
@@ -110,6 +116,8 @@ class PixelSampler:
             views.sort(key=lambda view: place[view])
         self.scene, self.views, self.device = scene, views, device
         self.generator = torch.Generator().manual_seed(seed)
+        somewhere = torch.randint(-(2**63), 2**63 - 1, (3,), generator=self.generator)
+        self._place = somewhere.numpy().view(np.uint64)  # of the sequence, in units of 2⁻⁶⁴
         self._photos: dict[int, _Level] = {}
 
     def repose(self, scene: Scene) -> None:
@@ -183,21 +191,21 @@ class PixelSampler:
         photo: take all from it. among: (n,) what to take for each of the first n photos; None: all photos as they are.
         """
         count, total = wanted.rays, len(photos.sizes) if among is None else len(among)
+        first, where = self._even(count)
         if photo >= 0:
             index = torch.tensor([photo]).expand(count)
         elif wanted.one_image:
             index = self._integers(total, 1).expand(count)
         else:
             end = int(photos.offsets[total])
-            index = torch.searchsorted(photos.offsets, self._integers(end, count), right=True) - 1
+            # the minimum, because a product of a float below 1 and an integer can round up to the integer
+            index = torch.searchsorted(photos.offsets, (first * end).long().clamp(max=end - 1), right=True) - 1
         if among is not None:
             index = among[index]
-        where = torch.rand(count, 2, generator=self.generator, dtype=torch.float64)
         size = photos.sizes[index]
         window = size
         if wanted.crop < 1:
             window = (size * wanted.crop).long().clamp(min=1)
-        # the minimum, because a product of a float below 1 and an integer can round up to the integer
         pixel = (size - window) // 2 + torch.minimum((where * window).long(), window - 1)
         return index, photos.shown(index, pixel)
 
@@ -256,16 +264,28 @@ class PixelSampler:
             self._photos = {shrink: _Level(photos, cameras, self.scene)}
         return self._photos[shrink]
 
+    def _even(self, count: int) -> tuple[Tensor, Tensor]:
+        """The next points of the sequence, in [0, 1): their first coordinates (R,), and the others (R, 2)."""
+        places = self._place + np.arange(1, count + 1, dtype=np.uint64)[:, None] * STRIDES
+        self._place = places[-1]
+        points = torch.from_numpy((places >> 11) * 2.0**-53)  # the 53 bits that a float64 holds
+        return points[:, 0], points[:, 1:]
+
     def _integers(self, below: int, count: int) -> Tensor:
         return torch.randint(below, (count,), generator=self.generator)
 
     def state(self) -> dict[str, Tensor]:
-        """Return the state of the generator by name, for a checkpoint."""
-        return {"generator": self.generator.get_state()}
+        """Return by name, for a checkpoint, what decides which pixels are drawn next."""
+        return {"generator": self.generator.get_state(), "place": torch.from_numpy(self._place.view(np.int64).copy())}
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
-        """Continue from `state`. Raises KeyError, RuntimeError or TypeError if it is not a generator's state."""
+        """Continue from `state`. Raises KeyError, RuntimeError, TypeError or ValueError if it is no sampler's state."""
+        place = state.get("place")
+        if place is not None and (place.shape != (3,) or place.dtype != torch.int64):
+            raise ValueError("the place in the sequence of pixels is not three numbers")
         self.generator.set_state(state["generator"])
+        if place is not None:  # an earlier version had none; then any will do
+            self._place = place.numpy().copy().view(np.uint64)
 
 
 def block_colors(photos: Photos, index: Tensor, pixel: Tensor, factor: int) -> Tensor:

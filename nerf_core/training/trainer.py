@@ -333,13 +333,14 @@ class Trainer:
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
-        """If the block raises, restore the random generators and call what the method's `undo` returned."""
-        generators = self.batches.generator, *self.method.generators
+        """If the block raises, restore what is random and call what the method's `undo` returned."""
+        pixels, generators = self.batches.state(), self.method.generators
         drawn = [generator.get_state() for generator in generators]
         undo = self.method.undo(self.step_count)
         try:
             yield
         except BaseException:
+            self.batches.load_state(pixels)
             for generator, state in zip(generators, drawn, strict=True):
                 generator.set_state(state)
             undo()

@@ -11,7 +11,7 @@ import torch
 from nerf_core.common.errors import UserError
 from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene
-from nerf_core.training.batches import Draw, PixelSampler
+from nerf_core.training.batches import STRIDES, Draw, PixelSampler
 
 CPU = torch.device("cpu")
 
@@ -52,6 +52,40 @@ def test_all_pixels_are_equally_likely(scene: Scene) -> None:
     found = np.bincount(decoded(sampler.draw(Draw(50_000))[1])[:, 0], minlength=5)
     expected = np.array([counts[v] for v in range(5)]) / sum(counts.values()) * 50_000
     np.testing.assert_allclose(found, expected, atol=4 * np.sqrt(expected.max()))
+
+
+def test_batches_together_cover_the_photos_evenly(scene: Scene) -> None:
+    """Of random pixels, 1/e = 37 % would be left out, and a photo would get 15 more or fewer than it should."""
+    sampler = PixelSampler(coded(scene), 0, CPU, seed=0)
+    sizes = np.array([240, 256, 240, 256, 240])
+    drawn = np.concatenate([decoded(sampler.draw(Draw(sizes.sum() // 8))[1]) for _ in range(8)])
+    assert len(drawn) == sizes.sum()
+    assert len(np.unique(drawn, axis=0)) > 0.68 * len(drawn)
+    np.testing.assert_allclose(np.bincount(drawn[:, 0]), sizes, atol=4)
+
+
+def test_the_last_number_below_one_draws_the_last_pixel(scene: Scene) -> None:
+    """Its product with a number of pixels can round up to that number."""
+    sampler = PixelSampler(coded(scene), 0, CPU, seed=0)
+    last = np.full(3, -1, np.int64).view(np.uint64) - STRIDES
+    sampler.load_state(sampler.state() | {"place": torch.from_numpy(last.view(np.int64))})
+    assert decoded(sampler.draw(Draw(1))[1]).tolist() == [[4, 9, 23]]
+
+
+def test_a_state_of_an_earlier_version_goes_on(scene: Scene) -> None:
+    found = []
+    for _ in range(2):
+        sampler = PixelSampler(scene, 0, CPU, 0)
+        sampler.load_state({"generator": torch.Generator().manual_seed(5).get_state()})
+        found.append(sampler.draw(Draw(9))[0].directions)
+    assert torch.equal(*found)
+
+
+@pytest.mark.parametrize("place", [torch.zeros(2, dtype=torch.int64), torch.zeros(3)])
+def test_a_place_that_is_none_is_refused(scene: Scene, place: torch.Tensor) -> None:
+    sampler = PixelSampler(scene, 0, CPU, 0)
+    with pytest.raises(ValueError, match="three numbers"):
+        sampler.load_state(sampler.state() | {"place": place})
 
 
 def test_a_crop_is_the_middle_of_each_photo(scene: Scene) -> None:
