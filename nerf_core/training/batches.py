@@ -21,8 +21,7 @@ from nerf_core.geometry.scene import Scene
 from nerf_core.methods import Draw
 
 TAPS = 4  # pixels a side, at most, that stand for a block of a large capture's photo: all of a block of 4 × 4
-# 1/r, 1/r², 1/r³ in units of 2⁻⁶⁴, r⁴ = r + 1: what the sequence moves on by. See `PixelSampler`.
-STRIDES = np.array([round(2**64 / 1.2207440846057596**k) for k in (1, 2, 3)], np.uint64)
+FACTORS = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)  # see `shuffled`
 TRIES = 16  # rounds of drawing pixels until enough of them are not masked
 
 
@@ -86,14 +85,11 @@ class _Level:
 
 
 class PixelSampler:
-    """Draws pixels of the training photos, as rays with their colours. It has random numbers of its own.
+    """Draws random pixels of the training photos, as rays with their colours. It has a generator of its own.
 
-    All pixels are equally likely, and they are drawn evenly: a Kronecker sequence u_k = (s + k · a) mod 1 in three
-    dimensions, of which the first picks the photo, in proportion to its number of pixels, and the others the place in
-    it. The shift s is random, and a = (1/r, 1/r², 1/r³) with r⁴ = r + 1, which leaves small gaps at any k (M. Roberts,
-    "The unreasonable effectiveness of quasirandom sequences", 2018). So any two batches together cover the photos about
-    as evenly as one of twice the size, where random pixels would repeat some and leave others out. NeRF's official code
-    shuffles all pixels to the same end.
+    As in NeRF's official code, the pixels of all photos are shuffled and taken in turn, so that none is drawn again
+    before each was drawn. The order is computed (`shuffled`): a list of it would take eight bytes a pixel. Masked ones
+    are taken and left out. Where all pixels of a step come from one photo, they are drawn with replacement.
     """
 
     def __init__(self, scene: Scene, train_images: int, device: torch.device, seed: int) -> None:
@@ -116,8 +112,8 @@ class PixelSampler:
             views.sort(key=lambda view: place[view])
         self.scene, self.views, self.device = scene, views, device
         self.generator = torch.Generator().manual_seed(seed)
-        somewhere = torch.randint(-(2**63), 2**63 - 1, (3,), generator=self.generator)
-        self._place = somewhere.numpy().view(np.uint64)  # of the sequence, in units of 2⁻⁶⁴
+        self._key = self._any_key()
+        self._drawn = 0  # places in the order that are used up
         self._photos: dict[int, _Level] = {}
 
     def repose(self, scene: Scene) -> None:
@@ -191,21 +187,21 @@ class PixelSampler:
         photo: take all from it. among: (n,) what to take for each of the first n photos; None: all photos as they are.
         """
         count, total = wanted.rays, len(photos.sizes) if among is None else len(among)
-        first, where = self._even(count)
-        if photo >= 0:
-            index = torch.tensor([photo]).expand(count)
-        elif wanted.one_image:
-            index = self._integers(total, 1).expand(count)
+        if photo >= 0 or wanted.one_image:
+            index = (torch.tensor([photo]) if photo >= 0 else self._integers(total, 1)).expand(count)
+            where = torch.rand(count, 2, generator=self.generator, dtype=torch.float64)
         else:
-            end = int(photos.offsets[total])
-            # the minimum, because a product of a float below 1 and an integer can round up to the integer
-            index = torch.searchsorted(photos.offsets, (first * end).long().clamp(max=end - 1), right=True) - 1
+            at = self._next(int(photos.offsets[total]), count)
+            index = torch.searchsorted(photos.offsets, at, right=True) - 1
+            at, width = at - photos.offsets[index], photos.sizes[index, 0]
+            where = (torch.stack([at % width, at // width], -1) + 0.5) / photos.sizes[index]
         if among is not None:
             index = among[index]
         size = photos.sizes[index]
         window = size
         if wanted.crop < 1:
             window = (size * wanted.crop).long().clamp(min=1)
+        # the minimum, because a product of a float below 1 and an integer can round up to the integer
         pixel = (size - window) // 2 + torch.minimum((where * window).long(), window - 1)
         return index, photos.shown(index, pixel)
 
@@ -264,28 +260,67 @@ class PixelSampler:
             self._photos = {shrink: _Level(photos, cameras, self.scene)}
         return self._photos[shrink]
 
-    def _even(self, count: int) -> tuple[Tensor, Tensor]:
-        """The next points of the sequence, in [0, 1): their first coordinates (R,), and the others (R, 2)."""
-        places = self._place + np.arange(1, count + 1, dtype=np.uint64)[:, None] * STRIDES
-        self._place = places[-1]
-        points = torch.from_numpy((places >> 11) * 2.0**-53)  # the 53 bits that a float64 holds
-        return points[:, 0], points[:, 1:]
+    def _next(self, below: int, count: int) -> Tensor:
+        """Return the next `count` numbers, (R,) int64, of 0 … below − 1 in random order, again and again."""
+        found, lacking, bits = [], count, max(below - 1, 1).bit_length()
+        while lacking:
+            # of 2^bits numbers those from `below` on are skipped, which are less than half
+            places = self._drawn + np.arange((lacking << bits) // below + 1, dtype=np.uint64)
+            numbers = shuffled(places, self._key, bits)
+            good = np.flatnonzero(numbers < below)[:lacking]
+            lacking -= len(good)
+            self._drawn += len(places) if lacking else int(good[-1]) + 1
+            found.append(numbers[good].astype(np.int64))
+        return torch.from_numpy(np.concatenate(found))
+
+    def _any_key(self) -> int:
+        return int(torch.randint(2**63 - 1, (1,), generator=self.generator))
 
     def _integers(self, below: int, count: int) -> Tensor:
         return torch.randint(below, (count,), generator=self.generator)
 
     def state(self) -> dict[str, Tensor]:
         """Return by name, for a checkpoint, what decides which pixels are drawn next."""
-        return {"generator": self.generator.get_state(), "place": torch.from_numpy(self._place.view(np.int64).copy())}
+        return {"generator": self.generator.get_state(), "order": torch.tensor([self._key, self._drawn])}
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         """Continue from `state`. Raises KeyError, RuntimeError, TypeError or ValueError if it is no sampler's state."""
-        place = state.get("place")
-        if place is not None and (place.shape != (3,) or place.dtype != torch.int64):
-            raise ValueError("the place in the sequence of pixels is not three numbers")
+        order = state.get("order")
+        if order is not None and (order.shape != (2,) or order.dtype != torch.int64 or (order < 0).any()):
+            raise ValueError("the order of pixels is not two numbers of 0 or more")
         self.generator.set_state(state["generator"])
-        if place is not None:  # an earlier version had none; then any will do
-            self._place = place.numpy().copy().view(np.uint64)
+        # an earlier version drew with replacement
+        self._key, self._drawn = (self._any_key(), 0) if order is None else order.tolist()
+
+
+def shuffled(places: np.ndarray, key: int, bits: int) -> np.ndarray:
+    """Return the numbers at some places of 0 … 2^bits − 1 in random order, which is another one every 2^bits places.
+
+    Each round multiplies by an odd number and moves high bits to low ones, modulo 2^bits. Both can be undone, so that
+    every number comes once. The factors are those of SplitMix64 (Steele, Lea and Flood 2014), which mix well.
+
+    Args:
+        places: (R,) uint64.
+        key: of the order, 0 … 2⁶³ − 1.
+        bits: 1 … 63.
+
+    Returns:
+        (R,) uint64.
+    """
+    mask, half = np.uint64((1 << bits) - 1), np.uint64(max(bits // 2, 1))
+    keys = mixed(np.uint64(key) + (places >> np.uint64(bits)) * FACTORS[0])
+    numbers = places & mask
+    for n, factor in enumerate(FACTORS):
+        numbers = ((numbers ^ (keys >> np.uint64(21 * n))) * factor) & mask
+        numbers ^= numbers >> half
+    return numbers
+
+
+def mixed(keys: np.ndarray) -> np.ndarray:
+    """Return keys (R,) uint64 whose bits all depend on all bits of the given ones (SplitMix64)."""
+    keys = (keys ^ (keys >> np.uint64(30))) * FACTORS[1]
+    keys = (keys ^ (keys >> np.uint64(27))) * FACTORS[2]
+    return keys ^ (keys >> np.uint64(31))
 
 
 def block_colors(photos: Photos, index: Tensor, pixel: Tensor, factor: int) -> Tensor:

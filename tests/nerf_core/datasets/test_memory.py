@@ -62,7 +62,9 @@ def peak_mb() -> Iterator[PeakMb]:
         def ask(path: Path, side: int) -> float:
             given.write(f"{side} {path}\n")
             given.flush()
-            return int(told.readline()) / 1024
+            answer = told.readline().strip()
+            assert answer.isdigit(), f"{path}: the reader says {answer!r}"
+            return int(answer) / 1024
 
         yield ask
         given.close()

@@ -11,7 +11,7 @@ import torch
 from nerf_core.common.errors import UserError
 from nerf_core.geometry.photos import Photos
 from nerf_core.geometry.scene import Scene
-from nerf_core.training.batches import STRIDES, Draw, PixelSampler
+from nerf_core.training.batches import Draw, PixelSampler, shuffled
 
 CPU = torch.device("cpu")
 
@@ -46,46 +46,50 @@ def test_a_ray_goes_through_the_pixel_whose_colour_it_gets(scene: Scene, one_ima
             np.testing.assert_allclose(where[0], [column + 0.5, row + 0.5], atol=1e-3)
 
 
-def test_all_pixels_are_equally_likely(scene: Scene) -> None:
+PIXELS = [240, 256, 240, 256, 240]  # of the training photos of `coded`
+
+
+def test_every_pixel_is_drawn_once_before_any_is_drawn_again(scene: Scene) -> None:
+    """Of pixels drawn with replacement, 1/e = 37 % would be left out."""
     sampler = PixelSampler(coded(scene), 0, CPU, seed=0)
-    counts = {v: (16 * 16 if v % 2 else 10 * 24) for v in range(5)}
-    found = np.bincount(decoded(sampler.draw(Draw(50_000))[1])[:, 0], minlength=5)
-    expected = np.array([counts[v] for v in range(5)]) / sum(counts.values()) * 50_000
-    np.testing.assert_allclose(found, expected, atol=4 * np.sqrt(expected.max()))
-
-
-def test_batches_together_cover_the_photos_evenly(scene: Scene) -> None:
-    """Of random pixels, 1/e = 37 % would be left out, and a photo would get 15 more or fewer than it should."""
-    sampler = PixelSampler(coded(scene), 0, CPU, seed=0)
-    sizes = np.array([240, 256, 240, 256, 240])
-    drawn = np.concatenate([decoded(sampler.draw(Draw(sizes.sum() // 8))[1]) for _ in range(8)])
-    assert len(drawn) == sizes.sum()
-    assert len(np.unique(drawn, axis=0)) > 0.68 * len(drawn)
-    np.testing.assert_allclose(np.bincount(drawn[:, 0]), sizes, atol=4)
-
-
-def test_the_last_number_below_one_draws_the_last_pixel(scene: Scene) -> None:
-    """Its product with a number of pixels can round up to that number."""
-    sampler = PixelSampler(coded(scene), 0, CPU, seed=0)
-    last = np.full(3, -1, np.int64).view(np.uint64) - STRIDES
-    sampler.load_state(sampler.state() | {"place": torch.from_numpy(last.view(np.int64))})
-    assert decoded(sampler.draw(Draw(1))[1]).tolist() == [[4, 9, 23]]
-
-
-def test_a_state_of_an_earlier_version_goes_on(scene: Scene) -> None:
-    found = []
+    orders = []
     for _ in range(2):
-        sampler = PixelSampler(scene, 0, CPU, 0)
-        sampler.load_state({"generator": torch.Generator().manual_seed(5).get_state()})
-        found.append(sampler.draw(Draw(9))[0].directions)
-    assert torch.equal(*found)
+        drawn = [decoded(sampler.draw(Draw(count))[1]) for count in (1, 231, 500, 500)]
+        orders.append(np.concatenate(drawn))
+        assert len(orders[-1]) == sum(PIXELS)
+        assert len(np.unique(orders[-1], axis=0)) == sum(PIXELS)
+    assert (orders[0] == orders[1]).all(1).mean() < 0.02  # the second time in another order
 
 
-@pytest.mark.parametrize("place", [torch.zeros(2, dtype=torch.int64), torch.zeros(3)])
-def test_a_place_that_is_none_is_refused(scene: Scene, place: torch.Tensor) -> None:
-    sampler = PixelSampler(scene, 0, CPU, 0)
-    with pytest.raises(ValueError, match="three numbers"):
-        sampler.load_state(sampler.state() | {"place": place})
+def test_a_step_is_a_random_choice_of_pixels(scene: Scene) -> None:
+    """In many steps, each half of each photo has its share, and as much chance: 9 of 88 pixels, σ = 2.7."""
+    scene = coded(scene)
+    sampler = PixelSampler(scene, 0, CPU, seed=0)
+    drawn = np.array([decoded(sampler.draw(Draw(88))[1]) for _ in range(2000)])
+    for k, count in enumerate(PIXELS):
+        height, width = scene.images[k].shape[:2]
+        mine = drawn[..., 0] == k
+        for half in (mine & (drawn[..., 1] < width // 2), mine & (drawn[..., 2] < height // 2)):
+            each = half.sum(1)
+            expected = 88 * count / 2 / sum(PIXELS)
+            assert each.mean() == pytest.approx(expected, abs=0.05)
+            assert each.std() == pytest.approx(
+                np.sqrt(expected * (1 - expected / 88) * (1 - 88 / sum(PIXELS))), rel=0.1
+            )
+
+
+@pytest.mark.parametrize("bits", [1, 2, 3, 10, 13])
+def test_an_order_has_every_number_once(bits: int) -> None:
+    for key in (0, 1, 2**63 - 1):
+        for turn in (0, 1, 2**40):
+            places = np.arange(turn << bits, (turn + 1) << bits, dtype=np.uint64)
+            assert np.sort(shuffled(places, key, bits)).tolist() == list(range(1 << bits))
+
+
+def test_photos_that_change_their_size_go_on(scene: Scene) -> None:
+    sampler = PixelSampler(coded(scene), 0, CPU, seed=0)
+    for shrink in (4, 2, 1):
+        assert len(sampler.draw(Draw(3000, shrink=shrink))[1]) == 3000
 
 
 def test_a_crop_is_the_middle_of_each_photo(scene: Scene) -> None:
@@ -117,6 +121,23 @@ def test_the_same_state_draws_the_same_rays(scene: Scene) -> None:
     assert not torch.equal(a.draw(Draw(9))[0].directions, b.draw(Draw(9))[0].directions)
     b.load_state(a.state())
     assert torch.equal(a.draw(Draw(9, True))[0].directions, b.draw(Draw(9, True))[0].directions)
+
+
+def test_a_state_of_an_earlier_version_decides_what_is_drawn(scene: Scene) -> None:
+    found = []
+    for seed in (0, 1):
+        sampler = PixelSampler(scene, 0, CPU, seed)
+        sampler.draw(Draw(seed + 5))
+        sampler.load_state({"generator": torch.Generator().manual_seed(5).get_state()})
+        found.append(sampler.draw(Draw(9))[0].directions)
+    assert torch.equal(*found)
+
+
+@pytest.mark.parametrize("order", [torch.zeros(3, dtype=torch.int64), torch.zeros(2), torch.tensor([1, -1])])
+def test_an_order_that_is_none_is_refused(scene: Scene, order: torch.Tensor) -> None:
+    sampler = PixelSampler(scene, 0, CPU, 0)
+    with pytest.raises(ValueError, match="two numbers of 0 or more"):
+        sampler.load_state(sampler.state() | {"order": order})
 
 
 def test_a_scene_without_training_photos_is_refused(scene: Scene) -> None:
