@@ -33,7 +33,15 @@ SMALL = {
     "nerf-guided": NETWORK | {"guide_steps": "5", "precision": "bfloat16"},
     "srn": {"rays": "64", "march_steps": "4", "width": "32", "learning_rate": "0.003"},
     "rgba-grid": {"side": "16", "coarsest": "8", "level_steps": "4", "rays": "256", "update_every": "4"},
-    "neural-volumes": {"rays": "64", "template": "8", "width": "16", "warps": "2", "warp_cells": "4"},
+    # every step sees all pixels, so that its loss tells what has been learnt
+    "neural-volumes": {
+        "rays": "1280",
+        "template": "8",
+        "width": "16",
+        "warps": "2",
+        "warp_cells": "4",
+        "learning_rate": "0.01",
+    },
 }
 
 
