@@ -22,6 +22,7 @@ from nerf_core.methods import Draw
 
 TAPS = 4  # pixels a side, at most, that stand for a block of a large capture's photo: all of a block of 4 × 4
 FACTORS = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)  # see `shuffled`
+MOST_DRAWN = 2**62  # places of an order, more than any run uses: a state from elsewhere must leave room to count on
 TRIES = 16  # rounds of drawing pixels until enough of them are not masked
 
 
@@ -194,15 +195,15 @@ class PixelSampler:
             at = self._next(int(photos.offsets[total]), count)
             index = torch.searchsorted(photos.offsets, at, right=True) - 1
             at, width = at - photos.offsets[index], photos.sizes[index, 0]
-            where = (torch.stack([at % width, at // width], -1) + 0.5) / photos.sizes[index]
+            # as shares of the photo: its middle, or another photo instead of it, may have another size
+            where = (torch.stack([at % width, at // width], -1).double() + 0.5) / photos.sizes[index]
         if among is not None:
             index = among[index]
         size = photos.sizes[index]
         window = size
         if wanted.crop < 1:
             window = (size * wanted.crop).long().clamp(min=1)
-        # the minimum, because a product of a float below 1 and an integer can round up to the integer
-        pixel = (size - window) // 2 + torch.minimum((where * window).long(), window - 1)
+        pixel = (size - window) // 2 + (where * window).long()
         return index, photos.shown(index, pixel)
 
     def _counting(self, photos: _Level, wanted: Draw) -> tuple[Tensor, Tensor]:
@@ -286,8 +287,10 @@ class PixelSampler:
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         """Continue from `state`. Raises KeyError, RuntimeError, TypeError or ValueError if it is no sampler's state."""
         order = state.get("order")
-        if order is not None and (order.shape != (2,) or order.dtype != torch.int64 or (order < 0).any()):
-            raise ValueError("the order of pixels is not two numbers of 0 or more")
+        if order is not None:
+            fits = order.shape == (2,) and order.dtype == torch.int64 and (order >= 0).all()
+            if not fits or order[1] > MOST_DRAWN:
+                raise ValueError("the order of pixels is not two numbers of 0 or more, the second up to 2⁶²")
         self.generator.set_state(state["generator"])
         # an earlier version drew with replacement
         self._key, self._drawn = (self._any_key(), 0) if order is None else order.tolist()

@@ -86,6 +86,25 @@ def test_an_order_has_every_number_once(bits: int) -> None:
             assert np.sort(shuffled(places, key, bits)).tolist() == list(range(1 << bits))
 
 
+def test_the_last_pixels_of_a_very_wide_photo_are_drawn(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Numbers of 32 bits could not tell them apart."""
+    width = 2**24
+    view = replace(scene.views[0], camera=scene.views[0].camera.resized(width, 1))
+    wide = replace(scene, views=(view,), photos=Photos.of([np.zeros((1, width, 3), np.uint8)]), splits={"train": (0,)})
+    sampler = PixelSampler(wide, 0, CPU, 0)
+    last = torch.arange(width - 100, width)
+    monkeypatch.setattr(sampler, "_next", lambda *_: last)
+    assert torch.equal(sampler._pixels(sampler._at(1), Draw(100))[1][:, 0], last)
+
+
+def test_a_state_at_the_end_goes_on(scene: Scene) -> None:
+    sampler = PixelSampler(scene, 0, CPU, 0)
+    sampler.load_state(sampler.state() | {"order": torch.tensor([2**63 - 1, 2**62])})
+    for _ in range(3):
+        sampler.draw(Draw(500))
+        assert sampler.state()["order"][1] > 2**62
+
+
 def test_photos_that_change_their_size_go_on(scene: Scene) -> None:
     sampler = PixelSampler(coded(scene), 0, CPU, seed=0)
     for shrink in (4, 2, 1):
@@ -133,7 +152,9 @@ def test_a_state_of_an_earlier_version_decides_what_is_drawn(scene: Scene) -> No
     assert torch.equal(*found)
 
 
-@pytest.mark.parametrize("order", [torch.zeros(3, dtype=torch.int64), torch.zeros(2), torch.tensor([1, -1])])
+@pytest.mark.parametrize(
+    "order", [torch.zeros(3, dtype=torch.int64), torch.zeros(2), torch.tensor([1, -1]), torch.tensor([1, 2**63 - 1])]
+)
 def test_an_order_that_is_none_is_refused(scene: Scene, order: torch.Tensor) -> None:
     sampler = PixelSampler(scene, 0, CPU, 0)
     with pytest.raises(ValueError, match="two numbers of 0 or more"):
