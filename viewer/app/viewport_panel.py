@@ -250,10 +250,11 @@ def _point_at(ui: PanelUi, state: AppState, overlay: Overlay, ray: RayProbe) -> 
 def _draw_rays(ui: PanelUi, overlay: Overlay, rays: list[RayProbe], colors: list[ImVec4]) -> None:
     thin = max(1.0, ui.em / 14)
     overlay.lines(*_ends(rays), (SHADE, 3 * thin), (colors, 1.2 * thin))
+    sampled = [n for n, ray in enumerate(rays) if ray.passes]
+    rims = (SHADE, 2.2 * thin), ([colors[n] for n in sampled], 1.4 * thin)
+    overlay.samples([rays[n] for n in sampled], ui.em, *rims)
     for ray, color in zip(rays, colors, strict=True):
-        if ray.passes:
-            overlay.samples(ray, ui.em, (SHADE, 2.2 * thin), (color, 1.4 * thin))
-        else:
+        if not ray.passes:
             overlay.visits(ray, ui.em, Ink(color, SHADE, color), numbered=False)
 
 

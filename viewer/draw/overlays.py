@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
@@ -48,22 +51,32 @@ class Overlay:
             for (p, q), tint in zip(shown, tints, strict=True):
                 self._draw.add_line(p, q, tint, thickness)
 
-    def samples(self, ray: RayProbe, em: float, *rims: tuple[ImVec4, float]) -> None:
-        """Draw the samples of the last pass as discs: the area grows with the weight, the colour is the sample's.
+    def samples(self, rays: Sequence[RayProbe], em: float, *rims: tuple[ImVec4 | Sequence[ImVec4], float]) -> None:
+        """Draw the samples of the last passes as discs: the area grows with the weight, the colour is the sample's.
 
-        rims: colours, and the width of each in pixels. All rims lie under all samples, because dense samples would
-        otherwise hide each other's colours.
+        All rims of a ray lie under all of its samples, because dense samples would otherwise hide each other's colours.
+
+        Args:
+            rays: drawn over each other in this order.
+            em: the height of the font in pixels.
+            rims: colours, each for all rays or one per ray, and the width of each in pixels.
         """
-        drawn, places, radii = self._discs(ray, em)
-        kept = uncovered(places, radii)  # most are covered if one looks along the ray
-        drawn, places, radii = drawn[kept], places[kept], radii[kept]
-        discs = [(ImVec2(*place), radius) for place, radius in zip(places.tolist(), radii.tolist(), strict=True)]
-        for color, reach in rims:
-            tint = packed(color)
-            for place, radius in discs:
-                self._draw.add_circle_filled(place, radius + reach, tint)
-        for fill, (place, radius) in zip(tints(ray.last.rgb[drawn]), discs, strict=True):
-            self._draw.add_circle_filled(place, radius, fill)
+        found = self._discs(rays, em)
+        ends = np.searchsorted(found.ray, np.arange(len(rays) + 1))
+        parts = [slice(*pair) for pair in itertools.pairwise(ends.tolist())]
+        # most are covered if one looks along the ray
+        kept = np.concatenate([uncovered(found.places[part], found.radii[part]) for part in parts] or [ends[:0] > 0])
+        fills = tints(np.concatenate([ray.last.rgb for ray in rays])[found.sample]) if rays else []
+        discs = [ImVec2(*place) for place in found.places.tolist()]
+        radii, circle = found.radii.tolist(), self._draw.add_circle_filled
+        for n, part in enumerate(parts):
+            shown = (np.flatnonzero(kept[part]) + part.start).tolist()
+            for color, reach in rims:
+                tint = packed(color if isinstance(color, ImVec4) else color[n])
+                for k in shown:
+                    circle(discs[k], radii[k] + reach, tint)
+            for k in shown:
+                circle(discs[k], radii[k], fills[k])
 
     def tags(
         self, starts: np.ndarray, ends: np.ndarray, texts: list[str], em: float, colors: list[ImVec4], ink: ImVec4
@@ -104,12 +117,12 @@ class Overlay:
         """
         if self._on(ray):
             return None
-        found, places, radii = self._discs(ray, em)
-        apart = np.hypot(*(places - (x, y)).T)
+        found = self._discs([ray], em)
+        apart = np.hypot(*(found.places - (x, y)).T)
         apart = np.where(
-            apart < radii + REACH_EM * em, apart, np.inf
+            apart < found.radii + REACH_EM * em, apart, np.inf
         )  # of overlapping discs, the one with the nearest centre
-        return int(found[apart.argmin()]) if np.isfinite(apart).any() else None
+        return int(found.sample[apart.argmin()]) if np.isfinite(apart).any() else None
 
     def visits(self, ray: RayProbe, em: float, ink: Ink, marked: int | None = None, numbered: bool = True) -> None:
         """Draw the places that a method without samples looked at, as discs with their numbers; see `discs`.
@@ -143,17 +156,20 @@ class Overlay:
         aside = np.linalg.norm(np.cross(self._camera.c2w[:, 3] - ray.origin, ray.direction))
         return bool(aside < self._near)
 
-    def _discs(self, ray: RayProbe, em: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The visible samples (K,) of the last pass, far to near, their screen positions (K, 2) and radii (K,)."""
-        last = ray.last
-        drawn = np.flatnonzero(last.weights > FAINT)
-        pixels, depth = self._camera.project(ray.origin + last.t[drawn, None] * ray.direction)
-        order = np.argsort(-depth)
+    def _discs(self, rays: Sequence[RayProbe], em: float) -> _Discs:
+        """The visible samples of the last passes, ray by ray, those of each from far to near."""
+        if not rays:
+            return _Discs(*(np.zeros(0, np.int64) for _ in range(2)), np.zeros((0, 2)), np.zeros(0))
+        weights, t = (np.concatenate([getattr(ray.last, name) for ray in rays]) for name in ("weights", "t"))
+        drawn = np.flatnonzero(weights > FAINT)
+        ray = np.repeat(np.arange(len(rays)), [len(ray.last.t) for ray in rays])[drawn]
+        origins, directions = (np.array([getattr(ray, name) for ray in rays])[ray] for name in ("origin", "direction"))
+        pixels, depth = self._camera.project(origins + t[drawn, None] * directions)
+        order = np.lexsort((-depth, ray))
         order = order[depth[order] >= self._near]
-        radii = em * (
-            0.2 + 0.36 * np.sqrt(last.weights[drawn[order]])
-        )  # samples of the smallest weight still show their colour
-        return drawn[order], pixels[order] + self._origin, radii
+        # samples of the smallest weight still show their colour
+        radii = em * (0.2 + 0.36 * np.sqrt(weights[drawn[order]]))
+        return _Discs(ray[order], drawn[order], pixels[order] + self._origin, radii)
 
     def ring(self, position: np.ndarray, radius: float, color: ImVec4, thickness: float) -> None:
         """Draw a circle of `radius` pixels around a world point."""
@@ -171,6 +187,19 @@ class Overlay:
         for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
             start, end = ImVec2(x + 0.25 * em * dx, y + 0.25 * em * dy), ImVec2(x + 0.7 * em * dx, y + 0.7 * em * dy)
             self._draw.add_line(start, end, tint, max(1.0, 0.1 * em))
+
+
+class _Discs(NamedTuple):
+    """K samples of rays on the screen.
+
+    ray: (K,) int, which ray. sample: (K,) int, which of the rays' samples, counted over all rays.
+    places: (K, 2) centres in pixels of the screen. radii: (K,) in pixels.
+    """
+
+    ray: np.ndarray
+    sample: np.ndarray
+    places: np.ndarray
+    radii: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -207,8 +236,9 @@ def uncovered(places: np.ndarray, radii: np.ndarray) -> np.ndarray:
     """
     if len(radii) > MANY:
         return np.ones(len(radii), bool)
-    apart = np.hypot(*(places[:, None] - places).transpose(2, 0, 1))
-    covers = apart + radii[:, None] <= radii + 1e-3  # pixels: places come from float32
+    x, y = (np.subtract.outer(axis, axis) for axis in places.T)
+    larger = radii - radii[:, None] + 1e-3  # in pixels; 1e-3: places come from float32
+    covers = (larger >= 0) & (x * x + y * y <= larger * larger)  # np.hypot takes several times as long
     return ~np.triu(covers, 1).any(1)
 
 

@@ -456,7 +456,7 @@ def test_the_sample_under_the_mouse_is_the_one_that_is_drawn_there(canvas: tuple
 
     def draw(lists: imgui.ImDrawList) -> None:
         overlay = Overlay(lists, camera, (30.0, 20.0), 1e-3)
-        overlay.samples(ray, em)
+        overlay.samples([ray], em)
         for place in places[heavy]:
             found = overlay.sample_at(ray, em, *place)
             assert found is not None
@@ -519,7 +519,7 @@ def test_rims_lie_around_the_samples_and_over_none_of_them(canvas: tuple[Window,
     assert np.linalg.norm(np.diff(heavy, axis=0), axis=1).max() < 0.3 * em  # they overlap
 
     def shown(*rims: tuple[ImVec4, float]) -> np.ndarray:
-        return paint(canvas, lambda lists: Overlay(lists, camera, (0.0, 0.0), 1e-3).samples(ray, em, *rims))
+        return paint(canvas, lambda lists: Overlay(lists, camera, (0.0, 0.0), 1e-3).samples([ray], em, *rims))
 
     bare, rimmed = shown(), shown((red, 3.0))
     for x, y in np.floor(heavy).astype(int):
@@ -541,7 +541,30 @@ def test_discs_that_later_ones_cover_are_not_drawn() -> None:
             reach = radii - np.linalg.norm(places - places[k], axis=-1)
             assert (reach[k + 1 :] < radii[k]).all()
     assert uncovered(np.zeros((50, 2)), np.full(50, 3.0)).tolist() == [False] * 49 + [True]
+    assert uncovered(np.zeros((3, 2)), np.array([3.0, 5.0, 4.0])).tolist() == [False, True, True]
     assert uncovered(np.zeros((0, 2)), np.zeros(0)).tolist() == []
+
+
+def test_several_rays_are_drawn_over_each_other_each_with_its_rims(canvas: tuple[Window, ImguiRenderer]) -> None:
+    first, em = make_ray(), 6.0
+    second = replace(first, origin=first.origin + np.array([0.0, 0.0, 0.3]), passes=first.passes[:1])
+    aside = replace(first, origin=first.origin + np.array([0.0, 50.0, 0.0]))  # its samples lie beside the picture
+    camera, tones = make_camera(np.array([0.5, 3.2, 1.0])), [ImVec4(*np.eye(4)[k, :3], 1) for k in range(3)]
+
+    def all_at_once(lists: imgui.ImDrawList) -> None:
+        overlay = Overlay(lists, camera, (0.0, 0.0), 1e-3)
+        overlay.samples([first, aside, second], em, (tones[0], 4.0), ([tones[1], tones[0], tones[2]], 2.0))
+        overlay.samples([], em, (tones[0], 3.0))
+
+    def one_by_one(lists: imgui.ImDrawList) -> None:
+        overlay = Overlay(lists, camera, (0.0, 0.0), 1e-3)
+        for ray, tone in zip((first, aside, second), (tones[1], tones[0], tones[2]), strict=True):
+            overlay.samples([ray], em, (tones[0], 4.0), (tone, 2.0))
+
+    shown = paint(canvas, all_at_once)
+    np.testing.assert_array_equal(shown, paint(canvas, one_by_one))
+    for tone in tones:
+        assert (shown == [255 * tone.x, 255 * tone.y, 255 * tone.z]).all(-1).any()
 
 
 @pytest.mark.parametrize("eye", [(0.5, 3.2, 1.0), (3.2, 0.0, 2.4), (0.4, -1.5, 0.3)])
