@@ -61,6 +61,13 @@ class VoxelConfig:
     rate_gloss: float = constant(0.02, marked("learning rate of gloss, falling alike"))
     rate_density: float = constant(0.45, marked("Adam's learning rate for density, falling alike"))
     slowdown: float = constant(500.0, marked("steps after which the learning rates have halved"), least=1)
+    epochs: float = constant(
+        0.0,
+        marked(
+            "rounds through all training pixels after which the rates have halved once more, by 1 / (1 + r²); 0: never"
+        ),
+        most=10**6,
+    )
     keep_square: float = constant(0.99, marked("Adam's beta2"), share="[0, 1)")
     epsilon: float = constant(1e-5, marked("Adam's epsilon, in units of one ray's gradient"), least=1e-12)
     average: float = constant(
@@ -123,7 +130,7 @@ class VoxelConfig:
             config = replace(
                 config, rate_view=0.06, rate_gloss=0.04, rate_density=0.2, keep_square=0.999, smoothness=3e-5,
                 distortion=0.01, smoothness_color=0, distortion_before=0.3, spare_error=0.5, beside=1e-7, step=1.0,
-                resolution=400, most_rows=3_000_000, most_rays=12288, wait=0,
+                resolution=400, most_rows=3_000_000, most_rays=12288, wait=0, epochs=12,
             )  # fmt: skip
             if scene.from_inside:  # walls would be fog: each part of them is seen by few photos, from about one side
                 config = replace(config, rate_gloss=0.01, rate_density=0.45, distortion=0.1)
@@ -150,7 +157,8 @@ def rows_that_fit() -> int:
 
 def _of_today(config: Mapping[str, Any]) -> Mapping[str, Any]:
     """A configuration that an earlier version may have written, without what there was and with what there was not."""
-    older = {"distortion_before": 1.0, "smoothness_color": 0.0, "depth_weight": 0.0, "gloss": 0.0, "rate_gloss": 0.0}
+    absent = "epochs", "smoothness_color", "depth_weight", "gloss", "rate_gloss"
+    older = {"distortion_before": 1.0, **dict.fromkeys(absent, 0.0)}
     config = {**older, "most_rays": config.get("rays"), "wait": 0.0, **config}
     config.pop("keep", None)  # of first moments, which there were
     if "prune" not in config:

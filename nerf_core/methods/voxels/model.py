@@ -85,6 +85,8 @@ class VoxelModel(Defaults):
         self.grid.rows[:, GLOSS] = config.gloss * functional.normalize(away, dim=-1).float()
         self.moments = torch.zeros(len(self.grid.rows), len(PARTS))  # second ones; there are no first ones
         self.ema_rows = self.grid.rows.clone()
+        cameras = [scene.views[i].camera for i in scene.trained(config.train_images)]
+        self.pixels = sum(camera.width * camera.height for camera in cameras)  # of the training photos
         self.updates = 0  # Adam's updates
         self.mean_error = 1.0  # mean squared error of the last some 20 steps
         self._before: list[tuple[VoxelGrid, Tensor, Tensor, int, bool]] = []  # what an abandoned step restores
@@ -143,7 +145,7 @@ class VoxelModel(Defaults):
             march = self._training_march(torch.rand(len(known.t), generator=self.generator))
             self.kernels.accumulate_depths(self.grid, self.space.rays(known.rays), known.t, march)
         self.updates += 1
-        slower = 1 / (1 + step / c.slowdown)
+        slower = self._slower(step)
         correction2 = 1 / (1 - c.keep_square**self.updates)
         ema_rate = max(1 - c.average, YOUNG / (YOUNG + self.updates - 1))
         self.kernels.update(
@@ -161,6 +163,16 @@ class VoxelModel(Defaults):
         mean = error / (3 * len(rays))
         self.mean_error += max(1 - MEMORY, 1 / (step + 1)) * (mean - self.mean_error)
         return mean
+
+    def _slower(self, step: int) -> float:
+        """The factor of the learning rates in a step.
+
+        What photos show in common is learnt in the first rounds through their pixels. What they contradict each other
+        in, such as shadows that move and poses that are not right, is learnt after it, and makes new views worse.
+        """
+        c = self.config
+        rounds = step * c.rays / self.pixels
+        return 1 / (1 + step / c.slowdown) / (1 + (rounds / c.epochs) ** 2 if c.epochs > 0 else 1)
 
     @cached_property
     def sparse_depths(self) -> SparseDepths:

@@ -503,6 +503,27 @@ def test_rates_fall_with_every_step_and_adam_goes_on_from_level_to_level(
         assert adam.correction2 == pytest.approx(1 / (1 - c.keep_square ** (step + 1)))
 
 
+def test_rates_fall_faster_after_rounds_through_the_photos(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    trainer = run(around(scene), 0, slowdown=5, epochs=0.5, train_images=2, rays=100)
+    method, rates = voxels_of(trainer), []
+    update = method.kernels.update
+    monkeypatch.setattr(method.kernels, "update", lambda *given: (rates.append(given[-1][:4]), update(*given)))
+    for _ in range(6):
+        trainer.step()
+    c, size = method.config, scene.views[0].camera.width * scene.views[0].camera.height
+    for step, found in enumerate(rates):
+        again = 1 + (step * 100 / (2 * size) / 0.5) ** 2
+        given = np.array([c.rate_color, c.rate_view, c.rate_gloss, c.rate_density])
+        np.testing.assert_allclose(found, given / (1 + step / 5) / again)
+
+
+def test_a_run_of_an_earlier_version_keeps_its_rates(scene: Scene) -> None:
+    today = VoxelConfig.configure(around(scene), "auto", {}, CPU)
+    assert today.epochs > 0
+    known = {k: v for k, v in today.to_json().items() if k != "epochs"}
+    assert VoxelConfig.restore(known) == replace(today, epochs=0)
+
+
 def test_cells_are_dropped_in_the_last_level_at_growing_intervals(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
