@@ -133,7 +133,7 @@ class VoxelConfig:
                 resolution=400, most_rows=3_000_000, most_rays=12288, wait=0, epochs=12,
             )  # fmt: skip
             if scene.from_inside:  # walls would be fog: each part of them is seen by few photos, from about one side
-                config = replace(config, rate_gloss=0.01, rate_density=0.45, distortion=0.1)
+                config = replace(config, rate_gloss=0.01, rate_density=0.45, distortion=0.1, smoothness_color=3e-5)
         config = changed(replace(config, most_rows=min(config.most_rows, rows_that_fit())), changes, "voxels")
         if "depth_weight" not in changes and SparseDepths.known(scene, config.train_images):
             config = replace(config, depth_weight=DEPTH_WEIGHT)

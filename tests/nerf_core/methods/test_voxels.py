@@ -78,6 +78,7 @@ def test_a_room_has_constants_of_its_own(scene: Scene) -> None:
     place, room = (VoxelConfig.configure(around(s), "auto", {}, CPU) for s in (scene, scene.reposed(turned)))
     assert room.distortion > place.distortion
     assert room.rate_density > place.rate_density
+    assert room.smoothness_color > place.smoothness_color
     assert VoxelConfig.configure(scene.reposed(turned), "auto", {}, CPU) == VoxelConfig()  # an object has no walls
     set_by_hand = VoxelConfig.configure(around(scene.reposed(turned)), "auto", {"distortion": "0"}, CPU)
     assert set_by_hand.distortion == 0
