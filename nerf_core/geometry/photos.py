@@ -170,6 +170,13 @@ class Photos:
             return not self.damaged(k)
         return bool(self.kept[self.starts[k] + y * self.sizes[k, 0] + x])
 
+    def counting(self, index: Sequence[int]) -> int:
+        """Return how many pixels of the photos `index` are not masked. Damaged photos have theirs, too."""
+        many = self.sizes.prod(1)
+        if self.kept is None:
+            return int(many[list(index)].sum())
+        return sum(int(np.count_nonzero(self.kept[self.starts[k] : self.starts[k] + many[k]])) for k in index)
+
     @cached_property
     def masked_photos(self) -> tuple[int, ...]:
         """The photos of which some pixels do not count."""

@@ -254,7 +254,7 @@ def _draw_rays(ui: PanelUi, overlay: Overlay, rays: list[RayProbe], colors: list
     rims = (SHADE, 2.2 * thin), ([colors[n] for n in sampled], 1.4 * thin)
     overlay.samples([rays[n] for n in sampled], ui.em, *rims)
     for ray, color in zip(rays, colors, strict=True):
-        if not ray.passes:
+        if not ray.passes:  # a model gives all of its rays samples, or none
             overlay.visits(ray, ui.em, Ink(color, SHADE, color), numbered=False)
 
 

@@ -61,16 +61,18 @@ class Overlay:
             em: the height of the font in pixels.
             rims: colours, each for all rays or one per ray, and the width of each in pixels.
         """
+        if not rays:
+            return
         found = self._discs(rays, em)
-        ends = np.searchsorted(found.ray, np.arange(len(rays) + 1))
-        parts = [slice(*pair) for pair in itertools.pairwise(ends.tolist())]
+        parts = [slice(*ends) for ends in itertools.pairwise(np.searchsorted(found.ray, np.arange(len(rays) + 1)))]
         # most are covered if one looks along the ray
-        kept = np.concatenate([uncovered(found.places[part], found.radii[part]) for part in parts] or [ends[:0] > 0])
-        fills = tints(np.concatenate([ray.last.rgb for ray in rays])[found.sample]) if rays else []
+        kept = np.concatenate([uncovered(found.places[part], found.radii[part]) for part in parts])
+        found = _Discs(*(values[kept] for values in found))
+        fills = tints(np.concatenate([ray.last.rgb for ray in rays])[found.sample])
         discs = [ImVec2(*place) for place in found.places.tolist()]
         radii, circle = found.radii.tolist(), self._draw.add_circle_filled
-        for n, part in enumerate(parts):
-            shown = (np.flatnonzero(kept[part]) + part.start).tolist()
+        ends = np.searchsorted(found.ray, np.arange(len(rays) + 1)).tolist()
+        for n, shown in enumerate(itertools.starmap(range, itertools.pairwise(ends))):
             for color, reach in rims:
                 tint = packed(color if isinstance(color, ImVec4) else color[n])
                 for k in shown:
@@ -157,19 +159,17 @@ class Overlay:
         return bool(aside < self._near)
 
     def _discs(self, rays: Sequence[RayProbe], em: float) -> _Discs:
-        """The visible samples of the last passes, ray by ray, those of each from far to near."""
-        if not rays:
-            return _Discs(*(np.zeros(0, np.int64) for _ in range(2)), np.zeros((0, 2)), np.zeros(0))
+        """The visible samples of the last passes of some rays, ray by ray, those of each from far to near."""
         weights, t = (np.concatenate([getattr(ray.last, name) for ray in rays]) for name in ("weights", "t"))
         drawn = np.flatnonzero(weights > FAINT)
-        ray = np.repeat(np.arange(len(rays)), [len(ray.last.t) for ray in rays])[drawn]
-        origins, directions = (np.array([getattr(ray, name) for ray in rays])[ray] for name in ("origin", "direction"))
-        pixels, depth = self._camera.project(origins + t[drawn, None] * directions)
-        order = np.lexsort((-depth, ray))
+        which = np.repeat(np.arange(len(rays)), [len(ray.last.t) for ray in rays])[drawn]
+        origins, ways = (np.array([getattr(ray, name) for ray in rays])[which] for name in ("origin", "direction"))
+        pixels, depth = self._camera.project(origins + t[drawn, None] * ways)
+        order = np.lexsort((-depth, which))
         order = order[depth[order] >= self._near]
         # samples of the smallest weight still show their colour
         radii = em * (0.2 + 0.36 * np.sqrt(weights[drawn[order]]))
-        return _Discs(ray[order], drawn[order], pixels[order] + self._origin, radii)
+        return _Discs(which[order], drawn[order], pixels[order] + self._origin, radii)
 
     def ring(self, position: np.ndarray, radius: float, color: ImVec4, thickness: float) -> None:
         """Draw a circle of `radius` pixels around a world point."""

@@ -49,8 +49,10 @@ class GuidedConfig(MlpConfig):
         )  # fmt: skip
         own = {name: text for name, text in changes.items() if not name.startswith(GUIDE)}
         guides = {name.removeprefix(GUIDE): text for name, text in changes.items() if name.startswith(GUIDE)}
-        guide = VoxelConfig.configure(scene, "auto", QUICK | guides, device)
-        return changed(replace(config, guide=guide), own, "nerf-guided")
+        config = changed(config, own, "nerf-guided")
+        # the trainer draws the pixels of both from the same photos
+        same = {"train_images": str(config.train_images)}
+        return replace(config, guide=VoxelConfig.configure(scene, "auto", QUICK | same | guides, device))
 
     @staticmethod
     def restore(config: Mapping[str, Any]) -> GuidedConfig:

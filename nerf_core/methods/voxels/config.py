@@ -56,15 +56,16 @@ class VoxelConfig:
         0.3, marked("length of a new grid's vectors of gloss, which brightens all channels alike towards some views"),
         most=3,
     )  # fmt: skip
-    rate_color: float = constant(0.2, marked("Adam's learning rate for colour, falling as 1 / (1 + step / slowdown)"))
+    rate_color: float = constant(0.2, marked("Adam's learning rate for colour, falling with slowdown and epochs"))
     rate_view: float = constant(0.12, marked("the same for the part of colour that changes with the view"))
     rate_gloss: float = constant(0.02, marked("learning rate of gloss, falling alike"))
     rate_density: float = constant(0.45, marked("Adam's learning rate for density, falling alike"))
-    slowdown: float = constant(500.0, marked("steps after which the learning rates have halved"), least=1)
+    slowdown: float = constant(500.0, marked("the learning rates fall as 1 / (1 + step / slowdown)"), least=1)
     epochs: float = constant(
         0.0,
         marked(
-            "rounds through all training pixels after which the rates have halved once more, by 1 / (1 + r²); 0: never"
+            "the rates also fall as 1 / (1 + (n / epochs)²), to a fifth at most; n: steps of the finest level · rays / "
+            "training pixels; 0: they do not"
         ),
         most=10**6,
     )

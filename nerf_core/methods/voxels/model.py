@@ -60,6 +60,7 @@ ENOUGH = 400_000  # training pixels that are asked which cells they need: a seco
 ROWS_A_RAY = 33
 MEMORY = 0.95  # decay of the mean error, per step
 DEPTH_SHARE = 16  # so many times fewer rays than a step's go to sparse points: few know more than thousands of pixels
+AGAIN = 4.0  # rounds make the rates fall to a fifth at most: photos that agree with each other have more to teach
 YOUNG = 4.0  # early on, at step k, average only the last k/YOUNG steps: older rows are outdated
 
 
@@ -85,8 +86,7 @@ class VoxelModel(Defaults):
         self.grid.rows[:, GLOSS] = config.gloss * functional.normalize(away, dim=-1).float()
         self.moments = torch.zeros(len(self.grid.rows), len(PARTS))  # second ones; there are no first ones
         self.ema_rows = self.grid.rows.clone()
-        cameras = [scene.views[i].camera for i in scene.trained(config.train_images)]
-        self.pixels = sum(camera.width * camera.height for camera in cameras)  # of the training photos
+        self.pixels = max(1, scene.photos.counting(scene.trained(config.train_images)))  # to train on; 1: all masked
         self.updates = 0  # Adam's updates
         self.mean_error = 1.0  # mean squared error of the last some 20 steps
         self._before: list[tuple[VoxelGrid, Tensor, Tensor, int, bool]] = []  # what an abandoned step restores
@@ -168,11 +168,14 @@ class VoxelModel(Defaults):
         """The factor of the learning rates in a step.
 
         What photos show in common is learnt in the first rounds through their pixels. What they contradict each other
-        in, such as shadows that move and poses that are not right, is learnt after it, and makes new views worse.
+        in, such as shadows that move and poses that are not right, is learnt after them, and makes new views worse.
         """
         c = self.config
-        rounds = step * c.rays / self.pixels
-        return 1 / (1 + step / c.slowdown) / (1 + (rounds / c.epochs) ** 2 if c.epochs > 0 else 1)
+        slower = 1 / (1 + step / c.slowdown)
+        if c.epochs == 0:
+            return slower
+        rounds = max(0, step - self.schedule.levels[-1].begin) * c.rays / self.pixels / c.epochs
+        return slower / (1 + min(rounds * rounds, AGAIN))
 
     @cached_property
     def sparse_depths(self) -> SparseDepths:

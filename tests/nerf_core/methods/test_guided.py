@@ -177,6 +177,15 @@ def test_the_proposal_grids_constants_are_set_checked_and_stored(scene: Scene) -
             GuidedConfig.restore(config.to_json() | broken)
 
 
+def test_the_proposal_grid_knows_which_photos_it_is_trained_on(scene: Scene) -> None:
+    for changes, expected in (
+        ({}, 0),
+        ({"train_images": "2"}, 2),
+        ({"train_images": "2", "guide.train_images": "3"}, 3),
+    ):
+        assert GuidedConfig.configure(scene, "auto", changes, CPU).guide.train_images == expected
+
+
 def test_the_proposal_grid_of_large_photos_becomes_fine_before_it_is_done(scene: Scene) -> None:
     config, space = GuidedConfig.configure(scene, "auto", {}, CPU), Space.of(scene)
     finest = np.full(3, float((space.high - space.low).max()) / config.guide.resolution)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
@@ -504,18 +505,29 @@ def test_rates_fall_with_every_step_and_adam_goes_on_from_level_to_level(
         assert adam.correction2 == pytest.approx(1 / (1 - c.keep_square ** (step + 1)))
 
 
-def test_rates_fall_faster_after_rounds_through_the_photos(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    trainer = run(around(scene), 0, slowdown=5, epochs=0.5, train_images=2, rays=100)
+@pytest.mark.parametrize("epochs", [2.0, 1e-200])
+def test_rates_fall_faster_after_rounds_through_the_photos(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch, epochs: float
+) -> None:
+    first, other = scene.trained(2)
+    size = (scene.views[first].camera.height, scene.views[first].camera.width)
+    half = np.arange(math.prod(size)).reshape(size) % 2 == 0  # every second pixel of one photo is masked
+    masked = replace(around(scene), photos=scene.photos.masked({first: half}))
+    trainer = run(masked, 0, slowdown=5, epochs=epochs, train_images=2, rays=100, level_steps=2)
     method, rates = voxels_of(trainer), []
     update = method.kernels.update
     monkeypatch.setattr(method.kernels, "update", lambda *given: (rates.append(given[-1][:4]), update(*given)))
-    for _ in range(6):
+    begin = method.schedule.levels[-1].begin
+    for _ in range(begin + 4):
         trainer.step()
-    c, size = method.config, scene.views[0].camera.width * scene.views[0].camera.height
+    c = method.config
+    assert first != other
+    assert 3 * 100 / (half.sum() + half.size) < 2 * 2.0  # the rates of 2 epochs have not fallen to the end
+    assert 0 < begin < len(rates) == begin + 4
     for step, found in enumerate(rates):
-        again = 1 + (step * 100 / (2 * size) / 0.5) ** 2
+        rounds = max(0, step - begin) * 100 / int(half.sum() + half.size) / epochs
         given = np.array([c.rate_color, c.rate_view, c.rate_gloss, c.rate_density])
-        np.testing.assert_allclose(found, given / (1 + step / 5) / again)
+        np.testing.assert_allclose(found, given / (1 + step / 5) / (1 + min(rounds * rounds, 4)))
 
 
 def test_a_run_of_an_earlier_version_keeps_its_rates(scene: Scene) -> None:

@@ -547,18 +547,18 @@ def test_discs_that_later_ones_cover_are_not_drawn() -> None:
 
 def test_several_rays_are_drawn_over_each_other_each_with_its_rims(canvas: tuple[Window, ImguiRenderer]) -> None:
     first, em = make_ray(), 6.0
-    second = replace(first, origin=first.origin + np.array([0.0, 0.0, 0.3]), passes=first.passes[:1])
-    aside = replace(first, origin=first.origin + np.array([0.0, 50.0, 0.0]))  # its samples lie beside the picture
+    second = replace(first, origin=first.origin + np.array([0.0, 0.0, 0.1]), passes=first.passes[:1])
+    hidden = replace(first, origin=first.origin + np.array([0.0, 50.0, 0.0]))  # behind the camera
     camera, tones = make_camera(np.array([0.5, 3.2, 1.0])), [ImVec4(*np.eye(4)[k, :3], 1) for k in range(3)]
 
     def all_at_once(lists: imgui.ImDrawList) -> None:
         overlay = Overlay(lists, camera, (0.0, 0.0), 1e-3)
-        overlay.samples([first, aside, second], em, (tones[0], 4.0), ([tones[1], tones[0], tones[2]], 2.0))
+        overlay.samples([first, hidden, second], em, (tones[0], 4.0), ([tones[1], tones[0], tones[2]], 2.0))
         overlay.samples([], em, (tones[0], 3.0))
 
     def one_by_one(lists: imgui.ImDrawList) -> None:
         overlay = Overlay(lists, camera, (0.0, 0.0), 1e-3)
-        for ray, tone in zip((first, aside, second), (tones[1], tones[0], tones[2]), strict=True):
+        for ray, tone in zip((first, hidden, second), (tones[1], tones[0], tones[2]), strict=True):
             overlay.samples([ray], em, (tones[0], 4.0), (tone, 2.0))
 
     shown = paint(canvas, all_at_once)
