@@ -549,7 +549,8 @@ def test_several_rays_are_drawn_over_each_other_each_with_its_rims(canvas: tuple
     first, em = make_ray(), 6.0
     second = replace(first, origin=first.origin + np.array([0.0, 0.0, 0.1]), passes=first.passes[:1])
     hidden = replace(first, origin=first.origin + np.array([0.0, 50.0, 0.0]))  # behind the camera
-    camera, tones = make_camera(np.array([0.5, 3.2, 1.0])), [ImVec4(*np.eye(4)[k, :3], 1) for k in range(3)]
+    camera = make_camera(np.array([0.5, 3.2, 1.0]))
+    tones = ImVec4(1, 0, 0, 1), ImVec4(0, 1, 0, 1), ImVec4(0, 0, 1, 1)
 
     def all_at_once(lists: imgui.ImDrawList) -> None:
         overlay = Overlay(lists, camera, (0.0, 0.0), 1e-3)
