@@ -64,8 +64,8 @@ class VoxelConfig:
     epochs: float = constant(
         0.0,
         marked(
-            "the rates also fall as 1 / (1 + (n / epochs)²), to a fifth at most; n: steps of the finest level · rays / "
-            "training pixels; 0: they do not"
+            "rates also fall as 1 / (1 + (n/epochs)²), to a fifth at most; n: finest level's steps · rays / training "
+            "pixels; 0: never"
         ),
         most=10**6,
     )
