@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -64,21 +63,19 @@ class Overlay:
         if not rays:
             return
         found = self._discs(rays, em)
-        parts = [slice(*ends) for ends in itertools.pairwise(np.searchsorted(found.ray, np.arange(len(rays) + 1)))]
-        # most are covered if one looks along the ray
-        kept = np.concatenate([uncovered(found.places[part], found.radii[part]) for part in parts])
-        found = _Discs(*(values[kept] for values in found))
         fills = tints(np.concatenate([ray.last.rgb for ray in rays])[found.sample])
-        discs = [ImVec2(*place) for place in found.places.tolist()]
-        radii, circle = found.radii.tolist(), self._draw.add_circle_filled
-        ends = np.searchsorted(found.ray, np.arange(len(rays) + 1)).tolist()
-        for n, shown in enumerate(itertools.starmap(range, itertools.pairwise(ends))):
+        places, radii, circle = found.places.tolist(), found.radii.tolist(), self._draw.add_circle_filled
+        for n in range(len(rays)):
+            of_ray = np.flatnonzero(found.ray == n)
+            # most are covered if one looks along the ray
+            shown = of_ray[uncovered(found.places[of_ray], found.radii[of_ray])]
+            discs = [(ImVec2(*places[k]), radii[k], fills[k]) for k in shown.tolist()]
             for color, reach in rims:
                 tint = packed(color if isinstance(color, ImVec4) else color[n])
-                for k in shown:
-                    circle(discs[k], radii[k] + reach, tint)
-            for k in shown:
-                circle(discs[k], radii[k], fills[k])
+                for place, radius, _ in discs:
+                    circle(place, radius + reach, tint)
+            for disc in discs:
+                circle(*disc)
 
     def tags(
         self, starts: np.ndarray, ends: np.ndarray, texts: list[str], em: float, colors: list[ImVec4], ink: ImVec4

@@ -60,7 +60,7 @@ ENOUGH = 400_000  # training pixels that are asked which cells they need: a seco
 ROWS_A_RAY = 33
 MEMORY = 0.95  # decay of the mean error, per step
 DEPTH_SHARE = 16  # so many times fewer rays than a step's go to sparse points: few know more than thousands of pixels
-AGAIN = 4.0  # rounds make the rates fall to a fifth at most: photos that agree with each other have more to teach
+MOST_EPOCHS = 2.0  # rounds beyond so many `epochs` slow no further: photos that agree have more to teach
 YOUNG = 4.0  # early on, at step k, average only the last k/YOUNG steps: older rows are outdated
 
 
@@ -174,8 +174,8 @@ class VoxelModel(Defaults):
         slower = 1 / (1 + step / c.slowdown)
         if c.epochs == 0:
             return slower
-        rounds = max(0, step - self.schedule.levels[-1].begin) * c.rays / self.pixels / c.epochs
-        return slower / (1 + min(rounds * rounds, AGAIN))
+        rounds = max(0, step - self.schedule.levels[-1].begin) * c.rays / self.pixels
+        return slower / (1 + min(rounds / c.epochs, MOST_EPOCHS) ** 2)
 
     @cached_property
     def sparse_depths(self) -> SparseDepths:

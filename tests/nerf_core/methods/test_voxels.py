@@ -527,7 +527,7 @@ def test_rates_fall_faster_after_rounds_through_the_photos(
     for step, found in enumerate(rates):
         rounds = max(0, step - begin) * 100 / int(half.sum() + half.size) / epochs
         given = np.array([c.rate_color, c.rate_view, c.rate_gloss, c.rate_density])
-        np.testing.assert_allclose(found, given / (1 + step / 5) / (1 + min(rounds * rounds, 4)))
+        np.testing.assert_allclose(found, given / (1 + step / 5) / (1 + min(rounds, 2) ** 2))
 
 
 def test_a_run_of_an_earlier_version_keeps_its_rates(scene: Scene) -> None:
