@@ -232,7 +232,7 @@ def call_each() -> None:
     kernels.mark(grid, rays, march, 0.5)
     kernels.resample(grid, grid, 0, grid.brick_count)
     spare = torch.zeros(len(grid.rows), len(PARTS)), torch.zeros_like(grid.rows)
-    kernels.update(grid, *spare, Adam(0.1, 0.1, 0.1, 0.1, 0.9, 1.0, 1e-4, 1.0))
+    kernels.update(grid, *spare, Adam(0.1, 0.1, 0.1, 0.1, 0.9, 1.0, 1e-4, 0.25, 1.0))
     index, pair = torch.zeros(1, dtype=torch.long), torch.ones(1, 2, dtype=torch.float64)
     lens, c2w = torch.zeros(1, 9, dtype=torch.float64), torch.eye(4, dtype=torch.float64)[None, :3]
     fast_rays(index, pair, pair, pair, lens, c2w, 1.0, 2.0)

@@ -262,7 +262,7 @@ def gradients(
 def adam(
     first: Any, last: Any, rows: Any, moments: Any, ema: Any, gradient: Any, touched: Any,
     rate_color: Any, rate_view: Any, rate_gloss: Any, rate_density: Any, beta2: Any, correction2: Any, epsilon: Any,
-    ema_rate: Any,
+    least_square: Any, ema_rate: Any,
 ) -> None:  # fmt: skip
     """One step of Adam without first moments on the touched rows 64 first ≤ r < 64 last, and of the rows' EMA.
 
@@ -287,18 +287,19 @@ def adam(
                 for c in range(16):
                     g[c] += other[c]
                     other[c] = 0
-            color, gloss = F(0), g[13] * g[13] + g[14] * g[14] + g[15] * g[15]
+            color, density, gloss = F(0), g[12] * g[12], F(1 / 3) * (g[13] * g[13] + g[14] * g[14] + g[15] * g[15])
             for c in range(12):
                 color += g[c] * g[c]
+            color *= F(1 / 12)
             square = moments[3 * (b * 64 + q) : 3 * (b * 64 + q) + 3]
-            square[0] = beta2 * square[0] + (F(1) - beta2) * color * F(1 / 12)
-            square[1] = beta2 * square[1] + (F(1) - beta2) * g[12] * g[12]
-            square[2] = beta2 * square[2] + (F(1) - beta2) * gloss * F(1 / 3)
-            whole = F(1) / (math.sqrt(square[0] * correction2) + epsilon)
+            square[0] = beta2 * square[0] + (F(1) - beta2) * color
+            square[1] = beta2 * square[1] + (F(1) - beta2) * density
+            square[2] = beta2 * square[2] + (F(1) - beta2) * gloss
+            whole = F(1) / (math.sqrt(max(square[0] * correction2, least_square * color)) + epsilon)
             for c in range(12):
                 p[c] -= (rate_view if c & 3 else rate_color) * whole * g[c]  # the first of four is of degree 0
-            p[12] -= rate_density / (math.sqrt(square[1] * correction2) + epsilon) * g[12]
-            by_gloss = rate_gloss / (math.sqrt(square[2] * correction2) + epsilon)
+            p[12] -= rate_density / (math.sqrt(max(square[1] * correction2, least_square * density)) + epsilon) * g[12]
+            by_gloss = rate_gloss / (math.sqrt(max(square[2] * correction2, least_square * gloss)) + epsilon)
             for c in range(13, 16):
                 p[c] -= by_gloss * g[c]
             a = ema[at : at + 16]

@@ -45,12 +45,17 @@ class March:
 
 
 class Adam(NamedTuple):
-    """The numbers of one step of Adam without first moments, p ← p − rate · g / (√(v · correction2) + epsilon).
+    """The numbers of one step of Adam without first moments.
+
+    p ← p − rate · g / (√max(v · correction2, least_square · g²) + epsilon), where g² is the mean over what shares v.
 
     rate_color, rate_view, rate_gloss, rate_density: learning rates of the coefficients of degree 0 and 1, of gloss, and
         of density.
     beta2: decay of the second moments v.
     correction2: bias correction 1/(1 − β₂ᵗ). epsilon: in units of a ray's gradient.
+    least_square: no step is longer than rate / √least_square, however unlike those before it a gradient is; 0: any
+        step. Else one that comes once would move a row by up to rate / √(1 − β₂). Adafactor's update clipping
+        (arXiv:1804.04235) bounds the steps of whole tensors likewise.
     ema_rate: the EMA of the rows becomes ema + ema_rate · (row − ema).
     """
 
@@ -61,6 +66,7 @@ class Adam(NamedTuple):
     beta2: float
     correction2: float
     epsilon: float
+    least_square: float
     ema_rate: float
 
 

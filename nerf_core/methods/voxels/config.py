@@ -56,11 +56,11 @@ class VoxelConfig:
         0.3, marked("length of a new grid's vectors of gloss, which brightens all channels alike towards some views"),
         most=3,
     )  # fmt: skip
-    rate_color: float = constant(0.2, marked("Adam's learning rate for colour, falling with slowdown and epochs"))
-    rate_view: float = constant(0.12, marked("the same for the part of colour that changes with the view"))
-    rate_gloss: float = constant(0.02, marked("learning rate of gloss, falling alike"))
-    rate_density: float = constant(0.45, marked("Adam's learning rate for density, falling alike"))
-    slowdown: float = constant(500.0, marked("the learning rates fall as 1 / (1 + step / slowdown)"), least=1)
+    rate_color: float = constant(0.5, marked("Adam's learning rate for colour, falling with slowdown and epochs"))
+    rate_view: float = constant(0.18, marked("the same for the part of colour that changes with the view"))
+    rate_gloss: float = constant(0.06, marked("learning rate of gloss, falling alike"))
+    rate_density: float = constant(0.9, marked("Adam's learning rate for density, falling alike"))
+    slowdown: float = constant(300.0, marked("the learning rates fall as 1 / (1 + step / slowdown)"), least=1)
     epochs: float = constant(
         0.0,
         marked(
@@ -71,6 +71,14 @@ class VoxelConfig:
     )
     keep_square: float = constant(0.99, marked("Adam's beta2"), share="[0, 1)")
     epsilon: float = constant(1e-5, marked("Adam's epsilon, in units of one ray's gradient"), least=1e-12)
+    least_square: float = constant(
+        0.25,
+        marked(
+            "least of Adam's second moment as a share of the gradient's own square: bounds steps to 1/√share rates; "
+            "0: no bound"
+        ),
+        most=10**6,
+    )
     average: float = constant(
         0.995, marked("decay of the EMA of rows that pictures show; smaller early in training"), share="[0, 1)"
     )
@@ -129,9 +137,10 @@ class VoxelConfig:
             not scene.synthetic
         ):  # a place fills space that is empty around an object, so that each part of it is seen by fewer rays
             config = replace(
-                config, rate_view=0.06, rate_gloss=0.04, rate_density=0.2, keep_square=0.999, smoothness=3e-5,
-                distortion=0.01, smoothness_color=0, distortion_before=0.3, spare_error=0.5, beside=1e-7, step=1.0,
-                resolution=400, most_rows=3_000_000, most_rays=12288, wait=0, epochs=12,
+                config, rate_color=0.2, rate_view=0.06, rate_gloss=0.04, rate_density=0.2, slowdown=500,
+                keep_square=0.999, least_square=0, smoothness=3e-5, distortion=0.01, smoothness_color=0,
+                distortion_before=0.3, spare_error=0.5, beside=1e-7, step=1.0, resolution=400, most_rows=3_000_000,
+                most_rays=12288, wait=0, epochs=12,
             )  # fmt: skip
             if scene.from_inside:  # walls would be fog: each part of them is seen by few photos, from about one side
                 config = replace(config, rate_gloss=0.01, rate_density=0.45, distortion=0.1, smoothness_color=3e-5)
@@ -158,7 +167,7 @@ def rows_that_fit() -> int:
 
 def _of_today(config: Mapping[str, Any]) -> Mapping[str, Any]:
     """A configuration that an earlier version may have written, without what there was and with what there was not."""
-    absent = "epochs", "smoothness_color", "depth_weight", "gloss", "rate_gloss"
+    absent = "least_square", "epochs", "smoothness_color", "depth_weight", "gloss", "rate_gloss"
     older = {"distortion_before": 1.0, **dict.fromkeys(absent, 0.0)}
     config = {**older, "most_rays": config.get("rays"), "wait": 0.0, **config}
     config.pop("keep", None)  # of first moments, which there were

@@ -152,7 +152,7 @@ class VoxelModel(Defaults):
             self.grid, self.moments, self.ema_rows,
             Adam(
                 c.rate_color * slower, c.rate_view * slower, c.rate_gloss * slower, c.rate_density * slower,
-                c.keep_square, correction2, c.epsilon, ema_rate,
+                c.keep_square, correction2, c.epsilon, c.least_square, ema_rate,
             ),
         )  # fmt: skip
         if fewer is not None:

@@ -16,7 +16,7 @@ from nerf_core.kernels.cpu_voxels import CpuVoxels
 from nerf_core.kernels.torch_voxels import TorchVoxels
 from nerf_core.kernels.voxel_kernels import OUTLIER, Adam, March, VoxelKernels
 from nerf_core.volume.compositing import STOP
-from nerf_core.volume.voxel_grid import DENSITY, GLOSS, VoxelGrid, spread
+from nerf_core.volume.voxel_grid import DENSITY, GLOSS, PARTS, VoxelGrid, spread
 
 WHITE = torch.ones(3)
 FAST = fast_voxels()
@@ -323,10 +323,11 @@ def test_nothing_is_ever_nan(contracted: bool, make: Make) -> None:
     assert kernels.gradient(grid).isfinite().all()
 
 
+@pytest.mark.parametrize("least_square", [0.0, 2.0])
 @each_fast
-def test_adam_agrees_with_the_reference(make: Make) -> None:
+def test_adam_agrees_with_the_reference(make: Make, least_square: float) -> None:
     truth, rays = torch.rand(200, 3, generator=torch.Generator().manual_seed(2)), some_rays()
-    settings = Adam(0.2, 0.1, 0.05, 0.3, 0.99, 100.0, 1e-4, 0.3)
+    settings = Adam(0.2, 0.1, 0.05, 0.3, 0.99, 100.0, 1e-4, least_square, 0.3)
     results: list[tuple[Tensor, ...]] = []
     for kernels in (make(), TorchVoxels()):
         grid = some_grid(False)
@@ -341,6 +342,23 @@ def test_adam_agrees_with_the_reference(make: Make) -> None:
         results.append((grid.rows, moments, ema))
     for fast, plain in zip(*results, strict=True):
         assert float((fast - plain).norm()) <= 5e-3 * float(plain.norm())
+
+
+@each
+def test_a_gradient_that_comes_once_moves_rows_by_a_bounded_step(make: Make) -> None:
+    # RMS of steps over what shares a second moment: at most rate / √least_square, and up to rate / √(1 − β₂) without
+    rays, rates, longest = some_rays(), (0.1, 0.1, 0.1, 0.1), []
+    for least_square in (0.0, 0.25):
+        grid, kernels = some_grid(False), make()
+        before = grid.rows.clone()
+        kernels.accumulate(grid, rays, torch.rand(200, 3), how(200))
+        moments, ema = torch.zeros(len(grid.rows), 3), grid.rows.clone()
+        kernels.update(grid, moments, ema, Adam(*rates, 0.99, 1.0, 1e-12, least_square, 1.0))
+        moved = (grid.rows - before) / 0.1
+        steps = torch.stack([moved[:, part].square().mean(-1).sqrt() for part in PARTS], -1)
+        longest.append(steps.nan_to_num().amax(0))
+    torch.testing.assert_close(longest[0], torch.full((3,), 10.0), rtol=1e-3, atol=0)
+    torch.testing.assert_close(longest[1], torch.full((3,), 2.0), rtol=1e-3, atol=0)
 
 
 def test_the_same_thread_count_gives_the_same_bits() -> None:
@@ -361,7 +379,7 @@ def test_forgotten_gradients_leave_no_trace(make: Make) -> None:
     kernels.accumulate(grid, rays, torch.zeros(200, 3), how(200))
     kernels.forget()
     before, moments, ema_rows = grid.rows.clone(), torch.zeros(len(grid.rows), 3), torch.zeros_like(grid.rows)
-    kernels.update(grid, moments, ema_rows, Adam(0.2, 0.1, 0.05, 0.3, 0.99, 100.0, 1e-4, 1.0))
+    kernels.update(grid, moments, ema_rows, Adam(0.2, 0.1, 0.05, 0.3, 0.99, 100.0, 1e-4, 0.25, 1.0))
     assert torch.equal(grid.rows, before)
     assert not moments.any()
     assert not ema_rows.any()
