@@ -57,10 +57,10 @@ class VoxelConfig:
         most=3,
     )  # fmt: skip
     rate_color: float = constant(0.5, marked("Adam's learning rate for colour, falling with slowdown and epochs"))
-    rate_view: float = constant(0.18, marked("the same for the part of colour that changes with the view"))
+    rate_view: float = constant(0.16, marked("the same for the part of colour that changes with the view"))
     rate_gloss: float = constant(0.06, marked("learning rate of gloss, falling alike"))
-    rate_density: float = constant(0.9, marked("Adam's learning rate for density, falling alike"))
-    slowdown: float = constant(300.0, marked("the learning rates fall as 1 / (1 + step / slowdown)"), least=1)
+    rate_density: float = constant(1.0, marked("Adam's learning rate for density, falling alike"))
+    slowdown: float = constant(240.0, marked("the learning rates fall as 1 / (1 + step / slowdown)"), least=1)
     epochs: float = constant(
         0.0,
         marked(
@@ -69,7 +69,7 @@ class VoxelConfig:
         ),
         most=10**6,
     )
-    keep_square: float = constant(0.99, marked("Adam's beta2"), share="[0, 1)")
+    keep_square: float = constant(0.9, marked("Adam's beta2"), share="[0, 1)")
     epsilon: float = constant(1e-5, marked("Adam's epsilon, in units of one ray's gradient"), least=1e-12)
     least_square: float = constant(
         0.25,
@@ -83,7 +83,7 @@ class VoxelConfig:
         0.995, marked("decay of the EMA of rows that pictures show; smaller early in training"), share="[0, 1)"
     )
     smoothness: float = constant(2.5e-6, marked("weight of the smoothness of density in the loss"))
-    smoothness_color: float = constant(1e-6, marked("the same of colour"))
+    smoothness_color: float = constant(3e-7, marked("the same of colour"))
     distortion: float = constant(
         5e-3, marked("weight of distortion in the loss: it draws the weights along a ray together, out of haze")
     )
