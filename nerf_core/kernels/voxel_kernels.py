@@ -53,9 +53,9 @@ class Adam(NamedTuple):
         of density.
     beta2: decay of the second moments v.
     correction2: bias correction 1/(1 − β₂ᵗ). epsilon: in units of a ray's gradient.
-    least_square: no step is longer than rate / √least_square, however unlike those before it a gradient is; 0: any
-        step. Else one that comes once would move a row by up to rate / √(1 − β₂). Adafactor's update clipping
-        (arXiv:1804.04235) bounds the steps of whole tensors likewise.
+    least_square: no step (RMS over what shares v) is longer than rate / √least_square, however unlike those before it a
+        gradient is; 0: any step. Else one that comes once would move a row by up to rate / √(1 − β₂). Adafactor's
+        update clipping (arXiv:1804.04235) bounds the steps of whole tensors likewise.
     ema_rate: the EMA of the rows becomes ema + ema_rate · (row − ema).
     """
 
