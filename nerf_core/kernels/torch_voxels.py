@@ -224,7 +224,7 @@ class TorchVoxels:
         rates = torch.zeros(len(i), WIDTH, device=p.device)
         rates[:, :DENSITY], rates[:, :DENSITY:4], rates[:, DENSITY] = adam.rate_view, adam.rate_color, adam.rate_density
         rates[:, GLOSS] = adam.rate_gloss
-        square = torch.maximum(moments[i] * adam.correction2, adam.least_square * squares)
+        square = torch.fmax(moments[i] * adam.correction2, adam.least_square * squares)  # 0 · ∞ is no bound
         square = torch.cat([square[:, k : k + 1].expand(g[:, part].shape) for k, part in enumerate(PARTS)], -1)
         grid.rows[i] = p - rates * g / (square.sqrt() + adam.epsilon)
         ema[i] += adam.ema_rate * (grid.rows[i] - ema[i])

@@ -362,6 +362,17 @@ def test_a_gradient_that_comes_once_moves_rows_by_a_bounded_step(make: Make) -> 
     torch.testing.assert_close(longest[1], torch.full((3,), 2.0), rtol=1e-3, atol=0)
 
 
+@pytest.mark.parametrize("least_square", [0.0, 0.25])
+@each
+def test_a_gradient_whose_square_overflows_leaves_rows_finite(make: Make, least_square: float) -> None:
+    grid, kernels = some_grid(False), make()
+    kernels.accumulate(grid, some_rays(), torch.full((200, 3), 1e25), how(200))
+    moments, ema = torch.zeros(len(grid.rows), 3), grid.rows.clone()
+    kernels.update(grid, moments, ema, Adam(0.1, 0.1, 0.1, 0.1, 0.99, 1.0, 1e-5, least_square, 1.0))
+    assert moments.isinf().any()
+    assert grid.rows.isfinite().all()
+
+
 def test_the_same_thread_count_gives_the_same_bits() -> None:
     rays, truth = some_rays(3000), torch.rand(3000, 3, generator=torch.Generator().manual_seed(2))
     grid = some_grid(True)
