@@ -5,11 +5,9 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import sqlite3
 import sys
 import time
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -42,8 +40,6 @@ from nerf_core.geometry.camera import Camera
 PROGRAM = Path(__file__).with_name("sfm_program.py")
 STALLED = 900.0  # seconds without a sign of life: one pair of photos, or one adjustment of a thousand, takes less
 POLL_SECONDS = 0.1
-LOOK_SECONDS = 0.5  # between looks into the program's database
-TABLES = {"features": "descriptors", "matches": "two_view_geometries"}  # of COLMAP's database, a row each
 THUMBNAIL = 160  # pixels of its longer side
 MEMORY_SHARE = 0.75  # of the memory that is free, for the program
 FULL = 20_000_000  # bytes: a disk with less is what a search failed for
@@ -210,15 +206,12 @@ class Job:
 
     def _follow(self, child: Child) -> str:
         """Hear what the program says until it ends; returns its fault."""
-        heard = looked = time.monotonic()
+        heard = time.monotonic()
         limit = self.options.memory_gb * 1e9 or MEMORY_SHARE * free_memory()
         while (line := child.line(POLL_SECONDS)) is not None:
             if line:
                 heard = time.monotonic()
                 self._hear(line)
-            if time.monotonic() - looked > LOOK_SECONDS:
-                looked = time.monotonic()
-                heard = looked if self._look() else heard
             self.tell(self.state)
             self._check_limits(child.memory(), heard, limit)
         return child.fault()
@@ -230,23 +223,6 @@ class Job:
                 self.state, placed=max(said["done"], self.state.placed), growing=_growing(self.work / "growing.npz")
             )
         self._stage(STAGES[said["stage"]], said["done"], said["total"])
-
-    def _look(self) -> bool:
-        """Read how many features or matches the program has written. Returns whether there are more than before."""
-        table = next((table for name, table in TABLES.items() if STAGES[name] == self.state.stage), None)
-        if table is None:
-            return False
-        try:
-            with closing(
-                sqlite3.connect(f"{(self.work / 'database.db').as_uri()}?mode=ro", uri=True, timeout=0.05)
-            ) as base:
-                done = min(base.execute(f"SELECT count(*) FROM {table}").fetchone()[0], self.state.total)
-        except sqlite3.Error:
-            return False  # it is being made, or written to
-        more = done > self.state.done
-        if more:
-            self._stage(self.state.stage, done, self.state.total)
-        return more
 
     def _check_limits(self, used: float, heard: float, limit: float) -> None:
         now, where = time.monotonic(), f"{self.raw.source}: finding poses was stopped while {self.state.stage}"

@@ -2,9 +2,7 @@
 
 FOLDER holds task.json (see `main`) and photos/, small upright copies of the photos. The program writes there:
 
-- lines of JSON on standard output: what is being done, how much of it, and how many photos have a pose. How far the
-  features and matches in database.db are the parent reads there itself: two copies of SQLite in one process, pycolmap's
-  and Python's, would break each other's locks on it;
+- lines of JSON on standard output: what is being done, how much of it, and how many photos have a pose;
 - growing.npz, the cameras and points so far, replaced again and again;
 - sparse/0, the largest model as COLMAP writes it, in pixels of the original photos;
 - result.json: what became of each photo.
@@ -22,13 +20,14 @@ import sqlite3
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import closing, suppress
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+COUNT_SECONDS = 0.5  # between counts of the photos and pairs that COLMAP has done
 GROWING_SECONDS = 0.7  # between pictures of the growing model
 GROWING_POINTS = 6000  # enough to recognise a scene
 WORDS = 64  # of the vocabulary for `resemblance`: a VLAD of 64 words tells scenes apart (Jégou et al., CVPR 2010)
@@ -93,6 +92,33 @@ def _die_with_parent() -> None:
     os._exit(1)
 
 
+@contextmanager
+def _counted(pycolmap: Any, stage: str, total: int, count: Callable[[Any], int]) -> Iterator[None]:
+    """Say how much of a stage COLMAP has done while it does it: what `count` finds in the database.
+
+    It is read here, by COLMAP's own copy of SQLite: a reader in another process would sometimes lock it while COLMAP
+    opens it, which COLMAP does not bear, and Python's copy in this process would break the locks of COLMAP's.
+    """
+    say(stage=stage, done=0, total=total)
+    over = threading.Event()
+
+    def watch(base: Any) -> None:
+        said = 0
+        while not over.wait(COUNT_SECONDS):
+            if (done := min(count(base), total)) > said:
+                said = done
+                say(stage=stage, done=done, total=total)
+
+    with pycolmap.Database.open("database.db") as base:
+        watcher = threading.Thread(target=watch, args=(base,))
+        watcher.start()
+        try:
+            yield
+        finally:
+            over.set()
+            watcher.join()
+
+
 # ---- features ----------------------------------------------------------------------------------------------------
 
 
@@ -104,19 +130,22 @@ def _features(pycolmap: Any, task: dict[str, Any]) -> None:
     reading.camera_model, reading.default_focal_length_factor = task["lens"]
     if task["masked"]:
         reading.mask_path = "masks"
-    say(stage="features", done=0, total=len(task["copies"]))
-    # In their order: extraction numbers them as its threads end, and the numbers decide what is tried first, so that
-    # the same photos would get other poses each time.
-    with pycolmap.Database.open("database.db"):
-        pass  # it is made
-    pycolmap.import_images(
-        "database.db", "photos", camera_mode=pycolmap.CameraMode.PER_FOLDER, image_names=task["copies"],
-        options=reading,
-    )  # fmt: skip
-    pycolmap.extract_features(
-        "database.db", "photos", image_names=task["copies"], camera_mode=pycolmap.CameraMode.PER_FOLDER,
-        reader_options=reading, extraction_options=options, device=pycolmap.Device.cpu,
-    )  # fmt: skip
+    numbers = range(1, len(task["copies"]) + 1)  # as `import_images` gives them
+
+    def extracted(base: Any) -> int:
+        return sum(base.exists_descriptors(number) for number in numbers)
+
+    with _counted(pycolmap, "features", len(task["copies"]), extracted):
+        # In their order: extraction numbers them as its threads end, and the numbers decide what is tried first, so
+        # that the same photos would get other poses each time.
+        pycolmap.import_images(
+            "database.db", "photos", camera_mode=pycolmap.CameraMode.PER_FOLDER, image_names=task["copies"],
+            options=reading,
+        )  # fmt: skip
+        pycolmap.extract_features(
+            "database.db", "photos", image_names=task["copies"], camera_mode=pycolmap.CameraMode.PER_FOLDER,
+            reader_options=reading, extraction_options=options, device=pycolmap.Device.cpu,
+        )  # fmt: skip
     if task["lens"][0].endswith("FISHEYE"):
         _trust_focal_lengths(pycolmap)
 
@@ -142,11 +171,11 @@ def _matches(pycolmap: Any, task: dict[str, Any]) -> dict[str, np.ndarray]:
     pairing.match_list_path, pairing.block_size = "pairs.txt", max(1, min(100, len(pairs) // 40))  # for the progress
     verifying = pycolmap.TwoViewGeometryOptions()
     verifying.ransac.random_seed = task["seed"]
-    say(stage="matches", done=0, total=len(pairs))
-    pycolmap.match_image_pairs(
-        "database.db", matching_options=options, pairing_options=pairing, verification_options=verifying,
-        device=pycolmap.Device.cpu,
-    )  # fmt: skip
+    with _counted(pycolmap, "matches", len(pairs), lambda base: base.num_verified_image_pairs()):
+        pycolmap.match_image_pairs(
+            "database.db", matching_options=options, pairing_options=pairing, verification_options=verifying,
+            device=pycolmap.Device.cpu,
+        )  # fmt: skip
     return _known(task)
 
 

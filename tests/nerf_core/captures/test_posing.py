@@ -65,6 +65,33 @@ def test_what_is_done_is_told_while_it_is_done(found: tuple[RawPhotos, Posed, li
     assert len(growing[-1].points) == len(growing[-1].colors) > 50
 
 
+IMPATIENT = """
+import importlib.util, sys
+from pathlib import Path
+spec = importlib.util.spec_from_file_location("program", {program!r})
+program = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(program)
+program.COUNT_SECONDS = 0.001
+program.main(Path(sys.argv[1]))
+"""
+
+
+def test_photos_and_pairs_are_counted_while_colmap_writes_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Counts without a pause meet COLMAP at whatever it does with its database, and nothing fails."""
+    (tmp_path / "impatient.py").write_text(IMPATIENT.format(program=str(search.PROGRAM)), "utf-8")
+    monkeypatch.setattr(search, "PROGRAM", tmp_path / "impatient.py")
+    told = list[PoseProgress]()
+    find_poses(
+        of(textured_photos.write(tmp_path / "photos", textured_photos.arc())), tmp_path / "out", FAST, told.append
+    )
+    for stage, total in (("features", 8), ("matches", 28)):
+        done = [state.done for state in told if state.stage == records.STAGES[stage]]
+        assert done == sorted(done)
+        assert done[0] == 0
+        assert 0 < done[-1] <= total
+        assert len(set(done)) > 2  # it was seen under way
+
+
 def test_a_videos_poses_may_lie_beside_it(tmp_path: Path) -> None:
     video = tmp_path / "walk.mp4"
     video.write_bytes(b"")
