@@ -1,6 +1,7 @@
 """Measure how often the verdict on a pixel is right, by class, with faults planted in scenes of known truth.
 
-    PYTHONPATH=.:tests/helpers python tests/benchmarks/verdicts.py [--seeds 17 18 19] [--rays 40] [--out FILE.json]
+    PYTHONPATH=.:tests/helpers python tests/benchmarks/verdicts.py [--seeds 17 18 19] [--rays 40]
+        [--set NAME=VALUE …] [--out FILE.json]
 
 Each seed gives a scene of random balls, none of them near white, with closed-form photos on a white background. Voxel
 models are trained on it and judged. The planted faults, by class:
@@ -66,15 +67,16 @@ class Case:
 
 @dataclass(frozen=True)
 class World:
-    """Opaque balls and their scene. veil, intruder: balls that only some cases add."""
+    """Opaque balls and their scene. veil, intruder: balls that only some cases add. settings: of each training."""
 
     balls: tuple[Ball, ...]
     veil: Ball
     intruder: Ball
     scene: Scene
+    settings: RunSettings
 
     @staticmethod
-    def of(seed: int, darkest: float = DARKEST) -> World:
+    def of(seed: int, settings: RunSettings, darkest: float = DARKEST) -> World:
         rng = np.random.default_rng(seed)
         drawn = rng.uniform(0.1, 0.9, (5, 3))
         drawn[range(5), drawn.argmin(-1)] = np.minimum(drawn.min(-1), darkest)
@@ -87,18 +89,17 @@ class World:
         veil = ball(_around(turn, 0.95, 0.25), 0.28, tuple(colors[2]), density=8.0, skin=0.03)
         place, size = _around(turn + 4.3, 1.25, 0.3), float(rng.uniform(0.15, 0.25))
         intruder = ball(place, size, tuple(colors[3]), density=30.0)
-        return World(balls, veil, intruder, ring_scene(*balls, count=CAMERAS, size=SIZE))
+        return World(balls, veil, intruder, ring_scene(*balls, count=CAMERAS, size=SIZE), settings)
+
+    def trained(self, scene: Scene, steps: int = STEPS) -> Method:
+        trainer = Trainer(scene, self.settings)
+        for _ in range(steps):
+            trainer.step()
+        return trainer.method
 
 
 def _around(angle: float, distance: float, height: float) -> tuple[float, float, float]:
     return (float(distance * np.cos(angle)), float(distance * np.sin(angle)), height)
-
-
-def trained(scene: Scene, steps: int = STEPS) -> Method:
-    trainer = Trainer(scene, RunSettings(method="voxels", seed=0))
-    for _ in range(steps):
-        trainer.step()
-    return trainer.method
 
 
 def with_photos(scene: Scene, other: Scene) -> Scene:
@@ -194,7 +195,7 @@ def cases(world: World, seed: int, count: int) -> list[Case]:
     def hits(o: np.ndarray, d: np.ndarray) -> bool:
         return first_hit(o, d, balls) is not None
 
-    plain = trained(scene)
+    plain = world.trained(scene)
     found = [
         Case("surface", "nothing", plain, scene, pick.rays(hits)),
         Case("background", "nothing", plain, scene, pick.rays(lambda o, d: clear(o, d, balls))),
@@ -205,8 +206,8 @@ def cases(world: World, seed: int, count: int) -> list[Case]:
         veil, hit = first_hit(o, d, (world.veil,)), first_hit(o, d, balls)
         return veil is not None and hit is not None and veil[0] + 2 * world.veil.radius + 0.1 < hit[0]
 
-    found.append(Case("several surfaces", "nothing, a true veil", trained(veiled), veiled, pick.rays(veil_first)))
-    intruded = trained(with_photos(scene, ring_scene(*balls, world.intruder, count=CAMERAS, size=SIZE)))
+    found.append(Case("several surfaces", "nothing, a true veil", world.trained(veiled), veiled, pick.rays(veil_first)))
+    intruded = world.trained(with_photos(scene, ring_scene(*balls, world.intruder, count=CAMERAS, size=SIZE)))
 
     def intruder_first(o: np.ndarray, d: np.ndarray) -> bool:
         intruder, hit = first_hit(o, d, (world.intruder,)), first_hit(o, d, balls)
@@ -220,7 +221,7 @@ def cases(world: World, seed: int, count: int) -> list[Case]:
     intruding = pick.rays(intruder_first) + pick.rays(with_something_behind)
     found.append(Case("floater", "a ball that is not there", intruded, scene, intruding))
 
-    leaky = thinned(trained(scene))
+    leaky = thinned(world.trained(scene))
 
     def alone(o: np.ndarray, d: np.ndarray) -> bool:
         if sum(first_hit(o, d, (ball,)) is not None for ball in balls) != 1 or not hits(o, d):
@@ -237,8 +238,8 @@ def cases(world: World, seed: int, count: int) -> list[Case]:
         hit = first_hit(o, d, balls)
         return hit is not None and not any(visible_from(o + hit[0] * d, scene.views[k].camera, balls) for k in seeing)
 
-    found.append(Case("unobserved", "photos of one side", trained(blind), blind, pick.rays(hidden)))
-    young = trained(scene, FOG_STEPS)
+    found.append(Case("unobserved", "photos of one side", world.trained(blind), blind, pick.rays(hidden)))
+    young = world.trained(scene, FOG_STEPS)
 
     def foggy(o: np.ndarray, d: np.ndarray) -> bool:
         if not hits(o, d):
@@ -253,7 +254,7 @@ def cases(world: World, seed: int, count: int) -> list[Case]:
         for k in range(5, 5 + wrong):
             views[k] = replace(views[k], camera=views[k].camera.moved(_turned(views[k].camera.c2w, degrees)))
         posed = replace(scene, views=tuple(views))
-        method = trained(posed)
+        method = world.trained(posed)
         found.append(Case("floater", plant, method, posed, pick.rays(partial(_left_in_front, method, posed, balls))))
     return found
 
@@ -294,12 +295,14 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="*", default=[17, 18, 19])
     parser.add_argument("--rays", type=int, default=40, help="rays of each case")
     parser.add_argument("--darkest", type=float, default=DARKEST, help="least channel of each colour, at most")
+    parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="constants of the method")
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
+    settings = RunSettings(method="voxels", seed=0, changes=dict(word.split("=", 1) for word in args.set))
     said: Counter[tuple[str, str, str]] = Counter()
     landed: dict[str, list[float]] = defaultdict(list)
     for seed in args.seeds:
-        world = World.of(seed, args.darkest)
+        world = World.of(seed, settings, args.darkest)
         closed_form = model_of(world.scene, *world.balls)
         for case in cases(world, seed, args.rays):
             training_views = TrainingViews(case.scene)
