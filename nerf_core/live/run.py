@@ -18,6 +18,7 @@ from nerf_core.captures.records import PoseProgress
 from nerf_core.common.device import enough_memory
 from nerf_core.common.errors import UserError
 from nerf_core.common.language import marked, phrase, phrases
+from nerf_core.common.memory import give_back
 from nerf_core.common.names import printable
 from nerf_core.common.user_paths import absolute
 from nerf_core.datasets.images import damage_notes
@@ -130,7 +131,8 @@ class Run:
                 self._export_rays(path, axis)
             case messages.StartExport(request):
                 with enough_memory():  # for a copy of the model
-                    self.exports.start(request, self.need_trainer(), number)
+                    trainer = self.need_trainer()
+                    self.exports.start(request, self.artist.frozen(trainer), trainer.scene, number)
             case messages.CancelExport():
                 self.exports.cancel()
             case _:
@@ -333,6 +335,9 @@ class Run:
 
     def pause(self) -> None:
         self.until = None
+        if self.trainer is not None:
+            self.trainer.method.rest()
+            give_back()
 
     def fail(self, view: ViewRequest | None) -> None:
         """Pause after a fault of the program. view: what was being drawn; it is not tried again."""
@@ -344,7 +349,7 @@ class Run:
         if trainer is None or end is None:
             return
         if trainer.step_count >= end or trainer.seconds >= self._until_seconds:
-            self.until = None
+            self.pause()
 
     def tell_of_photos(self) -> None:
         """Tell once when all photos of a large capture are read, and which of them are damaged."""

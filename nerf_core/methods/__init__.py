@@ -207,6 +207,10 @@ class Trainable(Protocol):
         """Use half the memory in `train` from now on, which is slower. Returns False if that is not possible."""
         ...
 
+    def rest(self) -> None:
+        """Free the memory that only training steps need and the next one can make anew. Called when training pauses."""
+        ...
+
     def state(self) -> dict[str, Tensor]:
         """Return weights, optimiser and random state by name, for a checkpoint."""
         ...
@@ -274,7 +278,8 @@ class Distributed(Protocol):
 
 
 class Defaults:
-    """Defaults that a method may inherit: no coarse picture, no remark on progress, nothing to undo, one process."""
+    """Defaults that a method may inherit: no coarse picture, no remark on progress, nothing to undo or to free, and one
+    process."""
 
     coarse: ClassVar[str] = ""
     alone: ClassVar[bool] = True
@@ -289,6 +294,9 @@ class Defaults:
 
     def halve(self) -> bool:
         return False
+
+    def rest(self) -> None:
+        pass
 
     def frozen(self) -> Self:
         return deepcopy(self)

@@ -328,6 +328,9 @@ class VoxelModel(Defaults):
     def parameters(self) -> list[Tensor]:
         return [self.grid.rows]
 
+    def rest(self) -> None:
+        self.kernels.forget()
+
     def finish(self) -> None:
         """End training: free everything that pictures do not need."""
         self._show_only(self.ema_rows)

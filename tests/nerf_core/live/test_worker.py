@@ -15,6 +15,7 @@ from desk import PATIENCE, Desk, orbit, view_of
 from nerf_core.datasets import LoadOptions
 from nerf_core.live import mailbox
 from nerf_core.live.messages import (
+    FIRST_RUN,
     CancelLoading,
     Command,
     InOrder,
@@ -347,6 +348,21 @@ def test_no_time_left_is_shown_unless_an_end_was_asked_for(open_desk: OpenDesk) 
     assert shown.seconds_left is None
     desk.send(Pause(), Train(steps=100_000))
     assert desk.until(lambda s: s.seconds_left is not None)
+
+
+def test_training_gives_its_memory_back_when_it_pauses_and_when_it_is_done(
+    open_desk: OpenDesk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk, rests = open_desk(steps=1_000_000), list[int]()
+    trainer = desk.worker._runs[FIRST_RUN].need_trainer()
+    monkeypatch.setattr(trainer.method, "rest", lambda: rests.append(trainer.step_count))
+    desk.send(Train())
+    desk.until(lambda s: s.step >= 3)
+    desk.send(Pause())
+    paused = desk.until(lambda s: s.status == "paused")
+    assert rests == [paused.step]
+    desk.trained(2)
+    assert rests == [paused.step, paused.step + 2]
 
 
 def test_an_installation_that_cannot_train_is_told_of(tiny: RunSettings, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -306,6 +306,20 @@ def test_an_abandoned_step_leaves_the_state_as_it_was(name: str, scene: Scene, m
         assert through > 0
 
 
+@pytest.mark.parametrize("name", METHODS.names())
+def test_training_goes_on_after_a_rest_as_if_there_had_been_none(name: str, scene: Scene) -> None:
+    changes = SMALL.get(name, {}) | FEW_RAYS.get(name, {})
+    resting, other = (
+        Trainer(scene, RunSettings(method=name, changes=changes, device="cpu", threads=1)) for _ in range(2)
+    )
+    for _ in range(6):
+        resting.method.rest()
+        resting.step()
+        other.step()
+    state = other.state()
+    assert [k for k, value in resting.state().items() if not torch.equal(value, state[k])] == []
+
+
 @pytest.mark.parametrize(
     ("name", "counter"), [("hash", "updates"), ("nerf-guided", "guided"), ("voxels", "level"), ("voxels", "updates")]
 )
