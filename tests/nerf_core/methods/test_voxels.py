@@ -26,7 +26,7 @@ from nerf_core.kernels.voxel_kernels import HALVINGS, March, VoxelKernels
 from nerf_core.methods.voxels import config as voxel_config
 from nerf_core.methods.voxels import model as voxel_model
 from nerf_core.methods.voxels.coarse_to_fine import Worth, class_of, finer_grid, planned, resample
-from nerf_core.methods.voxels.config import VoxelConfig
+from nerf_core.methods.voxels.config import MANY_PIXELS, VoxelConfig, pixels_along
 from nerf_core.methods.voxels.method import Voxels
 from nerf_core.probe import open_ray
 from nerf_core.rendering.images import render_camera
@@ -80,9 +80,27 @@ def test_a_room_has_constants_of_its_own(scene: Scene) -> None:
     assert room.distortion > place.distortion
     assert room.rate_density > place.rate_density
     assert room.smoothness_color > place.smoothness_color
+    for config in place, room:  # the bound, and the rates that go with it, are for objects
+        assert (config.rate_color, config.slowdown, config.keep_square, config.least_square) == (0.2, 500, 0.999, 0)
     assert VoxelConfig.configure(scene.reposed(turned), "auto", {}, CPU) == VoxelConfig()  # an object has no walls
     set_by_hand = VoxelConfig.configure(around(scene.reposed(turned)), "auto", {"distortion": "0"}, CPU)
     assert set_by_hand.distortion == 0
+
+
+def test_objects_in_photos_of_many_pixels_take_steps_of_any_length(scene: Scene) -> None:
+    wide = replace(
+        scene,
+        views=tuple(
+            replace(v, camera=v.camera.resized(40 * v.camera.width, 40 * v.camera.height)) for v in scene.views
+        ),
+    )
+    assert pixels_along(wide) == pytest.approx(40 * pixels_along(scene))
+    assert pixels_along(scene) < MANY_PIXELS < pixels_along(wide)
+    few, many = (VoxelConfig.configure(s, "auto", {}, CPU) for s in (scene, wide))
+    assert few == VoxelConfig()
+    assert (few.least_square, many.least_square) == (0.25, 0)
+    assert many.rate_color < few.rate_color
+    assert VoxelConfig.configure(wide, "auto", {"least_square": "0.25"}, CPU).least_square == 0.25
 
 
 # ---- spaces -------------------------------------------------------------------------------------------------------
@@ -492,7 +510,7 @@ def test_pictures_show_the_ema_of_the_last_steps(scene: Scene) -> None:
 def test_rates_fall_with_every_step_and_adam_goes_on_from_level_to_level(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    trainer = run(scene, 0, slowdown=5, least_square=0.25)
+    trainer = run(scene, 0, slowdown=5)
     method, numbers = voxels_of(trainer), []
     update = method.kernels.update
     monkeypatch.setattr(method.kernels, "update", lambda *given: (numbers.append(given[-1]), update(*given)))
@@ -503,7 +521,7 @@ def test_rates_fall_with_every_step_and_adam_goes_on_from_level_to_level(
         assert adam.rate_density == pytest.approx(c.rate_density / (1 + step / 5))
         assert adam.rate_color == pytest.approx(c.rate_color / (1 + step / 5))
         assert adam.correction2 == pytest.approx(1 / (1 - c.keep_square ** (step + 1)))
-        assert adam.least_square == 0.25
+        assert adam.least_square == c.least_square > 0
 
 
 @pytest.mark.parametrize("epochs", [2.0, 1e-200])
@@ -534,8 +552,12 @@ def test_rates_fall_faster_after_rounds_through_the_photos(
 def test_a_run_of_an_earlier_version_keeps_its_rates(scene: Scene) -> None:
     today = VoxelConfig.configure(around(scene), "auto", {}, CPU)
     assert today.epochs > 0
-    known = {k: v for k, v in today.to_json().items() if k not in ("epochs", "least_square")}
-    assert VoxelConfig.restore(known) == replace(today, epochs=0, least_square=0)
+    known = {k: v for k, v in today.to_json().items() if k != "epochs"}
+    assert VoxelConfig.restore(known) == replace(today, epochs=0)
+    of_object = VoxelConfig.configure(scene, "auto", {}, CPU)
+    assert of_object.least_square > 0
+    known = {k: v for k, v in of_object.to_json().items() if k != "least_square"} | {"rate_color": 0.2}
+    assert VoxelConfig.restore(known) == replace(of_object, least_square=0, rate_color=0.2)
 
 
 def test_cells_are_dropped_in_the_last_level_at_growing_intervals(
