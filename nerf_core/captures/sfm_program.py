@@ -105,9 +105,10 @@ def _counted(pycolmap: Any, stage: str, total: int, count: Callable[[Any], int])
     def watch(base: Any) -> None:
         said = 0
         while not over.wait(COUNT_SECONDS):
-            if (done := min(count(base), total)) > said:
-                said = done
-                say(stage=stage, done=done, total=total)
+            with suppress(RuntimeError):  # pycolmap's for SQLite: the next count may be found
+                if (done := min(count(base), total)) > said:
+                    said = done
+                    say(stage=stage, done=done, total=total)
 
     with pycolmap.Database.open("database.db") as base:
         watcher = threading.Thread(target=watch, args=(base,))

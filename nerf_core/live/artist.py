@@ -106,7 +106,7 @@ class Artist:
             # A new view's first level is done before the next step, and so is any that is soon done.
             seconds = picture.cells_left / self._speed(picture.quality, picture.mode)
             self._whole = not picture.first_level_done or seconds < WHOLE_SECONDS
-            self._model = trainer.method if self._whole else self.frozen(trainer)
+            self._model = trainer.method if self._whole else self._frozen(trainer)
             self._level = 0, 0.0
         begin = time.perf_counter()
         cells = picture.take(self._model.tile)
@@ -153,7 +153,7 @@ class Artist:
         known = self._rates.get(("fine", mode)), self._least.get((quality, mode))
         return max(filter(None, known), default=GUESSED_RATE)
 
-    def frozen(self, trainer: Trainer) -> Method:
+    def _frozen(self, trainer: Trainer) -> Method:
         """Return a copy of the current model, which does not change while training goes on."""
         if self._copy is None or self._copy_step != trainer.step_count:
             self._copy = self._model = None  # two copies of a fine grid would take 70 MB more

@@ -7,11 +7,10 @@ from collections.abc import Callable
 from nerf_core.common.device import enough_memory
 from nerf_core.common.errors import UserError
 from nerf_core.common.language import phrase
-from nerf_core.geometry.scene import Scene
-from nerf_core.methods import Method
 from nerf_core.rendering.export.jobs import Job
 from nerf_core.rendering.export.requests import Export, ExportRequest
 from nerf_core.rendering.export.start import export_job
+from nerf_core.training.trainer import Trainer
 
 
 class Exports:
@@ -34,11 +33,11 @@ class Exports:
     def running(self) -> bool:
         return self._job is not None
 
-    def start(self, request: ExportRequest, model: Method, scene: Scene, command: int) -> None:
-        """Begin to export a frozen model. Raises UserError if another export is running."""
+    def start(self, request: ExportRequest, trainer: Trainer, command: int) -> None:
+        """Begin to export the model as it is now. Raises UserError if another export is running."""
         if self._job is not None:
             raise UserError(f"an export to {self._job.progress.file} is running: cancel it or wait for it")
-        self._job, self._command = export_job(request, model, scene), command
+        self._job, self._command = export_job(request, trainer.frozen_method(), trainer.scene), command
         self.newest = self._job.progress
 
     def cancel(self) -> None:

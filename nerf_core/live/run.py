@@ -131,8 +131,7 @@ class Run:
                 self._export_rays(path, axis)
             case messages.StartExport(request):
                 with enough_memory():  # for a copy of the model
-                    trainer = self.need_trainer()
-                    self.exports.start(request, self.artist.frozen(trainer), trainer.scene, number)
+                    self.exports.start(request, self.need_trainer(), number)
             case messages.CancelExport():
                 self.exports.cancel()
             case _:
@@ -381,7 +380,7 @@ class Run:
             self.until, self.failed = None, True
             raise
         except torch.OutOfMemoryError as error:
-            self.until = None
+            self.pause()
             raise UserError(
                 f"out of device memory: {error}; use a smaller step: --set rays, samples or chunk_rays"
             ) from None
@@ -392,7 +391,8 @@ class Run:
 
     def _recover(self, trainer: Trainer, error: Diverged) -> None:
         """Return to the last weights that are known to be good, and pause."""
-        self.until, self.failed = None, True
+        self.failed = True
+        self.pause()
         if self._good is not None:
             self._good.restore(trainer)
             self.artist.pins.rewind(trainer.step_count)

@@ -193,6 +193,9 @@ class GuidedModel(MlpModel):
 
     # ---- state ------------------------------------------------------------------------------------------------------
 
+    def rest(self) -> None:
+        self.guide.rest()
+
     def frozen(self) -> Self:
         frozen = super().frozen()
         frozen.guide = copy(self.guide) if self.ready else self.guide.frozen()

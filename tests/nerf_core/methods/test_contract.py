@@ -15,13 +15,16 @@ from nerf_core.common.errors import UserError
 from nerf_core.geometry.cameras import camera_rays
 from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene
+from nerf_core.kernels.cpu_voxels import CpuVoxels
 from nerf_core.methods import METHODS, Dense, Explainable, Method, Radiant, Traceable
 from nerf_core.methods.guided import model as guided_model
+from nerf_core.methods.guided.method import GuidedNerf
 from nerf_core.methods.hash import model as hash_model
 from nerf_core.methods.rgba_grid import model as grid_model
 from nerf_core.methods.stages import BarCode, Stems, Transfer
 from nerf_core.methods.voxels import coarse_to_fine
 from nerf_core.methods.voxels import model as voxel_model
+from nerf_core.methods.voxels.model import VoxelModel
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
 
@@ -318,6 +321,19 @@ def test_training_goes_on_after_a_rest_as_if_there_had_been_none(name: str, scen
         other.step()
     state = other.state()
     assert [k for k, value in resting.state().items() if not torch.equal(value, state[k])] == []
+
+
+@pytest.mark.parametrize("name", ["voxels", "nerf-guided"])
+def test_a_rest_frees_the_gradients(name: str, scene: Scene) -> None:
+    changes = SMALL[name] | ({"guide_steps": "100"} if name == "nerf-guided" else {})
+    trainer = Trainer(scene, RunSettings(method=name, changes=changes, device="cpu", threads=1))
+    trainer.step()
+    grid = trainer.method.guide if isinstance(trainer.method, GuidedNerf) else trainer.method
+    assert isinstance(grid, VoxelModel)
+    assert isinstance(grid.kernels, CpuVoxels)
+    assert grid.kernels._gradient.size > 0
+    trainer.method.rest()
+    assert grid.kernels._gradient.size == grid.kernels._touched.size == grid.kernels._marks.size == 0
 
 
 @pytest.mark.parametrize(

@@ -96,6 +96,9 @@ def test_objects_in_photos_of_many_pixels_take_steps_of_any_length(scene: Scene)
     )
     assert pixels_along(wide) == pytest.approx(40 * pixels_along(scene))
     assert pixels_along(scene) < MANY_PIXELS < pixels_along(wide)
+    centre = (Space.of(scene).low + Space.of(scene).high) / 2
+    inside = scene.reposed({i: np.column_stack([c2w[:, :3], centre]) for i, c2w in enumerate(scene.poses)})
+    assert pixels_along(inside) > MANY_PIXELS  # no division by a size of 0
     few, many = (VoxelConfig.configure(s, "auto", {}, CPU) for s in (scene, wide))
     assert few == VoxelConfig()
     assert (few.least_square, many.least_square) == (0.25, 0)
