@@ -366,7 +366,7 @@ def test_a_gradient_that_comes_once_moves_rows_by_a_bounded_step(make: Make) -> 
 @each
 def test_a_gradient_whose_square_overflows_leaves_rows_finite(make: Make, least_square: float) -> None:
     grid, kernels = some_grid(False), make()
-    while kernels.gradient(grid)[:, DENSITY].abs().max() < 2e19:  # in several batches: the squared error of each stays finite
+    while kernels.gradient(grid)[:, DENSITY].abs().max() < 2e19:  # the squared error of each batch is finite
         kernels.accumulate(grid, some_rays(), torch.full((200, 3), 7e17), how(200))
     moments, ema = torch.zeros(len(grid.rows), 3), grid.rows.clone()
     kernels.update(grid, moments, ema, Adam(0.1, 0.1, 0.1, 0.1, 0.99, 1.0, 1e-5, least_square, 1.0))
