@@ -315,7 +315,7 @@ def test_training_goes_on_after_a_rest_as_if_there_had_been_none(name: str, scen
     resting, other = (
         Trainer(scene, RunSettings(method=name, changes=changes, device="cpu", threads=1)) for _ in range(2)
     )
-    for _ in range(6):
+    for _ in range(4):
         resting.method.rest()
         resting.step()
         other.step()
