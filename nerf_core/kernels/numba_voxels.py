@@ -40,6 +40,7 @@ CHUNK = 16  # samples that are found and evaluated together
 # Where `values` holds what; the first 48 are those of `gradients`.
 BASIS, FACTORS, RAWS, LEFTS, DOTS, LOBES = 48, 64, 96, 128, 160, 224
 BIAS = FACTORS + 16
+PULL = WIDTH  # a note that distortion writes, once the width is no longer needed
 
 
 @inlined
@@ -185,20 +186,60 @@ def place_in_ray(t: Any, unit: Any, folded: Any) -> Any:
     return t / (F(1) + t) if folded else t
 
 
+@inlined
+def _distort(notes: Any, n: Any, distortion: Any, reach: Any, unit: Any, folded: Any) -> None:
+    """Write a_i = ∂(distortion)/∂w_i of a ray's n samples to their notes, from front to back.
+
+    With weights and positions summed over the samples within reach in front of sample i (−) and behind it (+):
+    a_i = λ (2 (s_i (W⁻ − W⁺) − (S⁻ − S⁺)) + ⅔ w_i Δs_i), W = Σ w, S = Σ w s.
+    """
+    w_front, s_front, w_behind, s_behind = F(0), F(0), F(0), F(0)
+    begin, end = 0, 0  # in front are begin ≤ j < i, and behind i < j < end
+    for i in range(n):
+        place, w = _place_and_weight(notes, i, unit, folded)
+        while end < n:
+            other, weight = _place_and_weight(notes, end, unit, folded)
+            if other - place >= reach:
+                break
+            w_behind += weight
+            s_behind += weight * other
+            end += 1
+        while begin < i:
+            other, weight = _place_and_weight(notes, begin, unit, folded)
+            if place - other < reach:
+                break
+            w_front -= weight
+            s_front -= weight * other
+            begin += 1
+        w_behind -= w
+        s_behind -= w * place
+        width = notes[i * NOTES + WIDTH] / unit
+        if folded:
+            width *= (F(1) - place) * (F(1) - place)
+        pairs = F(2) * (place * (w_front - w_behind) - (s_front - s_behind))
+        notes[i * NOTES + PULL] = distortion * (pairs + F(2 / 3) * w * width)
+        w_front += w
+        s_front += w * place
+
+
+@inlined
+def _place_and_weight(notes: Any, sample: Any, unit: Any, folded: Any) -> Any:
+    at = sample * NOTES
+    return place_in_ray(notes[at + DISTANCE], unit, folded), notes[at + TRANSMITTANCE] * notes[at + ALPHA]
+
+
 @jit
 def gradients(
     grid: Any, rays: Any, truth: Any, first: Any, last: Any, step: Any, bias: Any, rows: Any, background: Any,
     scratch: Any, pixel: Any, gradient: Any, touched: Any, smoothness: Any, smoothness_color: Any,
-    distortion: Any, unit: Any, folded: Any,
+    distortion: Any, reach: Any, unit: Any, folded: Any,
 ) -> Any:  # fmt: skip
     """Add ∂(½ Σ squared error + smoothness + distortion)/∂rows of rays first ≤ r < last to `gradient`; see `March`.
 
     Returns the sum of squared errors, and the number of samples.
 
     A loss with ∂L/∂w_i = a_i beside the colours acts like one more channel with the colours a_i and no background, so
-    that it is added to what an error takes from the colours. For distortion, with weights and positions summed in
-    front of sample i (−) and behind it (+):
-    a_i = λ (2 (s_i (W⁻ − W⁺) − (S⁻ − S⁺)) + ⅔ w_i Δs_i), W = Σ w, S = Σ w s.
+    that it is added to what an error takes from the colours; for distortion see `_distort`.
     With S_i = Σ_{j>i} w_j c_j + T_end · background, ∂C/∂σ_i = δ_i (T_{i+1} c_i − S_i): NeRF Eq. 3, differentiated.
     """
     basis = scratch.values[BASIS : BASIS + 4]
@@ -213,30 +254,15 @@ def gradients(
         er, eg, eb = pixel[r, 0] - truth[r, 0], pixel[r, 1] - truth[r, 1], pixel[r, 2] - truth[r, 2]
         error += er * er + eg * eg + eb * eb
         behind = (F(1) - pixel[r, 3]) * (background[0] * er + background[1] * eg + background[2] * eb)
-        w_behind, s_behind, w_front, s_front = F(0), F(0), F(0), F(0)
         if distortion > 0:
-            for q in range(n):
-                at = q * 8
-                w = notes[at + TRANSMITTANCE] * notes[at + ALPHA]
-                w_front += w
-                s_front += w * place_in_ray(notes[at + DISTANCE], unit, folded)
+            _distort(notes, n, distortion, reach, unit, folded)
         for q in range(n):
             at = (n - 1 - q) * 8
             r1, g1, b1 = notes[at + RED], notes[at + GREEN], notes[at + BLUE]
             transmittance, alpha = notes[at + TRANSMITTANCE], notes[at + ALPHA]
             w, along = transmittance * alpha, r1 * er + g1 * eg + b1 * eb
             if distortion > 0:
-                along_ray = place_in_ray(notes[at + DISTANCE], unit, folded)
-                width = notes[at + WIDTH] / unit
-                if folded:
-                    width *= (F(1) - along_ray) * (F(1) - along_ray)
-                w_front -= w
-                s_front -= w * along_ray
-                along += distortion * (
-                    F(2) * (along_ray * (w_front - w_behind) - (s_front - s_behind)) + F(2 / 3) * w * width
-                )
-                w_behind += w
-                s_behind += w * along_ray
+                along += notes[at + PULL]
             by_sigma = step * (transmittance * (F(1) - alpha) * along - behind)
             behind += w * along
             gr, gg, gb = w * er * r1 * (F(1) - r1), w * eg * g1 * (F(1) - g1), w * eb * b1 * (F(1) - b1)

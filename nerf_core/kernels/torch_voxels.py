@@ -91,7 +91,8 @@ def _distortion(samples: VoxelSamples, done: Composited, how: March, count: int)
     total = (w.square() * width)[done.used].sum() / 3
     for r in range(count):
         mine = done.used & (samples.ray == r)
-        total = total + (w[mine][:, None] * w[mine] * (s[mine][:, None] - s[mine]).abs()).sum()
+        apart = (s[mine][:, None] - s[mine]).abs()
+        total = total + (w[mine][:, None] * w[mine] * torch.where(apart < how.reach, apart, 0)).sum()
     return total
 
 

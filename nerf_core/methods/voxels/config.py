@@ -64,8 +64,11 @@ class VoxelConfig:
     rate_color: float = constant(0.5, marked("Adam's learning rate for colour, falling with slowdown and epochs"))
     rate_view: float = constant(0.16, marked("the same for the part of colour that changes with the view"))
     rate_gloss: float = constant(0.06, marked("learning rate of gloss, falling alike"))
-    rate_density: float = constant(0.6, marked("Adam's learning rate for density, falling alike"))
-    slowdown: float = constant(300.0, marked("the learning rates fall as 1 / (1 + step / slowdown)"), least=1)
+    slowdown: float = constant(300.0, marked("these three rates fall as 1 / (1 + step / slowdown)"), least=1)
+    rate_density: float = constant(
+        3.0, marked("Adam's learning rate for density, falling with slowdown_density and epochs")
+    )
+    slowdown_density: float = constant(40.0, marked("it falls as 1 / (1 + step / slowdown_density)"), least=1)
     epochs: float = constant(
         0.0,
         marked(
@@ -90,7 +93,13 @@ class VoxelConfig:
     smoothness: float = constant(2.5e-6, marked("weight of the smoothness of density in the loss"))
     smoothness_color: float = constant(3e-7, marked("the same of colour"))
     distortion: float = constant(
-        2.5e-3, marked("weight of distortion in the loss: it draws the weights along a ray together, out of haze")
+        5e-3, marked("weight of distortion in the loss: it draws the weights along a ray together, out of haze")
+    )
+    reach: float = constant(
+        0.2,
+        marked("distortion counts samples nearer to each other than this, in halves of the box; from 4 on all"),
+        least=1e-3,
+        most=10**6,
     )
     distortion_before: float = constant(
         1.0, marked("the same in each level before the last, as a share of that of the level after it"), most=1
@@ -143,16 +152,16 @@ class VoxelConfig:
         ):  # a place fills space that is empty around an object, so that each part of it is seen by fewer rays
             config = replace(
                 config, rate_color=0.2, rate_view=0.06, rate_gloss=0.04, rate_density=0.2, slowdown=500,
-                keep_square=0.999, least_square=0, smoothness=3e-5, distortion=0.01, smoothness_color=0,
-                distortion_before=0.3, spare_error=0.5, beside=1e-7, step=1.0, resolution=400, most_rows=3_000_000,
-                most_rays=12288, wait=0, epochs=12,
+                slowdown_density=500, keep_square=0.999, least_square=0, smoothness=3e-5, smoothness_color=0,
+                distortion=0.01, reach=4, distortion_before=0.3, spare_error=0.5, beside=1e-7, step=1.0, resolution=400,
+                most_rows=3_000_000, most_rays=12288, wait=0, epochs=12,
             )  # fmt: skip
             if scene.from_inside:  # walls would be fog: each part of them is seen by few photos, from about one side
                 config = replace(config, rate_gloss=0.01, rate_density=0.45, distortion=0.1, smoothness_color=3e-5)
         elif pixels_along(scene) > MANY_PIXELS:
             config = replace(
                 config, rate_color=0.2, rate_view=0.12, rate_gloss=0.02, rate_density=0.45, slowdown=500,
-                least_square=0, smoothness_color=1e-6, distortion=5e-3,
+                slowdown_density=500, least_square=0, smoothness_color=1e-6, reach=4,
             )  # fmt: skip
         config = changed(replace(config, most_rows=min(config.most_rows, rows_that_fit())), changes, "voxels")
         if "depth_weight" not in changes and SparseDepths.known(scene, config.train_images):
@@ -185,7 +194,12 @@ def rows_that_fit() -> int:
 def _of_today(config: Mapping[str, Any]) -> Mapping[str, Any]:
     """A configuration that an earlier version may have written, without what there was and with what there was not."""
     absent = "least_square", "epochs", "smoothness_color", "depth_weight", "gloss", "rate_gloss"
-    older = {"distortion_before": 1.0, **dict.fromkeys(absent, 0.0)}
+    older = {
+        "distortion_before": 1.0,
+        "reach": 4.0,
+        "slowdown_density": config.get("slowdown"),
+        **dict.fromkeys(absent, 0.0),
+    }
     config = {**older, "most_rays": config.get("rays"), "wait": 0.0, **config}
     config.pop("keep", None)  # of first moments, which there were
     if "prune" not in config:

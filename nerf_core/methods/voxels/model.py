@@ -145,13 +145,14 @@ class VoxelModel(Defaults):
             march = self._training_march(torch.rand(len(known.t), generator=self.generator))
             self.kernels.accumulate_depths(self.grid, self.space.rays(known.rays), known.t, march)
         self.updates += 1
-        slower = self._slower(step)
+        slower = self._slower(step, c.slowdown)
         correction2 = 1 / (1 - c.keep_square**self.updates)
         ema_rate = max(1 - c.average, YOUNG / (YOUNG + self.updates - 1))
         self.kernels.update(
             self.grid, self.moments, self.ema_rows,
             Adam(
-                c.rate_color * slower, c.rate_view * slower, c.rate_gloss * slower, c.rate_density * slower,
+                c.rate_color * slower, c.rate_view * slower, c.rate_gloss * slower,
+                c.rate_density * self._slower(step, c.slowdown_density),
                 c.keep_square, correction2, c.epsilon, c.least_square, ema_rate,
             ),
         )  # fmt: skip
@@ -164,14 +165,14 @@ class VoxelModel(Defaults):
         self.mean_error += max(1 - MEMORY, 1 / (step + 1)) * (mean - self.mean_error)
         return mean
 
-    def _slower(self, step: int) -> float:
-        """The factor of the learning rates in a step.
+    def _slower(self, step: int, slowdown: float) -> float:
+        """The factor of a learning rate in a step.
 
         What photos show in common is learnt in the first rounds through their pixels. What they contradict each other
         in, such as shadows that move and poses that are not right, is learnt after them, and makes new views worse.
         """
         c = self.config
-        slower = 1 / (1 + step / c.slowdown)
+        slower = 1 / (1 + step / slowdown)
         if c.epochs == 0:
             return slower
         rounds = max(0, step - self.schedule.levels[-1].begin) * c.rays / self.pixels
@@ -196,8 +197,8 @@ class VoxelModel(Defaults):
         unit = 1.0 if kind == "ndc" else self.space.extent
         return replace(
             self._march(offsets), smoothness=c.smoothness, smoothness_color=c.smoothness_color,
-            distortion=c.distortion * c.distortion_before ** (len(self.schedule.levels) - 1 - self.level), unit=unit,
-            folded=kind == "contracted", depth=c.depth_weight,
+            distortion=c.distortion * c.distortion_before ** (len(self.schedule.levels) - 1 - self.level),
+            reach=c.reach, unit=unit, folded=kind == "contracted", depth=c.depth_weight,
         )  # fmt: skip
 
     # ---- coarse to fine ---------------------------------------------------------------------------------------------

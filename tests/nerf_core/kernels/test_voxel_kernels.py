@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -74,7 +75,7 @@ def how(count: int, **changes: float) -> March:
 def test_pictures_and_gradients_agree_with_the_reference(contracted: bool, make: Make, dense: float | None) -> None:
     grid, rays = mixed_grid(contracted) if dense is None else some_grid(contracted, dense=dense), some_rays()
     truth = torch.rand(len(rays), 3, generator=torch.Generator().manual_seed(2))
-    march = how(len(rays), smoothness=0.1, smoothness_color=0.2, distortion=0.3, unit=1.7, folded=contracted)
+    march = how(len(rays), smoothness=0.1, smoothness_color=0.2, distortion=0.3, reach=0.4, unit=1.7, folded=contracted)
     fast, plain = make(), TorchVoxels()
     a, b = fast.render(grid, rays, march), plain.render(grid, rays, march)
     torch.testing.assert_close(fast.trace(grid, rays, march).pixel, a, atol=1e-4, rtol=1e-4)
@@ -136,13 +137,14 @@ def test_haze_of_the_backgrounds_colour_is_needed_only_in_front_of_something() -
         assert [bool(worth[0, y, z]) for y in (0, 3) for z in (0, 3)] == [False, True, False, True]
 
 
-@pytest.mark.parametrize("folded", [False, True])
-def test_distortion_has_the_gradient_of_its_formula(folded: bool) -> None:
-    """mip-NeRF 360's Eq. 15, written out for all pairs of samples, against finite differences."""
+@pytest.mark.parametrize(("folded", "reach"), [(False, math.inf), (True, math.inf), (False, 0.4), (True, 0.1)])
+def test_distortion_has_the_gradient_of_its_formula(folded: bool, reach: float) -> None:
+    """mip-NeRF 360's Eq. 15, written out for all pairs of samples within reach, against finite differences."""
     grid, rays = some_grid(False, size=(4, 5, 4), dense=1.0), some_rays(40)
     grid.rows[:, DENSITY] -= 1.5
-    march = how(40, distortion=0.7, unit=1.3, folded=folded)
+    march = how(40, distortion=0.7, reach=reach, unit=1.3, folded=folded)
     kernels = CpuVoxels(2)
+    apart: list[float] = []
 
     def loss() -> float:
         found, total = kernels.trace(grid, rays, march), 0.0
@@ -150,7 +152,9 @@ def test_distortion_has_the_gradient_of_its_formula(folded: bool) -> None:
         for r in range(40):
             part = slice(int(found.row_offsets[r]), int(found.row_offsets[r + 1]))
             at, long = (s[part] / (1 + s[part]), width[part] / (1 + s[part]) ** 2) if folded else (s[part], width[part])
-            pairs = w[part][:, None] * w[part] * (at[:, None] - at).abs()
+            distance = (at[:, None] - at).abs()
+            apart.append(float(distance.max()) if len(distance) else 0.0)
+            pairs = w[part][:, None] * w[part] * torch.where(distance < reach, distance, 0)
             total += 0.7 * float(pairs.sum() + (w[part] ** 2 * long).sum() / 3)
         return total
 
@@ -164,6 +168,7 @@ def test_distortion_has_the_gradient_of_its_formula(folded: bool) -> None:
         high, grid = loss(), below
         low, grid = loss(), keep
         assert (high - low) / 6e-3 == pytest.approx(float((gradient * direction).sum()), rel=2e-2, abs=2e-4)
+    assert math.isinf(reach) or max(apart) > reach > min(a for a in apart if a > 0)
 
 
 @pytest.mark.parametrize("folded", [False, True])
