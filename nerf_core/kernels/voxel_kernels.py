@@ -30,8 +30,8 @@ class March:
     smoothness_color: the same for each coefficient of colour. Gloss has none: g and −g are the same.
     distortion: weight λ of λ (Σ_ij w_i w_j |s_i − s_j| + ⅓ Σ_i w_i² Δs_i) for each ray, which draws its weights
         together (mip-NeRF 360, Eq. 15, arXiv:2111.12077). s = t / unit, or s/(1 + s) of it if `folded`.
-    reach: over 0; only pairs with |s_i − s_j| < reach count, so that what makes one surface is drawn together, and two
-        surfaces that a ray meets are not.
+    reach: over 0; only pairs with |s_i − s_j| < reach count, unlike in Eq. 15. So what makes one surface is drawn
+        together, and two surfaces that a ray meets are not.
     depth: weight of the loss of `VoxelKernels.accumulate_depths`.
     """
 

@@ -48,7 +48,7 @@ from nerf_core.volume.voxel_grid import DENSITY
 CLASSES = ("surface", "several surfaces", "floater", "fog", "background leak", "unobserved", "background")
 SIZE, CAMERAS, STEPS, FOG_STEPS, PATTERN = 64, 40, 800, 4, 0.35
 NOTHING: Mapping[str, str] = {}
-SLOWLY = {"rate_density": "0.6", "slowdown_density": "300"}  # else surfaces stand after two steps
+SLOWLY = {"rate_density": "0.6", "slowdown_density": "300"}  # whatever --set says; else surfaces stand too soon
 FOGGY = 0.3  # world units, a tenth of the scene's size: in fog, the middle four fifths of the weight reach over more
 DARKEST = 0.5  # least channel of each colour, at most: photos hardly tell a near-white ball from the white background
 THINNED = 0.12  # share of the density that is left, so that the background leaks through

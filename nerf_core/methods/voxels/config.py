@@ -22,8 +22,8 @@ from nerf_core.methods.voxels.sparse_depths import SparseDepths
 # moments, and some 12 of its brick. Each thread adds 64 for gradients, and one for marks.
 ROW_BYTES, THREAD_BYTES = 280, 65
 MEMORY_SHARE = 1 / 4  # of the machine's memory, for a grid of all rows
-# With bounded steps and the rates that go with them, lego at 400 × 400 is 0.3 dB worse at equal steps, perhaps because
-# each vertex is met by fewer rays. At 200 × 200 it is 0.1 dB better after 800 steps. The limit lies between.
+# With bounded steps and the rates that go with them, lego at 400 × 400 is 0.3 to 0.5 dB worse at equal steps, perhaps
+# because each vertex is met by fewer rays. At 200 × 200 it is as good as without. The limit lies between.
 MANY_PIXELS = 320
 DEPTH_WEIGHT = 10.0  # of captures with sparse points: better than 0 on each that was tried, or within 0.03 dB of it
 
@@ -64,11 +64,13 @@ class VoxelConfig:
     rate_color: float = constant(0.5, marked("Adam's learning rate for colour, falling with slowdown and epochs"))
     rate_view: float = constant(0.16, marked("the same for the part of colour that changes with the view"))
     rate_gloss: float = constant(0.06, marked("learning rate of gloss, falling alike"))
-    slowdown: float = constant(300.0, marked("these three rates fall as 1 / (1 + step / slowdown)"), least=1)
+    slowdown: float = constant(300.0, marked("rates of colour and gloss fall as 1 / (1 + step / slowdown)"), least=1)
     rate_density: float = constant(
         3.0, marked("Adam's learning rate for density, falling with slowdown_density and epochs")
     )
-    slowdown_density: float = constant(40.0, marked("it falls as 1 / (1 + step / slowdown_density)"), least=1)
+    slowdown_density: float = constant(
+        40.0, marked("the rate of density falls as 1 / (1 + step / slowdown_density)"), least=1
+    )
     epochs: float = constant(
         0.0,
         marked(
@@ -97,8 +99,10 @@ class VoxelConfig:
     )
     reach: float = constant(
         0.2,
-        marked("distortion counts samples nearer to each other than this, in halves of the box; from 4 on all"),
-        least=1e-3,
+        marked(
+            "distortion counts only samples nearer to each other than this: in halves of the box, or folded; 4: all"
+        ),
+        least=0.01,
         most=10**6,
     )
     distortion_before: float = constant(
@@ -161,7 +165,7 @@ class VoxelConfig:
         elif pixels_along(scene) > MANY_PIXELS:
             config = replace(
                 config, rate_color=0.2, rate_view=0.12, rate_gloss=0.02, rate_density=0.45, slowdown=500,
-                slowdown_density=500, least_square=0, smoothness_color=1e-6, reach=4,
+                slowdown_density=500, least_square=0, smoothness_color=1e-6, distortion=5e-3, reach=4,
             )  # fmt: skip
         config = changed(replace(config, most_rows=min(config.most_rows, rows_that_fit())), changes, "voxels")
         if "depth_weight" not in changes and SparseDepths.known(scene, config.train_images):
