@@ -27,7 +27,7 @@ from nerf_core.kernels.voxel_kernels import HALVINGS, March, VoxelKernels
 from nerf_core.methods.voxels import config as voxel_config
 from nerf_core.methods.voxels import model as voxel_model
 from nerf_core.methods.voxels.coarse_to_fine import Worth, class_of, finer_grid, planned, resample
-from nerf_core.methods.voxels.config import MANY_PIXELS, VoxelConfig, pixels_along
+from nerf_core.methods.voxels.config import FEW_PHOTOS, MANY_PIXELS, VoxelConfig, pixels_along
 from nerf_core.methods.voxels.method import Voxels
 from nerf_core.probe import open_ray
 from nerf_core.rendering.images import render_camera
@@ -77,7 +77,16 @@ def around(scene: Scene) -> Scene:
     return replace(scene, synthetic=False)
 
 
+def of_many_photos(scene: Scene) -> Scene:
+    """The scene with FEW_PHOTOS training photos, of which some are the same."""
+    train = scene.split("train")
+    return replace(
+        scene, splits=dict(scene.splits) | {"train": tuple(train[i % len(train)] for i in range(FEW_PHOTOS))}
+    )
+
+
 def test_a_room_has_constants_of_its_own(scene: Scene) -> None:
+    scene = of_many_photos(scene)
     back = np.diag([-1.0, 1.0, -1.0])
     turned = {i: np.column_stack([c2w[:, :3] @ back, c2w[:, 3]]) for i, c2w in enumerate(scene.poses)}
     place, room = (VoxelConfig.configure(around(s), "auto", {}, CPU) for s in (scene, scene.reposed(turned)))
@@ -92,7 +101,21 @@ def test_a_room_has_constants_of_its_own(scene: Scene) -> None:
     assert set_by_hand.distortion == 0
 
 
+def test_density_learns_slowly_of_few_photos(scene: Scene) -> None:
+    many = of_many_photos(scene)
+    assert VoxelConfig.configure(many, "auto", {}, CPU) == VoxelConfig()
+    one_less = {"train_images": str(FEW_PHOTOS - 1)}
+    for some, changes in (scene, {}), (many, one_less):
+        config = VoxelConfig.configure(some, "auto", changes, CPU)
+        assert config.rate_density < VoxelConfig().rate_density
+        assert config.slowdown_density > VoxelConfig().slowdown_density
+        assert config.reach > VoxelConfig().reach
+        assert config.rate_color == VoxelConfig().rate_color
+    assert VoxelConfig.configure(scene, "auto", {"rate_density": "3"}, CPU).rate_density == 3
+
+
 def test_objects_in_photos_of_many_pixels_take_steps_of_any_length(scene: Scene) -> None:
+    scene = of_many_photos(scene)
     wide = replace(
         scene,
         views=tuple(
