@@ -156,13 +156,16 @@ class VoxelConfig:
             not scene.synthetic
         ):  # a place fills space that is empty around an object, so that each part of it is seen by fewer rays
             config = replace(
-                config, rate_color=0.2, rate_view=0.06, rate_gloss=0.04, rate_density=0.2, slowdown=500,
-                slowdown_density=500, keep_square=0.999, least_square=0, smoothness=3e-5, smoothness_color=0,
+                config, rate_color=0.2, rate_view=0.06, rate_gloss=0.04, rate_density=1, slowdown=500,
+                slowdown_density=60, keep_square=0.999, least_square=0, smoothness=3e-5, smoothness_color=0,
                 distortion=0.01, reach=4, distortion_before=0.3, spare_error=0.5, beside=1e-7, step=1.0, resolution=400,
                 most_rows=3_000_000, most_rays=12288, wait=0, epochs=12,
             )  # fmt: skip
             if scene.from_inside:  # walls would be fog: each part of them is seen by few photos, from about one side
-                config = replace(config, rate_gloss=0.01, rate_density=0.45, distortion=0.1, smoothness_color=3e-5)
+                config = replace(
+                    config, rate_gloss=0.01, rate_density=0.45, slowdown_density=500, distortion=0.1,
+                    smoothness_color=3e-5,
+                )  # fmt: skip
         elif pixels_along(scene) > MANY_PIXELS:
             config = replace(
                 config, rate_color=0.2, rate_view=0.12, rate_gloss=0.02, rate_density=0.45, slowdown=500,
