@@ -25,7 +25,7 @@ MEMORY_SHARE = 1 / 4  # of the machine's memory, for a grid of all rows
 # With bounded steps and the rates that go with them, lego at 400 × 400 is 0.3 to 0.5 dB worse at equal steps, perhaps
 # because each vertex is met by fewer rays. At 200 × 200 it is as good as without. The limit lies between.
 MANY_PIXELS = 320
-FEW_PHOTOS = 12  # of fewer, lego is worse where density learns fast at first: what then becomes opaque is often wrong
+FEW_PHOTOS = 12  # of fewer, lego and fox are worse if density learns fast at first: what is opaque early is often wrong
 DEPTH_WEIGHT = 10.0  # of captures with sparse points: better than 0 on each that was tried, or within 0.03 dB of it
 
 
@@ -152,6 +152,7 @@ class VoxelConfig:
         if preset != "auto":
             raise UserError(f"--preset {shorten(preset)}: method voxels has none but auto; change constants with --set")
         config = VoxelConfig()
+        few = len(scene.trained(changed(config, changes, "voxels").train_images)) < FEW_PHOTOS
         if (
             not scene.synthetic
         ):  # a place fills space that is empty around an object, so that each part of it is seen by fewer rays
@@ -166,12 +167,14 @@ class VoxelConfig:
                     config, rate_gloss=0.01, rate_density=0.45, slowdown_density=500, distortion=0.1,
                     smoothness_color=3e-5,
                 )  # fmt: skip
+            elif few:
+                config = replace(config, rate_density=0.2, slowdown_density=500)
         elif pixels_along(scene) > MANY_PIXELS:
             config = replace(
                 config, rate_color=0.2, rate_view=0.12, rate_gloss=0.02, rate_density=0.45, slowdown=500,
                 slowdown_density=500, least_square=0, smoothness_color=1e-6, distortion=5e-3, reach=4,
             )  # fmt: skip
-        elif len(scene.trained(changed(config, changes, "voxels").train_images)) < FEW_PHOTOS:
+        elif few:
             config = replace(config, rate_density=0.6, slowdown_density=300, reach=4)
         config = changed(replace(config, most_rows=min(config.most_rows, rows_that_fit())), changes, "voxels")
         if "depth_weight" not in changes and SparseDepths.known(scene, config.train_images):

@@ -112,6 +112,9 @@ def test_density_learns_slowly_of_few_photos(scene: Scene) -> None:
         assert config.reach > VoxelConfig().reach
         assert config.rate_color == VoxelConfig().rate_color
     assert VoxelConfig.configure(scene, "auto", {"rate_density": "3"}, CPU).rate_density == 3
+    few, enough = (VoxelConfig.configure(around(s), "auto", {}, CPU) for s in (scene, many))
+    assert (few.rate_density, few.slowdown_density) == (0.2, few.slowdown)
+    assert enough == replace(few, rate_density=1, slowdown_density=60)
 
 
 def test_objects_in_photos_of_many_pixels_take_steps_of_any_length(scene: Scene) -> None:
