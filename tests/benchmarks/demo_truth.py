@@ -96,14 +96,15 @@ def _radiance(
     errors: list[float] = []
     spreads: dict[str, list[tuple[float, float]]] = {"ball": [], "vase": []}
     names = {demo_scene.BALL: "ball", demo_scene.VASE: "vase"}
-    for point, normal, thing in zip(points, normals, objects, strict=True):
-        outgoing = _seen_from(point, normal, centres, rng)
-        if len(outgoing) < 2:
+    outgoing = _seen_from(points, normals, centres, rng)
+    counts = [len(directions) for directions in outgoing]
+    # of all at once: a call of the scene's functions takes as long for a few points as for hundreds
+    where = (np.repeat(of_points, counts, 0) for of_points in (points, normals, objects))
+    truths = np.split(demo_scene.radiance(*where, np.concatenate(outgoing)), np.cumsum(counts)[:-1])
+    for point, thing, directions, truth in zip(points, objects, outgoing, truths, strict=True):
+        if len(directions) < 2:
             continue
-        count = len(outgoing)
-        where = np.tile(point, (count, 1)), np.tile(normal, (count, 1)), np.full(count, thing)
-        truth = demo_scene.radiance(*where, outgoing)
-        model = trainer.method.radiance(torch.from_numpy(point)[None], torch.from_numpy(-outgoing))[0].numpy()  # pyright: ignore[reportAttributeAccessIssue]: each method here has one
+        model = trainer.method.radiance(torch.from_numpy(point)[None], torch.from_numpy(-directions))[0].numpy()  # pyright: ignore[reportAttributeAccessIssue]: each method here has one
         errors.append(float(np.abs(model - truth).mean()))
         if thing in names:
             spreads[names[thing]].append((float(model.std(0).mean()), float(truth.std(0).mean())))
@@ -141,18 +142,17 @@ def microscope(trainer: Trainer, pixels: int = 24, seed: int = 0) -> dict[str, f
         assert probe is not None
         assert evidence is not None
         outer = probe.directions @ normal[flat] > 0.2
+        directions, rgb = probe.directions[outer], probe.rgb[outer]
         looks = evidence.directions[evidence.seen]
-        near = (probe.directions @ looks.T).max(-1, initial=-1) > np.cos(OBSERVED)
+        near = (directions @ looks.T).max(-1, initial=-1) > np.cos(OBSERVED)
         where = rays.origins[flat].numpy() + t[flat] * rays.directions[flat].numpy()
-        count = len(probe.directions)
+        count = len(directions)
         truth = demo_scene.radiance(
-            np.tile(where, (count, 1)), np.tile(normal[flat], (count, 1)), np.full(count, demo_scene.BALL),
-            probe.directions,
-        )  # fmt: skip
-        error = np.abs(probe.rgb - truth).mean(-1)
+            np.tile(where, (count, 1)), np.tile(normal[flat], (count, 1)), np.full(count, demo_scene.BALL), directions
+        )
+        error = np.abs(rgb - truth).mean(-1)
         found.append((
-            abs(probe.t - t[flat]), _mean(error[outer & near]), _mean(error[outer & ~near]),
-            _spread(probe.rgb[outer & near]), _spread(truth[outer & near]),
+            abs(probe.t - t[flat]), _mean(error[near]), _mean(error[~near]), _spread(rgb[near]), _spread(truth[near]),
         ))  # fmt: skip
     names = ("off", "observed", "extrapolated", "spread", "spread_truth")
     return dict(zip(names, np.nanmedian(np.array(found), 0).tolist(), strict=True))
@@ -168,17 +168,22 @@ def _spread(rgb: np.ndarray) -> float:
     return float(np.sqrt(np.square(rgb - rgb.mean(0)).mean())) if len(rgb) else np.nan
 
 
-def _seen_from(point: np.ndarray, normal: np.ndarray, centres: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Unit directions (K, 3) from the point to at most CAMERAS training cameras that truly see it."""
-    towards = centres - point
-    distance = np.linalg.norm(towards, axis=-1)
-    towards = towards / distance[:, None]
-    facing = np.flatnonzero(towards @ normal > 0.2)  # a grazing view says little about a surface
-    facing = rng.permutation(facing)[: 2 * CAMERAS]
-    if len(facing) == 0:
-        return towards[:0]
-    t, _, _ = demo_scene.hit(centres[facing], -towards[facing])
-    return towards[facing[t > distance[facing] - 1e-3]][:CAMERAS]
+def _seen_from(
+    points: np.ndarray, normals: np.ndarray, centres: np.ndarray, rng: np.random.Generator
+) -> list[np.ndarray]:
+    """Unit directions (K, 3) from each point to at most CAMERAS training cameras that truly see it."""
+    chosen = []
+    for point, normal in zip(points, normals, strict=True):
+        towards = centres - point
+        distance = np.linalg.norm(towards, axis=-1)
+        towards = towards / distance[:, None]
+        facing = np.flatnonzero(towards @ normal > 0.2)  # a grazing view says little about a surface
+        facing = rng.permutation(facing)[: 2 * CAMERAS]
+        chosen.append((centres[facing], towards[facing], distance[facing]))
+    starts, towards, distances = (np.concatenate(v) for v in zip(*chosen, strict=True))
+    free = demo_scene.hit(starts, -towards)[0] > distances - 1e-3
+    parts = np.split(free, np.cumsum([len(distance) for *_, distance in chosen])[:-1])
+    return [directions[seen][:CAMERAS] for (_, directions, _), seen in zip(chosen, parts, strict=True)]
 
 
 def main() -> None:
