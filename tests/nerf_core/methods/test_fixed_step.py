@@ -8,7 +8,7 @@ from unittest import mock
 
 import pytest
 import torch
-from kernel_implementations import fast_packed
+from kernel_implementations import PLAIN, fast_packed
 from pretended_cuda import FarTensor, Graph, Launches, pretended_cuda
 
 from nerf_core.geometry.cameras import camera_rays
@@ -65,7 +65,7 @@ def fixed(method: Hash, rays: int, capacity: int) -> FixedStep:
 def marched(method: Hash, rays: Rays, offsets: torch.Tensor) -> int:
     """Samples in front of, and behind, what ends the light."""
     boxed = method.space.rays(rays)
-    return len(method.kernels.march(method.occupancy.cells, boxed, method.step_cells, offsets).t)
+    return len(PLAIN.march(method.occupancy.cells, boxed, method.step_cells, offsets).t)
 
 
 @each_fast
@@ -146,7 +146,7 @@ def test_out_of_memory_a_step_asks_for_half(scene: Scene) -> None:
 def on_a_pretended_gpu(
     scene: Scene, monkeypatch: pytest.MonkeyPatch, eager: int
 ) -> tuple[list[float], dict[str, torch.Tensor], int]:
-    """Losses, state and number of recordings of six steps, of which the first `eager` are not recorded."""
+    """Losses, state and number of recordings of four steps, of which the first `eager` are not recorded."""
     from nerf_core.kernels import triton_loops, triton_packed
 
     recordings: list[Graph] = []
@@ -168,7 +168,7 @@ def on_a_pretended_gpu(
             "empty": "0.9",
         }
         trainer = Trainer(scene, RunSettings(method="hash", device="cuda", changes=changes))
-        losses = [trainer.step().loss for _ in range(6)]
+        losses = [trainer.step().loss for _ in range(4)]
         triton_packed._resolutions.cache_clear()  # of tensors that lie on what was pretended
         state = {name: v.here if isinstance(v, FarTensor) else v for name, v in trainer.state().items()}
     return losses, {name: v.clone() for name, v in state.items()}, len(recordings)
