@@ -23,8 +23,8 @@ def long(seconds: int) -> tuple[pytest.MarkDecorator, ...]:
     ("method", "preset", "downscale", "steps", "shrink", "counts"),
     [
         pytest.param("voxels", "auto", 8, 60, 2, (1, 60, 6), id="voxels-briefly"),
-        pytest.param("voxels", "auto", 4, 280, 3, (2, 400, 24), id="voxels", marks=long(35)),
-        pytest.param("nerf", "quick", 4, 1000, 5, (2, 200, 24), id="nerf", marks=long(100)),
+        pytest.param("voxels", "auto", 4, 140, 3, (2, 400, 16), id="voxels", marks=long(15)),
+        pytest.param("nerf", "quick", 4, 1000, 5, (2, 200, 16), id="nerf", marks=long(80)),
     ],
 )
 def test_training_approaches_the_truth(

@@ -35,6 +35,7 @@ from nerf_core.training import checkpoint
 from nerf_core.training.settings import RunSettings
 
 OpenDesk = Callable[..., Desk]
+SCHEDULE = 30  # steps of the checkpoint's
 
 
 def history_of(snapshot: Snapshot, number: int = 1) -> RayHistory:
@@ -52,7 +53,7 @@ def camera_of(desk: Desk) -> Camera:
 @pytest.fixture(scope="module")
 def saved(tiny: RunSettings, capture: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Snapshot]:
     """A checkpoint of step 5 with a ray pinned at step 0 and one pinned at step 3, and what was shown then."""
-    desk, file = Desk(tiny, capture), tmp_path_factory.mktemp("saved") / "run.safetensors"
+    desk, file = Desk(replace(tiny, steps=SCHEDULE), capture), tmp_path_factory.mktemp("saved") / "run.safetensors"
     camera = desk.until(lambda s: s.scene is not None).scene.views[0].camera  # pyright: ignore
     desk.send(PinRay(camera, (8, 8), id=1), Train(3))
     desk.until(lambda s: s.step == 3 and s.status == "paused")
@@ -120,12 +121,12 @@ def test_a_ray_that_is_removed_and_pinned_again_begins_anew(open_desk: OpenDesk,
 
 @pytest.mark.thorough(7)
 def test_a_history_continues_past_the_checkpoints_schedule(open_desk: OpenDesk, saved: tuple[Path, Snapshot]) -> None:
-    desk = open_desk(steps=20_000)  # the checkpoint's own schedule, of 100 steps, counts
-    desk.send(LoadCheckpoint(saved[0]), Train(120))
-    shown = desk.until(lambda s: s.step == 125 and s.status != "training" and s.pins[1].history is not None)
+    desk = open_desk(steps=20_000)  # the checkpoint's own schedule counts
+    desk.send(LoadCheckpoint(saved[0]), Train(SCHEDULE + 10))
+    shown = desk.until(lambda s: s.step == SCHEDULE + 15 and s.status != "training" and s.pins[1].history is not None)
     steps = history_of(shown, shown.pins[1].id).steps.tolist()
     assert steps[:3] == [3, 4, 5]
-    assert steps[-1] > 100
+    assert steps[-1] > SCHEDULE
     assert steps == sorted(set(steps))
 
 

@@ -128,7 +128,7 @@ def test_every_method_draws_within_content(scene: Scene, method: str, make_train
 
 
 @pytest.mark.parametrize(
-    ("method", "steps"), [pytest.param("voxels", 250, marks=pytest.mark.thorough(10)), ("hash", 200)]
+    ("method", "steps"), [pytest.param("voxels", 140, marks=pytest.mark.thorough(8)), ("hash", 200)]
 )
 def test_flying_up_to_the_demo_ball_keeps_its_picture(method: str, steps: int) -> None:
     demo = load_scene(None, LoadOptions(max_size=64))
