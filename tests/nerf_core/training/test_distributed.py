@@ -75,6 +75,7 @@ def ran(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Ran:
         scenario("failed", trouble="failed", step=3),
         scenario("parted", trouble="parted", step=5),
         scenario("mistaken", "--set", "wings=2"),
+        Scenario("alone", ["train", str(capture), "--out", str(folder / "alone"), "--device", "cpu"]),
     ]
     assert {s.trouble for s in scenarios} == {"", *TROUBLES}
     (folder / "scenarios.json").write_text(json.dumps([asdict(one) for one in scenarios]), encoding="utf-8")
@@ -157,9 +158,7 @@ def test_a_mistake_on_the_command_line_is_told_once(ran: Ran) -> None:
     assert "--set 'wings': method nerf has no such constant" in error_of(ran.outcomes["mistaken"])
 
 
-def test_a_method_that_trains_in_one_process_is_refused(capture: Path, tmp_path: Path) -> None:
-    done = torchrun("-m", "nerf_core.cli", "train", str(capture), "--out", str(tmp_path / "run"), "--device", "cpu")
-    assert done.returncode != 0
-    told = [line for line in done.stderr.splitlines() if line.startswith("nerf-core: ")]
-    assert told == ["nerf-core: method voxels trains in one process: torchrun works with hash and nerf"]
-    assert not (tmp_path / "run").exists()
+def test_a_method_that_trains_in_one_process_is_refused(ran: Ran) -> None:
+    told = "nerf-core: method voxels trains in one process: torchrun works with hash and nerf\n"
+    assert error_of(ran.outcomes["alone"]) == told
+    assert not (ran.folder / "alone").exists()
