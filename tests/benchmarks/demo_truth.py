@@ -99,8 +99,9 @@ def _radiance(
     outgoing = _seen_from(points, normals, centres, rng)
     counts = [len(directions) for directions in outgoing]
     # of all at once: a call of the scene's functions takes as long for a few points as for hundreds
-    where = (np.repeat(of_points, counts, 0) for of_points in (points, normals, objects))
-    truths = np.split(demo_scene.radiance(*where, np.concatenate(outgoing)), np.cumsum(counts)[:-1])
+    at, facing, things = (np.repeat(of_points, counts, 0) for of_points in (points, normals, objects))
+    truth_of_all = demo_scene.radiance(at, facing, things, np.concatenate(outgoing))
+    truths = np.split(truth_of_all, np.cumsum(counts)[:-1])
     for point, thing, directions, truth in zip(points, objects, outgoing, truths, strict=True):
         if len(directions) < 2:
             continue
