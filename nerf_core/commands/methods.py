@@ -32,7 +32,7 @@ class Methods:
         method = METHODS.get(self.name)
         say(method.summary)
         say(f"presets: {', '.join(('auto', *method.presets))}")
-        say("constants, with their defaults; some presets and devices have others:")
+        say("constants, with their defaults; some presets, devices and scenes have others:")
         for name, (default, about) in constants(method.constants).items():
             limits = f" ({about.range})" if about.range else ""
             say(f"  {name} = {default}{limits}")

@@ -25,7 +25,7 @@ MEMORY_SHARE = 1 / 4  # of the machine's memory, for a grid of all rows
 # With bounded steps and the rates that go with them, lego at 400 × 400 is 0.3 to 0.5 dB worse at equal steps, perhaps
 # because each vertex is met by fewer rays. At 200 × 200 it is as good as without. The limit lies between.
 MANY_PIXELS = 320
-FEW_PHOTOS = 12  # of fewer, lego and fox are worse if density learns fast at first: what is opaque early is often wrong
+FEW_PHOTOS = 12  # of fewer, lego and fox (not can) are worse after 600 steps if density learns fast at first
 DEPTH_WEIGHT = 10.0  # of captures with sparse points: better than 0 on each that was tried, or within 0.03 dB of it
 
 
@@ -151,31 +151,8 @@ class VoxelConfig:
     def configure(scene: Scene, preset: str, changes: Mapping[str, str], device: torch.device) -> VoxelConfig:
         if preset != "auto":
             raise UserError(f"--preset {shorten(preset)}: method voxels has none but auto; change constants with --set")
-        config = VoxelConfig()
-        few = len(scene.trained(changed(config, changes, "voxels").train_images)) < FEW_PHOTOS
-        if (
-            not scene.synthetic
-        ):  # a place fills space that is empty around an object, so that each part of it is seen by fewer rays
-            config = replace(
-                config, rate_color=0.2, rate_view=0.06, rate_gloss=0.04, rate_density=1, slowdown=500,
-                slowdown_density=60, keep_square=0.999, least_square=0, smoothness=3e-5, smoothness_color=0,
-                distortion=0.01, reach=4, distortion_before=0.3, spare_error=0.5, beside=1e-7, step=1.0, resolution=400,
-                most_rows=3_000_000, most_rays=12288, wait=0, epochs=12,
-            )  # fmt: skip
-            if scene.from_inside:  # walls would be fog: each part of them is seen by few photos, from about one side
-                config = replace(
-                    config, rate_gloss=0.01, rate_density=0.45, slowdown_density=500, distortion=0.1,
-                    smoothness_color=3e-5,
-                )  # fmt: skip
-            elif few:
-                config = replace(config, rate_density=0.2, slowdown_density=500)
-        elif pixels_along(scene) > MANY_PIXELS:
-            config = replace(
-                config, rate_color=0.2, rate_view=0.12, rate_gloss=0.02, rate_density=0.45, slowdown=500,
-                slowdown_density=500, least_square=0, smoothness_color=1e-6, distortion=5e-3, reach=4,
-            )  # fmt: skip
-        elif few:
-            config = replace(config, rate_density=0.6, slowdown_density=300, reach=4)
+        photos = len(scene.trained(changed(VoxelConfig(), changes, "voxels").train_images))
+        config = by_kind(scene, photos)
         config = changed(replace(config, most_rows=min(config.most_rows, rows_that_fit())), changes, "voxels")
         if "depth_weight" not in changes and SparseDepths.known(scene, config.train_images):
             config = replace(config, depth_weight=DEPTH_WEIGHT)
@@ -189,6 +166,30 @@ class VoxelConfig:
 
     def to_json(self) -> dict[str, Any]:
         return asdict(self)
+
+
+def by_kind(scene: Scene, photos: int) -> VoxelConfig:
+    """Return the constants for an object, an object in large photos, a room, or another place, and so many photos."""
+    few = photos < FEW_PHOTOS
+    if scene.synthetic:
+        if pixels_along(scene) > MANY_PIXELS:
+            return VoxelConfig(
+                rate_color=0.2, rate_view=0.12, rate_gloss=0.02, rate_density=0.45, slowdown=500, slowdown_density=500,
+                least_square=0, smoothness_color=1e-6, distortion=5e-3, reach=4,
+            )  # fmt: skip
+        return VoxelConfig(rate_density=0.6, slowdown_density=300, reach=4) if few else VoxelConfig()
+    # a place fills space that is empty around an object, so that each part of it is seen by fewer rays
+    place = VoxelConfig(
+        rate_color=0.2, rate_view=0.06, rate_gloss=0.04, rate_density=1, slowdown=500, slowdown_density=60,
+        keep_square=0.999, least_square=0, smoothness=3e-5, smoothness_color=0, distortion=0.01, reach=4,
+        distortion_before=0.3, spare_error=0.5, beside=1e-7, step=1.0, resolution=400, most_rows=3_000_000,
+        most_rays=12288, wait=0, epochs=12,
+    )  # fmt: skip
+    if scene.from_inside:  # walls would be fog: each part of them is seen by few photos, from about one side
+        return replace(
+            place, rate_gloss=0.01, rate_density=0.45, slowdown_density=500, distortion=0.1, smoothness_color=3e-5
+        )
+    return replace(place, rate_density=0.2, slowdown_density=500) if few else place
 
 
 def pixels_along(scene: Scene) -> float:

@@ -184,6 +184,10 @@ def test_the_proposal_grid_knows_which_photos_it_is_trained_on(scene: Scene) -> 
         ({"train_images": "2", "guide.train_images": "3"}, 3),
     ):
         assert GuidedConfig.configure(scene, "auto", changes, CPU).guide.train_images == expected
+    train = scene.split("train")
+    many = replace(scene, splits={**scene.splits, "train": 3 * train})
+    for changes, rate in (({}, 3.0), ({"train_images": "5"}, 0.6), ({"guide.train_images": "5"}, 0.6)):
+        assert GuidedConfig.configure(many, "auto", changes, CPU).guide.rate_density == rate
 
 
 def test_the_proposal_grid_of_large_photos_becomes_fine_before_it_is_done(scene: Scene) -> None:

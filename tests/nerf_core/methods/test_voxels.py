@@ -61,6 +61,7 @@ def run(scene: Scene, steps: int, seed: int = 0, **changes: object) -> Trainer:
 
 
 SLOW_DENSITY = {"rate_density": 0.6, "slowdown_density": 300}
+FAST_DENSITY = {"rate_density": 3, "slowdown_density": 40, "reach": 0.2}  # the default, but the fixture has few photos
 
 
 def forward(scene: Scene) -> Scene:
@@ -95,7 +96,10 @@ def test_a_room_has_constants_of_its_own(scene: Scene) -> None:
     for config in place, room:  # the bound, and the rates that go with it, are for objects
         assert (config.rate_color, config.slowdown, config.keep_square, config.least_square) == (0.2, 500, 0.999, 0)
         assert config.reach == 4
-    assert (place.slowdown_density, room.slowdown_density) == (60, 500)  # fast at first, walls would be fog
+    assert (place.rate_density, place.slowdown_density) == (1, 60)
+    assert (room.rate_density, room.slowdown_density) == (0.45, 500)  # if it learnt fast at first, walls would be fog
+    room_of_few = around(scene.reposed(turned))
+    assert VoxelConfig.configure(room_of_few, "auto", {"train_images": "5"}, CPU) == replace(room, train_images=5)
     assert VoxelConfig.configure(scene.reposed(turned), "auto", {}, CPU) == VoxelConfig()  # an object has no walls
     set_by_hand = VoxelConfig.configure(around(scene.reposed(turned)), "auto", {"distortion": "0"}, CPU)
     assert set_by_hand.distortion == 0
@@ -130,11 +134,12 @@ def test_objects_in_photos_of_many_pixels_take_steps_of_any_length(scene: Scene)
     centre = (Space.of(scene).low + Space.of(scene).high) / 2
     inside = scene.reposed({i: np.column_stack([c2w[:, :3], centre]) for i, c2w in enumerate(scene.poses)})
     assert pixels_along(inside) > MANY_PIXELS  # no division by a size of 0
-    few, many = (VoxelConfig.configure(s, "auto", {}, CPU) for s in (scene, wide))
-    assert few == VoxelConfig()
-    assert (few.least_square, many.least_square) == (0.25, 0)
-    assert many.rate_color < few.rate_color
-    assert (many.slowdown_density, many.distortion, many.reach) == (many.slowdown, 5e-3, 4)
+    small, large = (VoxelConfig.configure(s, "auto", {}, CPU) for s in (scene, wide))
+    assert small == VoxelConfig()
+    assert (small.least_square, large.least_square) == (0.25, 0)
+    assert large.rate_color < small.rate_color
+    assert (large.slowdown_density, large.distortion, large.reach) == (large.slowdown, 5e-3, 4)
+    assert VoxelConfig.configure(wide, "auto", {"train_images": "5"}, CPU) == replace(large, train_images=5)
     assert VoxelConfig.configure(wide, "auto", {"least_square": "0.25"}, CPU).least_square == 0.25
 
 
@@ -224,14 +229,14 @@ def voxels_of(trainer: Trainer) -> Voxels:
 
 
 @pytest.mark.parametrize("place", [forward, lambda scene: scene], ids=["ndc", "world"])
-@pytest.mark.parametrize(("rates", "decibels"), [(SLOW_DENSITY, 41), ({}, 39)], ids=["slow", "today"])
+@pytest.mark.parametrize(("rates", "decibels"), [(SLOW_DENSITY, 41), (FAST_DENSITY, 39)], ids=["slow", "fast"])
 def test_a_refinement_changes_no_picture_and_training_goes_on(
     scene: Scene, place: Callable[[Scene], Scene], rates: dict[str, Any], decibels: float
 ) -> None:
     """39 or 41 dB between the pictures before and after, sampled finely; larger cells keep their rows, bit for bit.
 
     σ = softplus(s + bias) of halved densities is interpolated a little differently, most where density rises from
-    nothing to opaque within one of these large cells, as it does with the rates of today.
+    nothing to opaque within one of these large cells, as it does where density learns fast at first.
     """
     scene = place(scene)
     trainer = run(scene, 40, spare_error=0, start=14, pixels=0.4, level_steps=40, **rates)
@@ -595,12 +600,12 @@ def test_a_run_of_an_earlier_version_keeps_its_rates(scene: Scene) -> None:
     assert today.epochs > 0
     known = {k: v for k, v in today.to_json().items() if k != "epochs"}
     assert VoxelConfig.restore(known) == replace(today, epochs=0)
-    of_object = VoxelConfig.configure(scene, "auto", {}, CPU)
+    of_object = VoxelConfig.configure(of_many_photos(scene), "auto", {"slowdown": "123"}, CPU)
     assert of_object.least_square > 0
     known = {k: v for k, v in of_object.to_json().items() if k != "least_square"} | {"rate_color": 0.2}
     assert VoxelConfig.restore(known) == replace(of_object, least_square=0, rate_color=0.2)
     known = {k: v for k, v in of_object.to_json().items() if k not in ("slowdown_density", "reach")}
-    assert VoxelConfig.restore(known) == replace(of_object, slowdown_density=of_object.slowdown, reach=4)
+    assert VoxelConfig.restore(known) == replace(of_object, slowdown_density=123, reach=4)
     for hostile in ({k: v for k, v in known.items() if k != "slowdown"}, known | {"slowdown": "fast"}):
         with pytest.raises(UserError, match="slowdown"):
             VoxelConfig.restore(hostile)
