@@ -175,7 +175,7 @@ def by_kind(scene: Scene, photos: int) -> VoxelConfig:
         if pixels_along(scene) > MANY_PIXELS:
             return VoxelConfig(
                 rate_color=0.2, rate_view=0.12, rate_gloss=0.02, rate_density=0.45, slowdown=500, slowdown_density=500,
-                least_square=0, smoothness_color=1e-6, distortion=5e-3, reach=4,
+                least_square=0, smoothness_color=1e-6, reach=4,
             )  # fmt: skip
         return VoxelConfig(rate_density=0.6, slowdown_density=300, reach=4) if few else VoxelConfig()
     # a place fills space that is empty around an object, so that each part of it is seen by fewer rays

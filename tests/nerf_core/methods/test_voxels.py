@@ -81,9 +81,8 @@ def around(scene: Scene) -> Scene:
 def of_many_photos(scene: Scene) -> Scene:
     """The scene with FEW_PHOTOS training photos, of which some are the same."""
     train = scene.split("train")
-    return replace(
-        scene, splits=dict(scene.splits) | {"train": tuple(train[i % len(train)] for i in range(FEW_PHOTOS))}
-    )
+    many = tuple(train[i % len(train)] for i in range(FEW_PHOTOS))
+    return replace(scene, splits={**scene.splits, "train": many})
 
 
 def test_a_room_has_constants_of_its_own(scene: Scene) -> None:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -359,7 +360,10 @@ for _ in sys.stdin:
 def test_a_run_killed_while_saving_always_has_a_checkpoint(run: RunFolder) -> None:
     chance, pipe = random.Random(0), subprocess.PIPE
     command = [sys.executable, "-c", SAVER, str(run.path)]
-    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as savers:
+    with ExitStack() as ending:
+        savers = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, start_new_session=True)
+        ending.enter_context(savers)  # which waits for it
+        ending.callback(os.killpg, savers.pid, signal.SIGKILL)  # with its child, also when the test fails meanwhile
         assert savers.stdin is not None
         assert savers.stdout is not None
         for _ in range(5):
