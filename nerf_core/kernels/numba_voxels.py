@@ -37,8 +37,8 @@ F = np.float32
 STOP = F(1e-3)  # that of `compositing`
 SH0, SH1 = F(0.28209479), F(0.48860251)  # those of `voxel_grid`
 CHUNK = 16  # samples that are found and evaluated together
-# Where `values` holds what; the first 48 are those of `gradients`.
-BASIS, FACTORS, RAWS, LEFTS, DOTS, LOBES = 48, 64, 96, 128, 160, 224
+# Where `values` holds what; the first 48, and the 16 from SLOPES on, are those of `gradients`.
+BASIS, FACTORS, RAWS, SLOPES, LEFTS, DOTS, LOBES = 48, 64, 96, 112, 128, 160, 224
 BIAS = FACTORS + 16
 PULL = WIDTH  # a note that distortion writes, once the width is no longer needed
 
@@ -232,7 +232,7 @@ def _place_and_weight(notes: Any, sample: Any, unit: Any, folded: Any) -> Any:
 def gradients(
     grid: Any, rays: Any, truth: Any, first: Any, last: Any, step: Any, bias: Any, rows: Any, background: Any,
     scratch: Any, pixel: Any, gradient: Any, touched: Any, smoothness: Any, smoothness_color: Any,
-    distortion: Any, reach: Any, unit: Any, folded: Any,
+    slope: Any, distortion: Any, reach: Any, unit: Any, folded: Any,
 ) -> Any:  # fmt: skip
     """Add ∂(½ Σ squared error + smoothness + distortion)/∂rows of rays first ≤ r < last to `gradient`; see `March`.
 
@@ -246,6 +246,7 @@ def gradients(
     corners, weights, values, notes = scratch.corners, scratch.weights, scratch.values, scratch.notes
     for q in range(16):
         values[32 + q] = smoothness_color if q < 12 else smoothness if q == 12 else F(0)
+        values[SLOPES + q] = (slope - F(1)) * values[32 + q]  # b + slope · l = (b + l) + (slope − 1) · l
     error = 0.0
     samples = 0
     for r in range(first, last):
@@ -275,7 +276,7 @@ def gradients(
                 values[29 + c] = by_lobe * rays.views[r, c]
             values[28] = by_sigma / (F(1) + exp(-notes[at + RAW]))  # softplus' is the sigmoid
             if smoothness > 0 or smoothness_color > 0:
-                scatter_smooth(gradient, corners, weights, at, values, 16, rows, 32)
+                scatter_smooth(gradient, corners, weights, at, values, 16, rows, 32, SLOPES)
             else:
                 scatter(gradient, corners, weights, at, values, 16)
             for c in range(8):

@@ -163,7 +163,10 @@ class TorchVoxels:
         squared = (done.pixel[:, :3] - truth).square().sum()
         corner = samples.rows[done.used]
         values = rows[corner]
-        rough = (values - values.mean(1, keepdim=True)).square().sum((0, 1))
+        sides = 2.0 * torch.cartesian_prod(*[torch.arange(2, device=rows.device)] * 3).T - 1  # (3, 8): −1 or 1
+        deviation = values - values.mean(1, keepdim=True)
+        linear = (sides.T @ sides / 8) @ deviation  # the projection: rows of `sides` are orthogonal, their squares 8
+        rough = ((deviation - linear).square() + how.slope * linear.square()).sum((0, 1))
         loss = (squared + how.smoothness * rough[DENSITY] + how.smoothness_color * rough[:DENSITY].sum()) / 2
         if how.distortion > 0:
             loss = loss + how.distortion * _distortion(samples, done, how, len(rays))

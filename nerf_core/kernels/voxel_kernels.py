@@ -26,8 +26,11 @@ class March:
     step: length of a sample, in cells. Density is per cell, so that α = 1 − exp(−σ · step).
     bias: added to the raw density before softplus. background: (3,).
     offsets: (R,), where each ray's first sample lies in its step, 0 … 1.
-    smoothness: weight of ½ Σ (s_k − mean)² over the raw densities s at the 8 corners of every sample's cell.
+    smoothness: weight of ½ (Σ b_k² + slope · Σ l_k²) over the 8 corners k of every sample's cell. The raw densities are
+        mean + l_k + b_k there, where mean + l_k is the linear function nearest to them.
     smoothness_color: the same for each coefficient of colour. Gloss has none: g and −g are the same.
+    slope: share of the linear part in both. With 0, density that rises linearly costs nothing, however steep it is; nor
+        does any sum of functions of x, y and z alone.
     distortion: weight λ of λ (Σ_ij w_i w_j |s_i − s_j| + ⅓ Σ_i w_i² Δs_i) for each ray, which draws its weights
         together (mip-NeRF 360, Eq. 15, arXiv:2111.12077). s = t / unit, or s/(1 + s) of it if `folded`.
     reach: over 0; only pairs with |s_i − s_j| < reach count, unlike in Eq. 15. So what makes one surface is drawn
@@ -41,6 +44,7 @@ class March:
     offsets: Tensor
     smoothness: float = 0.0
     smoothness_color: float = 0.0
+    slope: float = 1.0
     distortion: float = 0.0
     reach: float = math.inf
     unit: float = 1.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -98,10 +99,14 @@ def trained(
 
 def _must_be(path: Path, description: Mapping[str, Any], scene: Scene, settings: RunSettings) -> None:
     """Check that a checkpoint is of this scene, method, configuration and seed. Raises UserError."""
-    config = METHODS.get(settings.method).configure(
-        scene, settings.preset, settings.changes, pick_device(settings.device)
-    )
+    method = METHODS.get(settings.method)
+    config = method.configure(scene, settings.preset, settings.changes, pick_device(settings.device))
     wanted = {"method": settings.method, "seed": settings.seed, "config": config.to_json()}
+    stored = description.get("config")
+    if description.get("method") == settings.method and isinstance(stored, Mapping):
+        with suppress(UserError):  # then it is not the wanted one
+            stored = method.restore(stored).to_json()  # an earlier version's lacks constants that are new
+    description = {**description, "config": stored}
     odd = [name for name, value in wanted.items() if description.get(name) != value]
     if not scene.is_of(description):
         odd.insert(0, "scene")

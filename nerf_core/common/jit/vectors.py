@@ -201,35 +201,55 @@ def scatter(typing: Any, rows: Any, corners: Any, weights: Any, first: Any, row:
 
 @intrinsic
 def scatter_smooth(
-    typing: Any, rows: Any, corners: Any, weights: Any, first: Any, row: Any, at: Any, values: Any, strength: Any
-) -> Any:
-    """`scatter`, and rows[corner k] += row[strength : + 16] · (values[corner k] − mean of the 8 corners' values).
+    typing: Any, rows: Any, corners: Any, weights: Any, first: Any, row: Any, at: Any, values: Any, strength: Any,
+    linear: Any,
+) -> Any:  # fmt: skip
+    """`scatter`, and rows[corner k] += row[strength : + 16] · (values[corner k] − mean) + row[linear : + 16] · l_k.
 
-    Both in one pass, because most of the time goes into reading and writing the rows.
+    The mean is that of the 8 corners' values, and mean + l_k is the linear function nearest to them, at corner k. All
+    in one pass, because most of the time goes into reading and writing the rows.
     """
-    signature = types.void(rows, corners, weights, types.int64, row, types.int64, values, types.int64)
+    long = types.int64
+    signature = types.void(rows, corners, weights, long, row, long, values, long, long)
 
     def emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         kinds = signature.args
         target = _pointer(context, builder, kinds[0], args[0])
         corners_at = _pointer(context, builder, kinds[1], args[1], args[3])
         factors = _pointer(context, builder, kinds[2], args[2], args[3])
-        value = _load(builder, _pointer(context, builder, kinds[4], args[4], args[5]))
+        value, factor, along = (
+            _load(builder, _pointer(context, builder, kinds[4], args[4], args[q])) for q in (5, 7, 8)
+        )
         source = _pointer(context, builder, kinds[6], args[6])
-        factor = _load(builder, _pointer(context, builder, kinds[4], args[4], args[7]))
         offsets = [_item(builder, corners_at, k) for k in range(8)]
         values = [_load(builder, builder.gep(source, [offset])) for offset in offsets]
-        total = values[0]
-        for one in values[1:]:
-            total = builder.fadd(total, one, flags=FAST)
-        mean = builder.fmul(total, ir.Constant(_ROW, [0.125] * 16), flags=FAST)
+
+        def plus(one: Any, other: Any) -> Any:
+            return builder.fadd(one, other, flags=FAST)
+
+        def minus(one: Any, other: Any) -> Any:
+            return builder.fsub(one, other, flags=FAST)
+
+        def times(one: Any, other: Any) -> Any:
+            return builder.fmul(one, other, flags=FAST)
+
+        eighth = ir.Constant(_ROW, [0.125] * 16)
+        along = times(along, eighth)
+        # z is fastest: first the sums over z and the steps along it, from these the same along y, and along x
+        over_z = [plus(values[k], values[k + 1]) for k in (0, 2, 4, 6)]
+        along_z = [minus(values[k + 1], values[k]) for k in (0, 2, 4, 6)]
+        over_yz = [plus(over_z[k], over_z[k + 1]) for k in (0, 2)]
+        along_y = [minus(over_z[k + 1], over_z[k]) for k in (0, 2)]
+        x, y = times(minus(over_yz[1], over_yz[0]), along), times(plus(*along_y), along)
+        z = times(plus(plus(along_z[0], along_z[1]), plus(along_z[2], along_z[3])), along)
+        ends = [times(times(plus(*over_yz), ir.Constant(_ROW, [-0.125] * 16)), factor)]
+        for step in (x, y, z):  # ends in the order of the corners
+            ends = [side(end, step) for end in ends for side in (minus, plus)]
         for k, (offset, one) in enumerate(zip(offsets, values, strict=True)):
             place = builder.gep(target, [offset])
-            part = builder.fmul(builder.fsub(one, mean, flags=FAST), factor, flags=FAST)
-            part = builder.fadd(
-                part, builder.fmul(_splat(builder, _item(builder, factors, k)), value, flags=FAST), flags=FAST
-            )
-            _store(builder, builder.fadd(_load(builder, place), part, flags=FAST), place)
+            part = plus(times(one, factor), ends[k])
+            part = plus(part, times(_splat(builder, _item(builder, factors, k)), value))
+            _store(builder, plus(_load(builder, place), part), place)
         return context.get_dummy_value()
 
     return signature, emit

@@ -25,7 +25,9 @@ MEMORY_SHARE = 1 / 4  # of the machine's memory, for a grid of all rows
 # With bounded steps and the rates that go with them, lego at 400 × 400 is 0.3 to 0.5 dB worse at equal steps, perhaps
 # because each vertex is met by fewer rays. At 200 × 200 it is as good as without. The limit lies between.
 MANY_PIXELS = 320
-FEW_PHOTOS = 12  # of fewer, lego and fox (not can) are worse after 600 steps if density learns fast at first
+# Of fewer, density learns slowly at first: with it as fast as of many, new views are worse after 600 steps.
+FEW_OF_PLACE = 12  # fox is worse with 8 (can is not), and better with 16
+FEW_OF_OBJECT = 16  # lego is worse with 12, and better with 16
 DEPTH_WEIGHT = 10.0  # of captures with sparse points: better than 0 on each that was tried, or within 0.03 dB of it
 
 
@@ -93,8 +95,13 @@ class VoxelConfig:
     average: float = constant(
         0.995, marked("decay of the EMA of rows that pictures show; smaller early in training"), share="[0, 1)"
     )
-    smoothness: float = constant(2.5e-6, marked("weight of the smoothness of density in the loss"))
-    smoothness_color: float = constant(3e-7, marked("the same of colour"))
+    smoothness: float = constant(3e-5, marked("weight of the smoothness of density in the loss"))
+    smoothness_color: float = constant(5e-6, marked("the same of colour"))
+    slope: float = constant(
+        0.0,
+        marked("share with which smoothness counts what is linear in a cell; 0: only the rest costs anything"),
+        most=1,
+    )
     distortion: float = constant(
         5e-3, marked("weight of distortion in the loss: it draws the weights along a ray together, out of haze")
     )
@@ -170,18 +177,19 @@ class VoxelConfig:
 
 def by_kind(scene: Scene, photos: int) -> VoxelConfig:
     """Return the constants for an object, an object in large photos, a room, or another place, and so many photos."""
-    few = photos < FEW_PHOTOS
     if scene.synthetic:
+        # slopes count, so that surfaces stay soft, and their smoothness is weak
+        soft = VoxelConfig(smoothness=2.5e-6, smoothness_color=3e-7, slope=1, reach=4)
         if pixels_along(scene) > MANY_PIXELS:
-            return VoxelConfig(
-                rate_color=0.2, rate_view=0.12, rate_gloss=0.02, rate_density=0.45, slowdown=500, slowdown_density=500,
-                least_square=0, smoothness_color=1e-6, reach=4,
+            return replace(
+                soft, rate_color=0.2, rate_view=0.12, rate_gloss=0.02, rate_density=0.45, slowdown=500,
+                slowdown_density=500, least_square=0, smoothness_color=1e-6,
             )  # fmt: skip
-        return VoxelConfig(rate_density=0.6, slowdown_density=300, reach=4) if few else VoxelConfig()
+        return replace(soft, rate_density=0.6, slowdown_density=300) if photos < FEW_OF_OBJECT else VoxelConfig()
     # a place fills space that is empty around an object, so that each part of it is seen by fewer rays
     place = VoxelConfig(
         rate_color=0.2, rate_view=0.06, rate_gloss=0.04, rate_density=1, slowdown=500, slowdown_density=60,
-        keep_square=0.999, least_square=0, smoothness=3e-5, smoothness_color=0, distortion=0.01, reach=4,
+        keep_square=0.999, least_square=0, smoothness=3e-5, smoothness_color=0, slope=1, distortion=0.01, reach=4,
         distortion_before=0.3, spare_error=0.5, beside=1e-7, step=1.0, resolution=400, most_rows=3_000_000,
         most_rays=12288, wait=0, epochs=12,
     )  # fmt: skip
@@ -189,7 +197,7 @@ def by_kind(scene: Scene, photos: int) -> VoxelConfig:
         return replace(
             place, rate_gloss=0.01, rate_density=0.45, slowdown_density=500, distortion=0.1, smoothness_color=3e-5
         )
-    return replace(place, rate_density=0.2, slowdown_density=500) if few else place
+    return replace(place, rate_density=0.2, slowdown_density=500) if photos < FEW_OF_PLACE else place
 
 
 def pixels_along(scene: Scene) -> float:
@@ -211,6 +219,7 @@ def _of_today(config: Mapping[str, Any]) -> Mapping[str, Any]:
     older = {
         "distortion_before": 1.0,
         "reach": 4.0,
+        "slope": 1.0,
         "slowdown_density": config.get("slowdown"),
         **dict.fromkeys(absent, 0.0),
     }

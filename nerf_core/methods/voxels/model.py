@@ -195,10 +195,10 @@ class VoxelModel(Defaults):
         """How rays are sampled in training. Distortion is measured in t′, or in half the box, folded if unbounded."""
         c, kind = self.config, self.space.kind
         unit = 1.0 if kind == "ndc" else self.space.extent
+        distortion = c.distortion * c.distortion_before ** (len(self.schedule.levels) - 1 - self.level)
         return replace(
-            self._march(offsets), smoothness=c.smoothness, smoothness_color=c.smoothness_color,
-            distortion=c.distortion * c.distortion_before ** (len(self.schedule.levels) - 1 - self.level),
-            reach=c.reach, unit=unit, folded=kind == "contracted", depth=c.depth_weight,
+            self._march(offsets), smoothness=c.smoothness, smoothness_color=c.smoothness_color, slope=c.slope,
+            distortion=distortion, reach=c.reach, unit=unit, folded=kind == "contracted", depth=c.depth_weight,
         )  # fmt: skip
 
     # ---- coarse to fine ---------------------------------------------------------------------------------------------

@@ -76,7 +76,9 @@ def test_pictures_and_gradients_agree_with_the_reference(contracted: bool, make:
     grid, rays = mixed_grid(contracted) if dense is None else some_grid(contracted, dense=dense), some_rays()
     truth = torch.rand(len(rays), 3, generator=torch.Generator().manual_seed(2))
     march = how(len(rays), smoothness=0.1, smoothness_color=0.2, distortion=0.3, unit=1.7, folded=contracted)
-    march = replace(march, reach={0.02: 0.4, 0.3: 0.01, None: 0.1}.get(dense, math.inf))
+    march = replace(
+        march, reach={0.02: 0.4, 0.3: 0.01, None: 0.1}.get(dense, math.inf), slope=1.0 if contracted else 0.1
+    )
     fast, plain = make(), TorchVoxels()
     a, b = fast.render(grid, rays, march), plain.render(grid, rays, march)
     torch.testing.assert_close(fast.trace(grid, rays, march).pixel, a, atol=1e-4, rtol=1e-4)
@@ -96,6 +98,29 @@ def test_pictures_and_gradients_agree_with_the_reference(contracted: bool, make:
     for kernels in (fast, plain):
         kernels.unmark()
         assert not kernels.marked(grid).any()
+
+
+@each
+def test_smoothness_without_slope_spares_what_is_linear(make: Make) -> None:
+    grid, rays, truth = some_grid(False, dense=1.0), some_rays(50), torch.zeros(50, 3)
+    grid.rows[:, : GLOSS.start] = (
+        grid.vertices().float() @ torch.tensor([0.1, -0.2, 0.3])[:, None] * torch.arange(13) / 9
+    )
+
+    def added(**changes: float) -> Tensor:
+        """Return what smoothness adds to the gradient."""
+        found = []
+        for march in (how(50), how(50, smoothness=2.0, smoothness_color=3.0, **changes)):
+            kernels = make()
+            kernels.accumulate(grid, rays, truth, march)
+            found.append(kernels.gradient(grid))
+        return found[1] - found[0]
+
+    sloped = added(slope=0.5)
+    assert float(added(slope=0.0).abs().max()) < 1e-5 * float(sloped.abs().max())
+    torch.testing.assert_close(2 * sloped, added(slope=1.0), atol=1e-3, rtol=1e-4)
+    grid.rows[:] *= (grid.vertices()[:, :1] % 2 == 0) * (grid.vertices()[:, 1:2] % 2 == 0)
+    assert float(added(slope=0.0)[:, DENSITY].abs().max()) > 0.1 * float(sloped[:, DENSITY].abs().max())
 
 
 @pytest.mark.parametrize("contracted", [False, True])

@@ -22,7 +22,9 @@ from nerf_core.lab.job import StudyJob
 from nerf_core.lab.records import Advance, Knob, Report, Result, Row, Table
 from nerf_core.lab.study import STUDIES, Bench, Study, Subject, Work, budget, checked, chosen
 from nerf_core.lab.tables import spread
+from nerf_core.lab.training import _must_be
 from nerf_core.training import trainer as training
+from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
 
 # The options that make a study small enough for a test. A study of a plug-in takes one step a row, if it has a budget.
@@ -229,6 +231,17 @@ def test_a_row_goes_on_from_its_own_checkpoint_alone(scene: Scene, tmp_path: Pat
     changed_scene = replace(scene, near=scene.near + 0.5)
     other = through(made("sampling", changed_scene, tmp_path, budget="9steps"))
     assert "of another scene than this row: delete" in other.progress.rows[0].text
+
+
+def test_a_row_that_an_earlier_version_began_goes_on(scene: Scene, tmp_path: Path) -> None:
+    """Its configuration lacks a constant that is new, whose value of then it has."""
+    settings = RunSettings(method="voxels")
+    described = Trainer(scene, settings).describe()
+    before = {name: value for name, value in described["config"].items() if name != "slope"}
+    _must_be(tmp_path, {**described, "config": before}, scene, settings)
+    for config in (before | {"slope": 0.5}, before | {"rays": 7}, before | {"rays": "many"}, 3, None):
+        with pytest.raises(UserError, match="of another config than this row"):
+            _must_be(tmp_path, {**described, "config": config}, scene, settings)
 
 
 def test_a_row_that_was_turned_is_not_kept(scene: Scene, tmp_path: Path, counting: type[Counting]) -> None:

@@ -21,6 +21,7 @@ from nerf_core.methods.guided.method import GuidedNerf
 from nerf_core.methods.nerf.config import NerfConfig
 from nerf_core.methods.nerf.method import Nerf
 from nerf_core.methods.voxels.coarse_to_fine import planned
+from nerf_core.methods.voxels.config import FEW_OF_OBJECT
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
 from nerf_core.volume.voxel_grid import GLOSS
@@ -185,7 +186,7 @@ def test_the_proposal_grid_knows_which_photos_it_is_trained_on(scene: Scene) -> 
     ):
         assert GuidedConfig.configure(scene, "auto", changes, CPU).guide.train_images == expected
     train = scene.split("train")
-    many = replace(scene, splits={**scene.splits, "train": 3 * train})
+    many = replace(scene, splits={**scene.splits, "train": FEW_OF_OBJECT * train})
     for changes, rate in (({}, 3.0), ({"train_images": "5"}, 0.6), ({"guide.train_images": "5"}, 0.6)):
         assert GuidedConfig.configure(many, "auto", changes, CPU).guide.rate_density == rate
 

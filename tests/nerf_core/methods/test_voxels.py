@@ -27,7 +27,7 @@ from nerf_core.kernels.voxel_kernels import HALVINGS, March, VoxelKernels
 from nerf_core.methods.voxels import config as voxel_config
 from nerf_core.methods.voxels import model as voxel_model
 from nerf_core.methods.voxels.coarse_to_fine import Worth, class_of, finer_grid, planned, resample
-from nerf_core.methods.voxels.config import FEW_PHOTOS, MANY_PIXELS, VoxelConfig, pixels_along
+from nerf_core.methods.voxels.config import FEW_OF_OBJECT, FEW_OF_PLACE, MANY_PIXELS, VoxelConfig, pixels_along
 from nerf_core.methods.voxels.method import Voxels
 from nerf_core.probe import open_ray
 from nerf_core.rendering.images import render_camera
@@ -61,7 +61,6 @@ def run(scene: Scene, steps: int, seed: int = 0, **changes: object) -> Trainer:
 
 
 SLOW_DENSITY = {"rate_density": 0.6, "slowdown_density": 300}
-FAST_DENSITY = {"rate_density": 3, "slowdown_density": 40, "reach": 0.2}  # the default, but the fixture has few photos
 
 
 def forward(scene: Scene) -> Scene:
@@ -78,10 +77,10 @@ def around(scene: Scene) -> Scene:
     return replace(scene, synthetic=False)
 
 
-def of_many_photos(scene: Scene) -> Scene:
-    """The scene with FEW_PHOTOS training photos, of which some are the same."""
+def of_many_photos(scene: Scene, count: int = FEW_OF_OBJECT) -> Scene:
+    """The scene with so many training photos, of which some are the same."""
     train = scene.split("train")
-    many = tuple(train[i % len(train)] for i in range(FEW_PHOTOS))
+    many = tuple(train[i % len(train)] for i in range(count))
     return replace(scene, splits={**scene.splits, "train": many})
 
 
@@ -102,22 +101,26 @@ def test_a_room_has_constants_of_its_own(scene: Scene) -> None:
     assert VoxelConfig.configure(scene.reposed(turned), "auto", {}, CPU) == VoxelConfig()  # an object has no walls
     set_by_hand = VoxelConfig.configure(around(scene.reposed(turned)), "auto", {"distortion": "0"}, CPU)
     assert set_by_hand.distortion == 0
+    assert (place.slope, room.slope) == (1, 1)
 
 
 def test_density_learns_slowly_of_few_photos(scene: Scene) -> None:
     many = of_many_photos(scene)
     assert VoxelConfig.configure(many, "auto", {}, CPU) == VoxelConfig()
-    one_less = {"train_images": str(FEW_PHOTOS - 1)}
+    one_less = {"train_images": str(FEW_OF_OBJECT - 1)}
     for some, changes in (scene, {}), (many, one_less):
         config = VoxelConfig.configure(some, "auto", changes, CPU)
         assert config.rate_density < VoxelConfig().rate_density
         assert config.slowdown_density > VoxelConfig().slowdown_density
         assert config.reach > VoxelConfig().reach
+        assert (config.smoothness, config.smoothness_color, config.slope) == (2.5e-6, 3e-7, 1)
         assert config.rate_color == VoxelConfig().rate_color
     assert VoxelConfig.configure(scene, "auto", {"rate_density": "3"}, CPU).rate_density == 3
     few, enough = (VoxelConfig.configure(around(s), "auto", {}, CPU) for s in (scene, many))
     assert (few.rate_density, few.slowdown_density) == (0.2, few.slowdown)
     assert enough == replace(few, rate_density=1, slowdown_density=60)
+    for count, expected in (FEW_OF_PLACE - 1, few), (FEW_OF_PLACE, enough):
+        assert VoxelConfig.configure(around(of_many_photos(scene, count)), "auto", {}, CPU) == expected
 
 
 def test_objects_in_photos_of_many_pixels_take_steps_of_any_length(scene: Scene) -> None:
@@ -138,6 +141,7 @@ def test_objects_in_photos_of_many_pixels_take_steps_of_any_length(scene: Scene)
     assert (small.least_square, large.least_square) == (0.25, 0)
     assert large.rate_color < small.rate_color
     assert (large.slowdown_density, large.distortion, large.reach) == (large.slowdown, 5e-3, 4)
+    assert (large.smoothness, large.smoothness_color, large.slope) == (2.5e-6, 1e-6, 1)
     assert VoxelConfig.configure(wide, "auto", {"train_images": "5"}, CPU) == replace(large, train_images=5)
     assert VoxelConfig.configure(wide, "auto", {"least_square": "0.25"}, CPU).least_square == 0.25
 
@@ -227,8 +231,16 @@ def voxels_of(trainer: Trainer) -> Voxels:
     return trainer.method
 
 
-@pytest.mark.parametrize("place", [forward, lambda scene: scene], ids=["ndc", "world"])
-@pytest.mark.parametrize(("rates", "decibels"), [(SLOW_DENSITY, 41), (FAST_DENSITY, 39)], ids=["slow", "fast"])
+@pytest.mark.parametrize(
+    ("place", "rates", "decibels"),
+    [
+        (forward, SLOW_DENSITY, 41),
+        (lambda scene: scene, SLOW_DENSITY, 41),
+        (lambda scene: around(forward(of_many_photos(scene))), {}, 39),  # the constants of many photos
+        (of_many_photos, {}, 39),
+    ],
+    ids=["slow-ndc", "slow-world", "fast-ndc", "fast-world"],
+)
 def test_a_refinement_changes_no_picture_and_training_goes_on(
     scene: Scene, place: Callable[[Scene], Scene], rates: dict[str, Any], decibels: float
 ) -> None:
@@ -603,8 +615,8 @@ def test_a_run_of_an_earlier_version_keeps_its_rates(scene: Scene) -> None:
     assert of_object.least_square > 0
     known = {k: v for k, v in of_object.to_json().items() if k != "least_square"} | {"rate_color": 0.2}
     assert VoxelConfig.restore(known) == replace(of_object, least_square=0, rate_color=0.2)
-    known = {k: v for k, v in of_object.to_json().items() if k not in ("slowdown_density", "reach")}
-    assert VoxelConfig.restore(known) == replace(of_object, slowdown_density=123, reach=4)
+    known = {k: v for k, v in of_object.to_json().items() if k not in ("slowdown_density", "reach", "slope")}
+    assert VoxelConfig.restore(known) == replace(of_object, slowdown_density=123, reach=4, slope=1)
     for hostile in ({k: v for k, v in known.items() if k != "slowdown"}, known | {"slowdown": "fast"}):
         with pytest.raises(UserError, match="slowdown"):
             VoxelConfig.restore(hostile)
