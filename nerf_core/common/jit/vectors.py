@@ -233,8 +233,7 @@ def scatter_smooth(
         def times(one: Any, other: Any) -> Any:
             return builder.fmul(one, other, flags=FAST)
 
-        eighth = ir.Constant(_ROW, [0.125] * 16)
-        along = times(along, eighth)
+        along = times(along, ir.Constant(_ROW, [0.125] * 16))
         # z is fastest: first the sums over z and the steps along it, from these the same along y, and along x
         over_z = [plus(values[k], values[k + 1]) for k in (0, 2, 4, 6)]
         along_z = [minus(values[k + 1], values[k]) for k in (0, 2, 4, 6)]
@@ -243,7 +242,7 @@ def scatter_smooth(
         x, y = times(minus(over_yz[1], over_yz[0]), along), times(plus(*along_y), along)
         z = times(plus(plus(along_z[0], along_z[1]), plus(along_z[2], along_z[3])), along)
         ends = [times(times(plus(*over_yz), ir.Constant(_ROW, [-0.125] * 16)), factor)]
-        for step in (x, y, z):  # ends in the order of the corners
+        for step in (x, y, z):  # to −mean · factor ± x ± y ± z, in the order of the corners
             ends = [side(end, step) for end in ends for side in (minus, plus)]
         for k, (offset, one) in enumerate(zip(offsets, values, strict=True)):
             place = builder.gep(target, [offset])
