@@ -118,8 +118,8 @@ class CpuVoxels:
             sums[s] = loops.gradients(
                 arrays, given, colors, first, last, np.float32(how.step), np.float32(how.bias), rows, background,
                 scratch[s], pixel, self._gradient[s], self._touched[s], np.float32(how.smoothness),
-                np.float32(how.smoothness_color), np.float32(how.slope), np.float32(how.distortion),
-                np.float32(how.reach), np.float32(how.unit), how.folded,
+                np.float32(how.smoothness_color), np.float32(how.slope), np.float32(how.turn),
+                np.float32(how.distortion), np.float32(how.reach), np.float32(how.unit), how.folded,
             )  # fmt: skip
 
         each_shard(self.shards, work)

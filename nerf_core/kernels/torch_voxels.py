@@ -13,7 +13,7 @@ from torch.nn import functional
 
 from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels.torch_march import march
-from nerf_core.kernels.voxel_kernels import HALVINGS, OUTLIER, Adam, March, Traced
+from nerf_core.kernels.voxel_kernels import FLAT, HALVINGS, OUTLIER, Adam, March, Traced
 from nerf_core.volume.compositing import STOP
 from nerf_core.volume.voxel_grid import DENSITY, GLOSS, PARTS, WIDTH, VoxelGrid, colors_of
 
@@ -96,6 +96,23 @@ def _distortion(samples: VoxelSamples, done: Composited, how: March, count: int)
     return total
 
 
+def _sides(like: Tensor) -> Tensor:
+    """On which side of its cell each corner lies along x, y and z: (8, 3), −1 or 1."""
+    return 2 * torch.cartesian_prod(*[torch.arange(2, device=like.device, dtype=like.dtype)] * 3) - 1
+
+
+def _turns(samples: VoxelSamples, used: Tensor, raw: Tensor) -> Tensor:
+    """Σ |d − (d · n) n|² of neighbouring cells; see `March`. raw: (M, 8) densities at the corners of used samples."""
+    ray, rows = samples.ray[used], samples.rows[used]
+    touch = (rows[:-1, :, None] == rows[1:, None]).any(-1).any(-1) & (rows[:-1, 0] != rows[1:, 0])
+    pairs = touch & (ray[:-1] == ray[1:])
+    rise = raw @ _sides(raw) / 4
+    front, behind = rise[:-1][pairs], rise[1:][pairs]
+    change, whole = behind - front, (front + behind).detach()
+    across = (change * whole).sum(-1, keepdim=True) / (whole.square().sum(-1, keepdim=True) + FLAT)
+    return (change - across * whole).square().sum()
+
+
 class TorchVoxels:
     """`VoxelKernels` in torch operations, on any device."""
 
@@ -163,11 +180,13 @@ class TorchVoxels:
         squared = (done.pixel[:, :3] - truth).square().sum()
         corner = samples.rows[done.used]
         values = rows[corner]
-        sides = 2.0 * torch.cartesian_prod(*[torch.arange(2, device=rows.device)] * 3).T - 1  # (3, 8): −1 or 1
+        sides = _sides(values)
         deviation = values - values.mean(1, keepdim=True)
-        linear = (sides.T @ sides / 8) @ deviation  # the projection: rows of `sides` are orthogonal, their squares 8
+        linear = (sides @ sides.T / 8) @ deviation  # the projection: the columns are orthogonal, their squares 8
         rough = ((deviation - linear).square() + how.slope * linear.square()).sum((0, 1))
         loss = (squared + how.smoothness * rough[DENSITY] + how.smoothness_color * rough[:DENSITY].sum()) / 2
+        if how.turn > 0:
+            loss = loss + how.turn / 2 * _turns(samples, done.used, values[..., DENSITY])
         if how.distortion > 0:
             loss = loss + how.distortion * _distortion(samples, done, how, len(rays))
         self._add(loss, rows, corner)

@@ -96,11 +96,14 @@ class VoxelConfig:
         0.995, marked("decay of the EMA of rows that pictures show; smaller early in training"), share="[0, 1)"
     )
     smoothness: float = constant(3e-5, marked("weight of the smoothness of density in the loss"))
-    smoothness_color: float = constant(5e-6, marked("the same of colour"))
+    smoothness_color: float = constant(1e-5, marked("the same of colour"))
     slope: float = constant(
         0.0,
         marked("share with which smoothness counts what is linear in a cell; 0: only the rest costs anything"),
         most=1,
+    )
+    turn: float = constant(
+        1.2e-4, marked("weight of the turn of density's gradient between neighbouring samples, in the last level")
     )
     distortion: float = constant(
         5e-3, marked("weight of distortion in the loss: it draws the weights along a ray together, out of haze")
@@ -179,7 +182,7 @@ def by_kind(scene: Scene, photos: int) -> VoxelConfig:
     """Return the constants for an object, an object in large photos, a room, or another place, and so many photos."""
     if scene.synthetic:
         # slopes count, so that surfaces stay soft, and their smoothness is weak
-        soft = VoxelConfig(smoothness=2.5e-6, smoothness_color=3e-7, slope=1, reach=4)
+        soft = VoxelConfig(smoothness=2.5e-6, smoothness_color=3e-7, slope=1, turn=0, reach=4)
         if pixels_along(scene) > MANY_PIXELS:
             return replace(
                 soft, rate_color=0.2, rate_view=0.12, rate_gloss=0.02, rate_density=0.45, slowdown=500,
@@ -189,8 +192,8 @@ def by_kind(scene: Scene, photos: int) -> VoxelConfig:
     # a place fills space that is empty around an object, so that each part of it is seen by fewer rays
     place = VoxelConfig(
         rate_color=0.2, rate_view=0.06, rate_gloss=0.04, rate_density=1, slowdown=500, slowdown_density=60,
-        keep_square=0.999, least_square=0, smoothness=3e-5, smoothness_color=0, slope=1, distortion=0.01, reach=4,
-        distortion_before=0.3, spare_error=0.5, beside=1e-7, step=1.0, resolution=400, most_rows=3_000_000,
+        keep_square=0.999, least_square=0, smoothness=3e-5, smoothness_color=0, slope=1, turn=0, distortion=0.01,
+        reach=4, distortion_before=0.3, spare_error=0.5, beside=1e-7, step=1.0, resolution=400, most_rows=3_000_000,
         most_rays=12288, wait=0, epochs=12,
     )  # fmt: skip
     if scene.from_inside:  # walls would be fog: each part of them is seen by few photos, from about one side
@@ -215,7 +218,7 @@ def rows_that_fit() -> int:
 
 def _of_today(config: Mapping[str, Any]) -> Mapping[str, Any]:
     """A configuration that an earlier version may have written, without what there was and with what there was not."""
-    absent = "least_square", "epochs", "smoothness_color", "depth_weight", "gloss", "rate_gloss"
+    absent = "least_square", "epochs", "smoothness_color", "turn", "depth_weight", "gloss", "rate_gloss"
     older = {
         "distortion_before": 1.0,
         "reach": 4.0,

@@ -195,10 +195,13 @@ class VoxelModel(Defaults):
         """How rays are sampled in training. Distortion is measured in t′, or in half the box, folded if unbounded."""
         c, kind = self.config, self.space.kind
         unit = 1.0 if kind == "ndc" else self.space.extent
-        distortion = c.distortion * c.distortion_before ** (len(self.schedule.levels) - 1 - self.level)
+        left = len(self.schedule.levels) - 1 - self.level  # levels that come
+        distortion = c.distortion * c.distortion_before**left
+        turn = 0.0 if left else c.turn  # coarse surfaces must turn from cell to cell
         return replace(
             self._march(offsets), smoothness=c.smoothness, smoothness_color=c.smoothness_color, slope=c.slope,
-            distortion=distortion, reach=c.reach, unit=unit, folded=kind == "contracted", depth=c.depth_weight,
+            turn=turn, distortion=distortion, reach=c.reach, unit=unit, folded=kind == "contracted",
+            depth=c.depth_weight,
         )  # fmt: skip
 
     # ---- coarse to fine ---------------------------------------------------------------------------------------------
