@@ -252,11 +252,13 @@ def _touch(corners: Any, at: Any) -> Any:
 
 
 @inlined
-def _across(x: Any, y: Any, z: Any, along_x: Any, along_y: Any, along_z: Any) -> Any:
-    """The part of a vector that is perpendicular to another."""
+def _turned(x: Any, y: Any, z: Any, along_x: Any, along_y: Any, along_z: Any) -> Any:
+    """∂/∂d of ½ ln(1 + |p|²), where p is the part of d = (x, y, z) that is perpendicular to another vector."""
     square = along_x * along_x + along_y * along_y + along_z * along_z
     part = (x * along_x + y * along_y + z * along_z) / (square + FLAT)
-    return x - part * along_x, y - part * along_y, z - part * along_z
+    x, y, z = x - part * along_x, y - part * along_y, z - part * along_z
+    share = F(1) / (F(1) + x * x + y * y + z * z)
+    return share * x, share * y, share * z
 
 
 @inlined
@@ -323,7 +325,7 @@ def gradients(
             if turn > 0:
                 x, y, z = _rise(rows, corners, at)
                 if q > 0 and _touch(corners, at):
-                    x1, y1, z1 = _across(
+                    x1, y1, z1 = _turned(
                         behind_x - x, behind_y - y, behind_z - z, behind_x + x, behind_y + y, behind_z + z
                     )
                     _add_turn(gradient, corners, at, F(0.25) * turn * x1, F(0.25) * turn * y1, F(0.25) * turn * z1)

@@ -102,7 +102,7 @@ def _sides(like: Tensor) -> Tensor:
 
 
 def _turns(samples: VoxelSamples, used: Tensor, raw: Tensor) -> Tensor:
-    """Σ |d − (d · n) n|² of neighbouring cells; see `March`. raw: (M, 8) densities at the corners of used samples."""
+    """Σ ln(1 + |d − (d · n) n|²) of neighbouring cells; see `March`. raw: (M, 8), the used samples' corners."""
     ray, rows = samples.ray[used], samples.rows[used]
     touch = (rows[:-1, :, None] == rows[1:, None]).any(-1).any(-1) & (rows[:-1, 0] != rows[1:, 0])
     pairs = touch & (ray[:-1] == ray[1:])
@@ -110,7 +110,7 @@ def _turns(samples: VoxelSamples, used: Tensor, raw: Tensor) -> Tensor:
     front, behind = rise[:-1][pairs], rise[1:][pairs]
     change, whole = behind - front, (front + behind).detach()
     across = (change * whole).sum(-1, keepdim=True) / (whole.square().sum(-1, keepdim=True) + FLAT)
-    return (change - across * whole).square().sum()
+    return (change - across * whole).square().sum(-1).log1p().sum()
 
 
 class TorchVoxels:

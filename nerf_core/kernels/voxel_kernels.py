@@ -32,10 +32,11 @@ class March:
     smoothness_color: the same for each coefficient of colour. Gloss has none: g and −g are the same.
     slope: share of the linear part in both. With 0, density that rises linearly costs nothing, however steep it is; nor
         does any sum of functions of x, y and z alone.
-    turn: weight of ½ |d − (d · n) n|² over pairs of samples in succession whose cells are two that share a vertex.
-        d = g′ − g is how the rise of raw density over a cell changes between them: g_x is the mean of the differences
-        along its four edges in x. n = (g + g′) / |g + g′| is the direction of steepest rise, a surface's normal,
-        and counts as given. So density may rise as it likes across a surface, but the normal should not turn.
+    turn: weight of ½ ln(1 + |d − (d · n) n|²) over pairs of samples in succession whose cells are two that share a
+        vertex. d = g′ − g is how the rise of raw density over a cell changes between them: g_x is the mean of the
+        differences along its four edges in x. n = (g + g′) / |g + g′| is the direction of steepest rise, a surface's
+        normal, and counts as given. So density may rise as it likes across a surface, but the normal should not turn
+        from cell to cell. The logarithm (Cauchy's robust loss) spares edges, which turn by more than noise does.
     distortion: weight λ of λ (Σ_ij w_i w_j |s_i − s_j| + ⅓ Σ_i w_i² Δs_i) for each ray, which draws its weights
         together (mip-NeRF 360, Eq. 15, arXiv:2111.12077). s = t / unit, or s/(1 + s) of it if `folded`.
     reach: over 0; only pairs with |s_i − s_j| < reach count, unlike in Eq. 15. So what makes one surface is drawn

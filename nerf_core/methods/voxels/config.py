@@ -96,14 +96,14 @@ class VoxelConfig:
         0.995, marked("decay of the EMA of rows that pictures show; smaller early in training"), share="[0, 1)"
     )
     smoothness: float = constant(3e-5, marked("weight of the smoothness of density in the loss"))
-    smoothness_color: float = constant(1e-5, marked("the same of colour"))
+    smoothness_color: float = constant(5e-6, marked("the same of colour"))
     slope: float = constant(
         0.0,
         marked("share with which smoothness counts what is linear in a cell; 0: only the rest costs anything"),
         most=1,
     )
     turn: float = constant(
-        1.2e-4, marked("weight of the turn of density's gradient between neighbouring samples, in the last level")
+        8e-5, marked("weight of the turn of density's gradient between neighbouring samples, in the last level")
     )
     distortion: float = constant(
         5e-3, marked("weight of distortion in the loss: it draws the weights along a ray together, out of haze")

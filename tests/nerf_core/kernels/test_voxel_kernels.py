@@ -124,6 +124,56 @@ def test_smoothness_without_slope_spares_what_is_linear(make: Make) -> None:
     assert float(added(slope=0.0)[:, DENSITY].abs().max()) > 0.1 * float(sloped[:, DENSITY].abs().max())
 
 
+def added_by_turn(make: Make, grid: VoxelGrid, rays: BoxRays) -> Tensor:
+    """Return what a weight of 2 adds to the gradient of the raw densities."""
+    found = []
+    for march in (how(len(rays), turn=0.0), how(len(rays), turn=2.0)):
+        kernels = make()
+        kernels.accumulate(grid, rays, torch.zeros(len(rays), 3), march)
+        found.append(kernels.gradient(grid)[:, DENSITY])
+    return found[1] - found[0]
+
+
+def along_x(cells: list[bool]) -> tuple[VoxelGrid, BoxRays]:
+    """Cells of side 1 in a row, from the origin on, and a ray through their middles."""
+    grid = VoxelGrid.over(np.zeros(3), np.ones(3), torch.tensor(cells)[:, None, None], contracted=False)
+    to = torch.tensor([[1.0, 0, 0]])
+    return grid, BoxRays(torch.tensor([[-1.0, 0.5, 0.5]]), to, to, torch.zeros(1), torch.full((1,), 9.0))
+
+
+@each
+def test_a_turn_between_two_cells_adds_the_gradient_of_its_equation(make: Make) -> None:
+    """Density rises along y, and from x = 1 on it turns towards z: g = (0, 1, 0), g′ = (1.5, 1, 1.5)."""
+    grid, ray = along_x([True, True])
+    x, y, z = grid.vertices().unbind(-1)
+    grid.rows[:, DENSITY] = -2.0 + y + 3 * z * (x == 2)
+    n = torch.nn.functional.normalize(torch.tensor([1.5, 2.0, 1.5]), dim=0)
+    d = torch.tensor([1.5, 0.0, 1.5])
+    across = d - (d @ n) * n
+    pull = across / (1 + across @ across)  # ∂/∂d of ½ ln(1 + |across|²)
+    ends = 2.0 * torch.stack([y, z], -1) - 1
+    sides = {0: (-1, 0), 1: (1, -1), 2: (0, 1)}  # of a vertex along x, in the first cell and in the second
+    expected = torch.zeros(len(x))
+    for cell, sign in enumerate((-1, 1)):
+        for v in range(len(x)):
+            if side := sides[int(x[v])][cell]:
+                expected[v] += 2 * sign * (pull @ torch.tensor([side, *ends[v].tolist()])) / 4
+    torch.testing.assert_close(added_by_turn(make, grid, ray), expected, atol=1e-5, rtol=1e-4)
+
+
+@each
+def test_turn_spares_any_profile_in_one_direction_and_cells_apart(make: Make) -> None:
+    grid, rays = some_grid(False, dense=1.0), some_rays(50)
+    profile = torch.tensor([-4.0, 1, 0.5, -2, 3, 3, 0, -1, 2, 5, 1, 0, 2, 1])
+    grid.rows[:, DENSITY] = profile[grid.vertices()[:, 2]]
+    assert float(added_by_turn(make, grid, rays).abs().max()) < 1e-5
+    grid.rows[:, DENSITY] += (grid.vertices()[:, 0] % 2).float()
+    assert float(added_by_turn(make, grid, rays).abs().max()) > 0.1
+    grid, ray = along_x([True, False, True])
+    grid.rows[:, DENSITY] = torch.randn(len(grid.rows), generator=torch.Generator().manual_seed(0)) - 2
+    assert float(added_by_turn(make, grid, ray).abs().max()) < 1e-6
+
+
 @pytest.mark.parametrize("contracted", [False, True])
 @pytest.mark.parametrize("spare", [0.004, 0.03, 0.1])
 @each

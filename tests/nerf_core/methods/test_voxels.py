@@ -102,6 +102,7 @@ def test_a_room_has_constants_of_its_own(scene: Scene) -> None:
     set_by_hand = VoxelConfig.configure(around(scene.reposed(turned)), "auto", {"distortion": "0"}, CPU)
     assert set_by_hand.distortion == 0
     assert (place.slope, room.slope) == (1, 1)
+    assert (place.turn, room.turn) == (0, 0)
 
 
 def test_density_learns_slowly_of_few_photos(scene: Scene) -> None:
@@ -113,7 +114,7 @@ def test_density_learns_slowly_of_few_photos(scene: Scene) -> None:
         assert config.rate_density < VoxelConfig().rate_density
         assert config.slowdown_density > VoxelConfig().slowdown_density
         assert config.reach > VoxelConfig().reach
-        assert (config.smoothness, config.smoothness_color, config.slope) == (2.5e-6, 3e-7, 1)
+        assert (config.smoothness, config.smoothness_color, config.slope, config.turn) == (2.5e-6, 3e-7, 1, 0)
         assert config.rate_color == VoxelConfig().rate_color
     assert VoxelConfig.configure(scene, "auto", {"rate_density": "3"}, CPU).rate_density == 3
     few, enough = (VoxelConfig.configure(around(s), "auto", {}, CPU) for s in (scene, many))
@@ -141,7 +142,7 @@ def test_objects_in_photos_of_many_pixels_take_steps_of_any_length(scene: Scene)
     assert (small.least_square, large.least_square) == (0.25, 0)
     assert large.rate_color < small.rate_color
     assert (large.slowdown_density, large.distortion, large.reach) == (large.slowdown, 5e-3, 4)
-    assert (large.smoothness, large.smoothness_color, large.slope) == (2.5e-6, 1e-6, 1)
+    assert (large.smoothness, large.smoothness_color, large.slope, large.turn) == (2.5e-6, 1e-6, 1, 0)
     assert VoxelConfig.configure(wide, "auto", {"train_images": "5"}, CPU) == replace(large, train_images=5)
     assert VoxelConfig.configure(wide, "auto", {"least_square": "0.25"}, CPU).least_square == 0.25
 
@@ -615,8 +616,8 @@ def test_a_run_of_an_earlier_version_keeps_its_rates(scene: Scene) -> None:
     assert of_object.least_square > 0
     known = {k: v for k, v in of_object.to_json().items() if k != "least_square"} | {"rate_color": 0.2}
     assert VoxelConfig.restore(known) == replace(of_object, least_square=0, rate_color=0.2)
-    known = {k: v for k, v in of_object.to_json().items() if k not in ("slowdown_density", "reach", "slope")}
-    assert VoxelConfig.restore(known) == replace(of_object, slowdown_density=123, reach=4, slope=1)
+    known = {k: v for k, v in of_object.to_json().items() if k not in ("slowdown_density", "reach", "slope", "turn")}
+    assert VoxelConfig.restore(known) == replace(of_object, slowdown_density=123, reach=4, slope=1, turn=0)
     for hostile in ({k: v for k, v in known.items() if k != "slowdown"}, known | {"slowdown": "fast"}):
         with pytest.raises(UserError, match="slowdown"):
             VoxelConfig.restore(hostile)
