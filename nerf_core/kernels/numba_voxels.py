@@ -253,7 +253,7 @@ def _touch(corners: Any, at: Any) -> Any:
 
 @inlined
 def _turned(x: Any, y: Any, z: Any, along_x: Any, along_y: Any, along_z: Any) -> Any:
-    """∂/∂d of ½ ln(1 + |p|²), where p is the part of d = (x, y, z) that is perpendicular to another vector."""
+    """∂/∂d of ½ ln(1 + |p|²), but for FLAT; p is the part of d = (x, y, z) that is perpendicular to another vector."""
     square = along_x * along_x + along_y * along_y + along_z * along_z
     part = (x * along_x + y * along_y + z * along_z) / (square + FLAT)
     x, y, z = x - part * along_x, y - part * along_y, z - part * along_z
@@ -276,7 +276,9 @@ def gradients(
     scratch: Any, pixel: Any, gradient: Any, touched: Any, smoothness: Any, smoothness_color: Any,
     slope: Any, turn: Any, distortion: Any, reach: Any, unit: Any, folded: Any,
 ) -> Any:  # fmt: skip
-    """Add ∂(½ Σ squared error + all that `March` weighs)/∂rows of rays first ≤ r < last to `gradient`.
+    """Add ∂(½ Σ squared error + smoothness + turn + distortion)/∂rows of rays first ≤ r < last to `gradient`.
+
+    For the last three see `March`.
 
     Returns the sum of squared errors, and the number of samples.
 

@@ -127,7 +127,7 @@ class VoxelKernels(Protocol):
         ...
 
     def accumulate(self, grid: VoxelGrid, rays: BoxRays, truth: Tensor, how: March) -> tuple[float, int]:
-        """Add the gradient of ½ Σ squared error, and of smoothness and distortion.
+        """Add the gradient of ½ Σ squared error, and of smoothness, turn and distortion.
 
         truth: the colours of the photos (R, 3). Returns the sum of squared errors, and the number of samples.
         """
@@ -139,7 +139,7 @@ class VoxelKernels(Protocol):
         H(e) = e², beyond OUTLIER = o: o (2|e| − o). The mean place of a ray's light shall be that of a sparse point
         that lies on it; DS-NeRF (arXiv:2107.02791, Eq. 6–8) asks the same of the distribution of w.
 
-        t: (R,) where the surfaces are, in the rays' t. Colours, smoothness and distortion do not count.
+        t: (R,) where the surfaces are, in the rays' t. Colours, smoothness, turn and distortion do not count.
         """
         ...
 

@@ -103,7 +103,7 @@ class VoxelConfig:
         most=1,
     )
     turn: float = constant(
-        8e-5, marked("weight of the turn of density's gradient between neighbouring samples, in the last level")
+        8e-5, marked("weight in the loss of how normals turn between neighbouring cells, in the last level; 0: off")
     )
     distortion: float = constant(
         5e-3, marked("weight of distortion in the loss: it draws the weights along a ray together, out of haze")

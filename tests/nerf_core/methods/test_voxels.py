@@ -357,14 +357,16 @@ def test_only_what_two_photos_see_is_divided(scene: Scene, monkeypatch: pytest.M
     assert not (grid.kinds == 1).any()
 
 
-def test_distortion_grows_from_level_to_level(scene: Scene) -> None:
-    method = voxels_of(run(scene, 1, start=4, distortion=0.08, distortion_before=0.5))
-    weights = []
+def test_distortion_grows_from_level_to_level_and_turns_count_in_the_last(scene: Scene) -> None:
+    method = voxels_of(run(scene, 1, start=4, distortion=0.08, distortion_before=0.5, turn=0.3))
+    weights, turns = [], []
     for level in range(len(method.schedule.levels)):
         method.level = level
         weights.append(method._training_march(torch.zeros(1)).distortion)
+        turns.append(method._training_march(torch.zeros(1)).turn)
         assert method._training_march(torch.zeros(1)).reach == method.config.reach
     assert len(weights) > 1
+    assert turns == [0] * (len(turns) - 1) + [0.3]
     assert weights[-1] == 0.08
     assert all(a == b / 2 for a, b in pairwise(weights))
 
