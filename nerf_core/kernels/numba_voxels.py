@@ -244,11 +244,13 @@ def _rise(rows: Any, corners: Any, at: Any) -> Any:
 @inlined
 def _touch(corners: Any, at: Any) -> Any:
     """Whether a sample's cell and that of the sample behind it are two that share a vertex. So they have one size."""
+    if corners[at] == corners[at + 8]:
+        return False
     shared = 0
     for c in range(8):
         for other in range(8):
             shared += corners[at + c] == corners[at + 8 + other]
-    return shared > 0 and corners[at] != corners[at + 8]
+    return shared > 0
 
 
 @inlined
