@@ -13,9 +13,10 @@ from kernel_implementations import fast_voxels
 from torch import Tensor
 
 from nerf_core.geometry.spaces import BoxRays
+from nerf_core.kernels import numba_voxels
 from nerf_core.kernels.cpu_voxels import CpuVoxels
 from nerf_core.kernels.torch_voxels import TorchVoxels
-from nerf_core.kernels.voxel_kernels import OUTLIER, Adam, March, VoxelKernels
+from nerf_core.kernels.voxel_kernels import FLAT, OUTLIER, Adam, March, VoxelKernels
 from nerf_core.volume.compositing import STOP
 from nerf_core.volume.voxel_grid import DENSITY, GLOSS, PARTS, VoxelGrid, spread
 
@@ -172,6 +173,30 @@ def test_turn_spares_any_profile_in_one_direction_and_cells_apart(make: Make) ->
     grid, ray = along_x([True, False, True])
     grid.rows[:, DENSITY] = torch.randn(len(grid.rows), generator=torch.Generator().manual_seed(0)) - 2
     assert float(added_by_turn(make, grid, ray).abs().max()) < 1e-6
+
+
+@each
+def test_a_turn_needs_two_samples_of_one_ray_that_light_reaches_in_cells_of_one_size(make: Make) -> None:
+    grid, ray = along_x([True, True])
+    grid.rows[:, DENSITY] = torch.randn(len(grid.rows), generator=torch.Generator().manual_seed(0)) - 2
+    alone = added_by_turn(make, grid, ray)
+    assert float(alone.abs().max()) > 0.1
+    both = BoxRays(*(torch.cat([v, v]) for v in vars(ray).values()))
+    torch.testing.assert_close(added_by_turn(make, grid, both), 2 * alone, atol=1e-5, rtol=1e-4)
+    grid.rows[:, DENSITY] += 100 * (grid.vertices()[:, 0] < 2)  # no light leaves the first cell
+    assert float(added_by_turn(make, grid, ray).abs().max()) < 1e-6
+
+    kinds = torch.ones(4, 2, 2, dtype=torch.uint8)
+    kinds[:2] = 2  # one cell of twice the size, and beside it eight
+    grid = VoxelGrid.of_kinds(np.zeros(3), np.full(3, 0.5), kinds, contracted=False)
+    of_large = grid.doublings_of_rows() == 1
+    grid.rows[:, DENSITY] = torch.where(of_large, grid.vertices()[:, 2], grid.vertices()[:, 1]) - 2.0
+    assert of_large.any()
+    assert float(added_by_turn(make, grid, ray).abs().max()) < 1e-6
+
+
+def test_loops_add_the_same_to_a_square_that_may_be_zero() -> None:
+    assert np.float32(FLAT) == numba_voxels.FLAT
 
 
 @pytest.mark.parametrize("contracted", [False, True])
