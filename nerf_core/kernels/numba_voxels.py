@@ -30,13 +30,13 @@ from nerf_core.kernels.numba_march import (
     advance,
     enter,
 )  # fmt: skip
+from nerf_core.kernels.numba_turn import add_turn, rise, touch
 
 F = np.float32
 # The values of `nerf_core.volume`, written out: compiled loops are cached, and the cache's key contains only files with
 # loops, so that a change elsewhere would not be compiled.
 STOP = F(1e-3)  # that of `compositing`
 SH0, SH1 = F(0.28209479), F(0.48860251)  # those of `voxel_grid`
-FLAT = F(1e-12)  # that of `voxel_kernels`
 CHUNK = 16  # samples that are found and evaluated together
 # Where `values` holds what; the first 48, and the 16 from SLOPES on, are those of `gradients`.
 BASIS, FACTORS, RAWS, SLOPES, LEFTS, DOTS, LOBES = 48, 64, 96, 112, 128, 160, 224
@@ -229,49 +229,6 @@ def _place_and_weight(notes: Any, sample: Any, unit: Any, folded: Any) -> Any:
     return place_in_ray(notes[at + DISTANCE], unit, folded), notes[at + TRANSMITTANCE] * notes[at + ALPHA]
 
 
-@inlined
-def _rise(rows: Any, corners: Any, at: Any) -> Any:
-    """How the raw density rises over a cell along x, y and z: each the mean of four edges."""
-    x, y, z = F(0), F(0), F(0)
-    for c in range(8):
-        v = F(0.25) * rows[corners[at + c] + 12]
-        x += v if c & 4 else -v
-        y += v if c & 2 else -v
-        z += v if c & 1 else -v
-    return x, y, z
-
-
-@inlined
-def _touch(corners: Any, at: Any) -> Any:
-    """Whether a sample's cell and that of the sample behind it are two that share a vertex. So they have one size."""
-    if corners[at] == corners[at + 8]:
-        return False
-    shared = 0
-    for c in range(8):
-        for other in range(8):
-            shared += corners[at + c] == corners[at + 8 + other]
-    return shared > 0
-
-
-@inlined
-def _turned(x: Any, y: Any, z: Any, along_x: Any, along_y: Any, along_z: Any) -> Any:
-    """∂/∂d of ½ ln(1 + |p|²), but for FLAT; p is the part of d = (x, y, z) that is perpendicular to another vector."""
-    square = along_x * along_x + along_y * along_y + along_z * along_z
-    part = (x * along_x + y * along_y + z * along_z) / (square + FLAT)
-    x, y, z = x - part * along_x, y - part * along_y, z - part * along_z
-    share = F(1) / (F(1) + x * x + y * y + z * z)
-    return share * x, share * y, share * z
-
-
-@inlined
-def _add_turn(gradient: Any, corners: Any, at: Any, x: Any, y: Any, z: Any) -> None:
-    """Add to the densities of a sample's cell, and to those of the cell behind it, what makes (x, y, z) of the rise."""
-    for c in range(8):
-        by = (x if c & 4 else -x) + (y if c & 2 else -y) + (z if c & 1 else -z)
-        gradient[corners[at + c] + 12] -= by
-        gradient[corners[at + 8 + c] + 12] += by
-
-
 @jit
 def gradients(
     grid: Any, rays: Any, truth: Any, first: Any, last: Any, step: Any, bias: Any, rows: Any, background: Any,
@@ -281,7 +238,6 @@ def gradients(
     """Add ∂(½ Σ squared error + smoothness + turn + distortion)/∂rows of rays first ≤ r < last to `gradient`.
 
     For the last three see `March`.
-
     Returns the sum of squared errors, and the number of samples.
 
     A loss with ∂L/∂w_i = a_i beside the colours acts like one more channel with the colours a_i and no background, so
@@ -295,7 +251,7 @@ def gradients(
         values[SLOPES + q] = (slope - F(1)) * values[32 + q]  # b + slope · l = (b + l) + (slope − 1) · l
     error = 0.0
     samples = 0
-    behind_x, behind_y, behind_z = F(0), F(0), F(0)
+    behind_rise = F(0), F(0), F(0)  # of the sample behind
     for r in range(first, last):
         n = sample(grid, rays, r, step, bias, rows, background, scratch, gradient, True, pixel)
         samples += n
@@ -327,13 +283,10 @@ def gradients(
             else:
                 scatter(gradient, corners, weights, at, values, 16)
             if turn > 0:
-                x, y, z = _rise(rows, corners, at)
-                if q > 0 and _touch(corners, at):
-                    x1, y1, z1 = _turned(
-                        behind_x - x, behind_y - y, behind_z - z, behind_x + x, behind_y + y, behind_z + z
-                    )
-                    _add_turn(gradient, corners, at, F(0.25) * turn * x1, F(0.25) * turn * y1, F(0.25) * turn * z1)
-                behind_x, behind_y, behind_z = x, y, z
+                front = rise(rows, corners, at)
+                if q > 0 and touch(corners, at):
+                    add_turn(gradient, corners, at, turn, front, behind_rise)
+                behind_rise = front
             for c in range(8):
                 row = np.uint64(corners[at + c] >> 4)
                 touched[row >> np.uint64(6)] |= np.uint64(1) << (row & np.uint64(63))

@@ -13,7 +13,7 @@ from kernel_implementations import fast_voxels
 from torch import Tensor
 
 from nerf_core.geometry.spaces import BoxRays
-from nerf_core.kernels import numba_voxels
+from nerf_core.kernels import numba_turn
 from nerf_core.kernels.cpu_voxels import CpuVoxels
 from nerf_core.kernels.torch_voxels import TorchVoxels
 from nerf_core.kernels.voxel_kernels import FLAT, OUTLIER, Adam, March, VoxelKernels
@@ -196,7 +196,7 @@ def test_a_turn_needs_two_samples_of_one_ray_that_light_reaches_in_cells_of_one_
 
 
 def test_loops_add_the_same_to_a_square_that_may_be_zero() -> None:
-    assert np.float32(FLAT) == numba_voxels.FLAT
+    assert np.float32(FLAT) == numba_turn.FLAT
 
 
 @pytest.mark.parametrize("contracted", [False, True])
