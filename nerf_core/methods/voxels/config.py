@@ -95,18 +95,22 @@ class VoxelConfig:
     average: float = constant(
         0.995, marked("decay of the EMA of rows that pictures show; smaller early in training"), share="[0, 1)"
     )
-    smoothness: float = constant(3e-5, marked("weight of the smoothness of density in the loss"))
-    smoothness_color: float = constant(5e-6, marked("the same of colour"))
+    smoothness: float = constant(3e-5, marked("weight of the smoothness of density in the loss"), most=10**6)
+    smoothness_color: float = constant(5e-6, marked("the same of colour"), most=10**6)
     slope: float = constant(
         0.0,
         marked("share with which smoothness counts what is linear in a cell; 0: only the rest costs anything"),
         most=1,
     )
     turn: float = constant(
-        8e-5, marked("weight in the loss of how normals turn between neighbouring cells, in the last level; 0: off")
+        8e-5,
+        marked("weight in the loss of how normals turn between neighbouring cells, in the last level; 0: off"),
+        most=10**6,
     )
     distortion: float = constant(
-        5e-3, marked("weight of distortion in the loss: it draws the weights along a ray together, out of haze")
+        5e-3,
+        marked("weight of distortion in the loss: it draws the weights along a ray together, out of haze"),
+        most=10**6,
     )
     reach: float = constant(
         0.2,
@@ -147,7 +151,9 @@ class VoxelConfig:
         least=1, most=10**6,
     )  # fmt: skip
     depth_weight: float = constant(
-        0.0, marked("weight of depth in the loss: rays towards sparse points, which their photos see, should end there")
+        0.0,
+        marked("weight of depth in the loss: rays towards sparse points, which their photos see, should end there"),
+        most=10**6,
     )
     total_steps: int = constant(
         30_000, marked("steps of the schedule, unless --steps says otherwise"), least=1, most=10**9

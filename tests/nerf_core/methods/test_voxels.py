@@ -105,6 +105,12 @@ def test_a_room_has_constants_of_its_own(scene: Scene) -> None:
     assert (place.turn, room.turn) == (0, 0)
 
 
+@pytest.mark.parametrize("name", ["smoothness", "smoothness_color", "turn", "distortion", "depth_weight"])
+def test_a_weight_that_float32_does_not_hold_is_refused(name: str, scene: Scene) -> None:
+    with pytest.raises(UserError, match=f"{name}.*at most 1000000"):
+        VoxelConfig.configure(scene, "auto", {name: "1e300"}, CPU)
+
+
 def test_density_learns_slowly_of_few_photos(scene: Scene) -> None:
     many = of_many_photos(scene)
     assert VoxelConfig.configure(many, "auto", {}, CPU) == VoxelConfig()
