@@ -9,7 +9,7 @@ import numpy as np
 from nerf_core.common.jit.vectors import inlined
 
 F = np.float32
-FLAT = F(1e-12)  # that of `voxel_kernels`
+FLAT, TURN_RAYS = F(1e-12), 4  # those of `voxel_kernels`
 
 
 @inlined
@@ -48,7 +48,7 @@ def add_turn(gradient: Any, corners: Any, at: Any, turn: Any, front: Any, behind
     square = along_x * along_x + along_y * along_y + along_z * along_z
     part = (x * along_x + y * along_y + z * along_z) / (square + FLAT)
     x, y, z = x - part * along_x, y - part * along_y, z - part * along_z
-    share = F(0.25) * turn / (F(1) + x * x + y * y + z * z)
+    share = F(0.25 * TURN_RAYS) * turn / (F(1) + x * x + y * y + z * z)
     x, y, z = share * x, share * y, share * z
     for c in range(8):
         by = (x if c & 4 else -x) + (y if c & 2 else -y) + (z if c & 1 else -z)

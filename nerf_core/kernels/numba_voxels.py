@@ -30,7 +30,7 @@ from nerf_core.kernels.numba_march import (
     advance,
     enter,
 )  # fmt: skip
-from nerf_core.kernels.numba_turn import add_turn, rise, touch
+from nerf_core.kernels.numba_turn import TURN_RAYS, add_turn, rise, touch
 
 F = np.float32
 # The values of `nerf_core.volume`, written out: compiled loops are cached, and the cache's key contains only files with
@@ -282,7 +282,7 @@ def gradients(
                 scatter_smooth(gradient, corners, weights, at, values, 16, rows, 32, SLOPES)
             else:
                 scatter(gradient, corners, weights, at, values, 16)
-            if turn > 0:
+            if turn > 0 and r % TURN_RAYS == 0:
                 front = rise(rows, corners, at)
                 if q > 0 and touch(corners, at):
                     add_turn(gradient, corners, at, turn, front, behind_rise)

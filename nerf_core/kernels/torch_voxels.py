@@ -13,7 +13,7 @@ from torch.nn import functional
 
 from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels.torch_march import march
-from nerf_core.kernels.voxel_kernels import FLAT, HALVINGS, OUTLIER, Adam, March, Traced
+from nerf_core.kernels.voxel_kernels import FLAT, HALVINGS, OUTLIER, TURN_RAYS, Adam, March, Traced
 from nerf_core.volume.compositing import STOP
 from nerf_core.volume.voxel_grid import DENSITY, GLOSS, PARTS, WIDTH, VoxelGrid, colors_of
 
@@ -102,10 +102,10 @@ def _sides(like: Tensor) -> Tensor:
 
 
 def _turns(samples: VoxelSamples, used: Tensor, raw: Tensor) -> Tensor:
-    """Σ ln(1 + |d − (d · n) n|²) of neighbouring cells; see `March`. raw: (M, 8), the used samples' corners."""
+    """Σ ln(1 + |d − (d · n) n|²) along the rays that count; see `March`. raw: (M, 8), the used samples' corners."""
     ray, rows = samples.ray[used], samples.rows[used]
     touch = (rows[:-1, :, None] == rows[1:, None]).any(-1).any(-1) & (rows[:-1, 0] != rows[1:, 0])
-    pairs = touch & (ray[:-1] == ray[1:])
+    pairs = touch & (ray[:-1] == ray[1:]) & (ray[1:] % TURN_RAYS == 0)
     rise = raw @ _sides(raw) / 4
     front, behind = rise[:-1][pairs], rise[1:][pairs]
     change, whole = behind - front, (front + behind).detach()
@@ -186,7 +186,7 @@ class TorchVoxels:
         rough = ((deviation - linear).square() + how.slope * linear.square()).sum((0, 1))
         loss = (squared + how.smoothness * rough[DENSITY] + how.smoothness_color * rough[:DENSITY].sum()) / 2
         if how.turn > 0:
-            loss = loss + how.turn / 2 * _turns(samples, done.used, values[..., DENSITY])
+            loss = loss + how.turn / 2 * TURN_RAYS * _turns(samples, done.used, values[..., DENSITY])
         if how.distortion > 0:
             loss = loss + how.distortion * _distortion(samples, done, how, len(rays))
         self._add(loss, rows, corner)

@@ -16,7 +16,7 @@ from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels import numba_turn
 from nerf_core.kernels.cpu_voxels import CpuVoxels
 from nerf_core.kernels.torch_voxels import TorchVoxels
-from nerf_core.kernels.voxel_kernels import FLAT, OUTLIER, Adam, March, VoxelKernels
+from nerf_core.kernels.voxel_kernels import FLAT, OUTLIER, TURN_RAYS, Adam, March, VoxelKernels
 from nerf_core.volume.compositing import STOP
 from nerf_core.volume.voxel_grid import DENSITY, GLOSS, PARTS, VoxelGrid, spread
 
@@ -126,13 +126,13 @@ def test_smoothness_without_slope_spares_what_is_linear(make: Make) -> None:
 
 
 def added_by_turn(make: Make, grid: VoxelGrid, rays: BoxRays) -> Tensor:
-    """Return what a weight of 2 adds to the gradient of the raw densities."""
+    """Return what a weight of 2 adds to the gradient of the raw densities, for one ray of TURN_RAYS."""
     found = []
     for march in (how(len(rays), turn=0.0), how(len(rays), turn=2.0)):
         kernels = make()
         kernels.accumulate(grid, rays, torch.zeros(len(rays), 3), march)
         found.append(kernels.gradient(grid)[:, DENSITY])
-    return found[1] - found[0]
+    return (found[1] - found[0]) / TURN_RAYS
 
 
 def along_x(cells: list[bool]) -> tuple[VoxelGrid, BoxRays]:
@@ -176,13 +176,14 @@ def test_turn_spares_any_profile_in_one_direction_and_cells_apart(make: Make) ->
 
 
 @each
-def test_a_turn_needs_two_samples_of_one_ray_that_light_reaches_in_cells_of_one_size(make: Make) -> None:
+def test_a_turn_needs_two_samples_of_one_ray_that_counts_that_light_reaches_in_cells_of_one_size(make: Make) -> None:
     grid, ray = along_x([True, True])
     grid.rows[:, DENSITY] = torch.randn(len(grid.rows), generator=torch.Generator().manual_seed(0)) - 2
     alone = added_by_turn(make, grid, ray)
     assert float(alone.abs().max()) > 0.1
-    both = BoxRays(*(torch.cat([v, v]) for v in vars(ray).values()))
-    torch.testing.assert_close(added_by_turn(make, grid, both), 2 * alone, atol=1e-5, rtol=1e-4)
+    for rays, counted in ((TURN_RAYS, 1), (TURN_RAYS + 1, 2)):
+        more = BoxRays(*(torch.cat([v] * rays) for v in vars(ray).values()))
+        torch.testing.assert_close(added_by_turn(make, grid, more), counted * alone, atol=1e-5, rtol=1e-4)
     grid.rows[:, DENSITY] += 100 * (grid.vertices()[:, 0] < 2)  # no light leaves the first cell
     assert float(added_by_turn(make, grid, ray).abs().max()) < 1e-6
 
@@ -196,7 +197,7 @@ def test_a_turn_needs_two_samples_of_one_ray_that_light_reaches_in_cells_of_one_
 
 
 def test_loops_add_the_same_to_a_square_that_may_be_zero() -> None:
-    assert np.float32(FLAT) == numba_turn.FLAT
+    assert (np.float32(FLAT), TURN_RAYS) == (numba_turn.FLAT, numba_turn.TURN_RAYS)
 
 
 @pytest.mark.parametrize("contracted", [False, True])
