@@ -55,7 +55,9 @@ PIECE = 4096  # rays between two calls of the yield callback: 5 to 15 ms on two 
 TILE = 8192
 SMALLEST = 1e-5  # a cell's side as a share of the box: no configuration allows smaller ones
 ENOUGH = 400_000  # training pixels that are asked which cells they need: a second on two cores
-PIXELS_A_VERTEX = 4  # or so many for each vertex: with all of 250,000, lego at 100 × 100 learns no better
+# Or so many for each vertex: with all of 250,000, lego at 100 × 100 learns no better. But at least a quarter of ENOUGH:
+# a small object is met by few of them.
+PIXELS_A_VERTEX = 4
 # A step takes time for its rays, and for Adam over the rows that they touch. On a large grid the rays are the smaller
 # part, and in more of them noise averages out.
 ROWS_A_RAY = 33
@@ -232,13 +234,13 @@ class VoxelModel(Defaults):
     def _training_pixels(self) -> Iterator[Rays]:
         """The rays of the training photos' pixels at this level that are not masked, photo after photo.
 
-        One for each cell's width, and at most ENOUGH, or PIXELS_A_VERTEX for each vertex: what lies between them is
-        mostly seen in other photos.
+        One for each cell's width, and at most ENOUGH, or fewer on a small grid: what lies between them is mostly seen
+        in other photos.
         """
         scale, _, shrink = self.schedule.levels[self.level]
         views = self.scene.trained(self.config.train_images)
         cameras = [self.scene.views[i].camera.shrunk(shrink) for i in views]
-        enough = min(ENOUGH, PIXELS_A_VERTEX * len(self.grid.rows))
+        enough = min(ENOUGH, max(ENOUGH // 4, PIXELS_A_VERTEX * len(self.grid.rows)))
         many = sum(camera.width * camera.height for camera in cameras) / enough
         apart = max(1, round(scale * self.config.pixels / shrink), math.ceil(math.sqrt(many)))
         for n, camera in enumerate(cameras):

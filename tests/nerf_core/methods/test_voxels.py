@@ -377,6 +377,17 @@ def test_distortion_grows_from_level_to_level_and_turns_count_in_the_last(scene:
     assert all(a == b / 2 for a, b in pairwise(weights))
 
 
+def test_a_small_grid_asks_fewer_pixels_but_not_too_few(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    for vertices in (8, 125, 1000):
+        method = voxels_of(run(scene, 1, start=4, pixels=0.05))
+        method.grid = replace(method.grid, rows=method.grid.rows[:1].repeat(vertices, 1))
+        monkeypatch.setattr("nerf_core.methods.voxels.model.ENOUGH", 2000)
+        method.level = len(method.schedule.levels) - 1
+        asked.append(sum(len(rays) for rays in method._training_pixels()))
+    assert 0 < asked[0] == asked[1] < asked[2] <= 2000
+
+
 def test_a_larger_grid_has_more_rays_a_step(scene: Scene) -> None:
     method = voxels_of(run(scene, 2, start=8, level_steps=1, rays=4, most_rays=100, resolution=16))
     assert method.level > 0
