@@ -8,7 +8,7 @@ import numpy as np
 
 from nerf_core.common.jit.vectors import exp, jit, scatter
 from nerf_core.kernels.numba_march import ALPHA, DISTANCE, NOTES, RAW, TRANSMITTANCE
-from nerf_core.kernels.numba_voxels import place_in_ray, sample
+from nerf_core.kernels.numba_voxels import note_rows, place_in_ray, sample
 
 F = np.float32
 OUTLIER = F(0.02)  # that of `voxel_kernels`, written out as in `numba_voxels`
@@ -44,6 +44,4 @@ def depth_gradients(
             values[28] = by_sigma / (F(1) + exp(-notes[at + RAW]))  # softplus' is the sigmoid
             corner = (n - 1 - q) * 8
             scatter(gradient, corners, weights, corner, values, 16)
-            for c in range(8):
-                row = np.uint64(corners[corner + c] >> 4)
-                touched[row >> np.uint64(6)] |= np.uint64(1) << (row & np.uint64(63))
+            note_rows(touched, corners, corner)

@@ -229,11 +229,19 @@ def _place_and_weight(notes: Any, sample: Any, unit: Any, folded: Any) -> Any:
     return place_in_ray(notes[at + DISTANCE], unit, folded), notes[at + TRANSMITTANCE] * notes[at + ALPHA]
 
 
+@inlined
+def note_rows(bits: Any, corners: Any, at: Any) -> None:
+    """Set the bits of the 8 rows of a sample."""
+    for c in range(8):
+        row = np.uint64(corners[at + c] >> 4)
+        bits[row >> np.uint64(6)] |= np.uint64(1) << (row & np.uint64(63))
+
+
 @jit
 def gradients(
     grid: Any, rays: Any, truth: Any, first: Any, last: Any, step: Any, bias: Any, rows: Any, background: Any,
-    scratch: Any, pixel: Any, gradient: Any, touched: Any, smoothness: Any, smoothness_color: Any,
-    slope: Any, turn: Any, distortion: Any, reach: Any, unit: Any, folded: Any,
+    scratch: Any, pixel: Any, gradient: Any, touched: Any, doubtful: Any, doubtful_error: Any, smoothness: Any,
+    smoothness_color: Any, slope: Any, turn: Any, distortion: Any, reach: Any, unit: Any, folded: Any,
 ) -> Any:  # fmt: skip
     """Add ∂(½ Σ squared error + smoothness + turn + distortion)/∂rows of rays first ≤ r < last to `gradient`.
 
@@ -256,7 +264,8 @@ def gradients(
         n = sample(grid, rays, r, step, bias, rows, background, scratch, gradient, True, pixel)
         samples += n
         er, eg, eb = pixel[r, 0] - truth[r, 0], pixel[r, 1] - truth[r, 1], pixel[r, 2] - truth[r, 2]
-        error += er * er + eg * eg + eb * eb
+        square = er * er + eg * eg + eb * eb
+        error += square
         behind = (F(1) - pixel[r, 3]) * (background[0] * er + background[1] * eg + background[2] * eb)
         if distortion > 0:
             _distort(notes, n, distortion, reach, unit, folded)
@@ -287,17 +296,25 @@ def gradients(
                 if q > 0 and touch(corners, at):
                     add_turn(gradient, corners, at, turn, front, behind_rise)
                 behind_rise = front
-            for c in range(8):
-                row = np.uint64(corners[at + c] >> 4)
-                touched[row >> np.uint64(6)] |= np.uint64(1) << (row & np.uint64(63))
+            note_rows(touched, corners, at)
+            if square > doubtful_error:
+                note_rows(doubtful, corners, at)
     return error, samples
+
+
+@inlined
+def _hardening(rate: Any, doubtful: Any, raw: Any) -> Any:
+    """How much the raw density `raw`, with the bias, rises; see `Adam`."""
+    if rate > 0 and doubtful == 0:
+        return rate / (F(1) + math.exp(-raw))  # 1 − e^−softplus(x) is the sigmoid
+    return F(0)
 
 
 @jit
 def adam(
-    first: Any, last: Any, rows: Any, moments: Any, ema: Any, gradient: Any, touched: Any,
+    first: Any, last: Any, rows: Any, moments: Any, ema: Any, gradient: Any, touched: Any, doubtful: Any,
     rate_color: Any, rate_view: Any, rate_gloss: Any, rate_density: Any, beta2: Any, correction2: Any, epsilon: Any,
-    least_square: Any, ema_rate: Any,
+    least_square: Any, ema_rate: Any, harden: Any, bias: Any,
 ) -> None:  # fmt: skip
     """One step of Adam without first moments on the touched rows 64 first ≤ r < 64 last, and of the rows' EMA.
 
@@ -306,10 +323,11 @@ def adam(
     """
     shards = touched.shape[0]
     for b in range(first, last):
-        mask = np.uint64(0)
+        mask, doubts = np.uint64(0), np.uint64(0)
         for s in range(shards):
             mask |= touched[s, b]
-            touched[s, b] = 0
+            doubts |= doubtful[s, b]
+            touched[s, b] = doubtful[s, b] = 0
         if mask == 0:
             continue
         for q in range(64):
@@ -334,6 +352,7 @@ def adam(
             for c in range(12):
                 p[c] -= (rate_view if c & 3 else rate_color) * whole * g[c]  # the first of four is of degree 0
             p[12] -= rate_density / (math.sqrt(max(square[1] * correction2, least_square * density)) + epsilon) * g[12]
+            p[12] += _hardening(harden * rate_density, (doubts >> np.uint64(q)) & np.uint64(1), p[12] + bias)
             by_gloss = rate_gloss / (math.sqrt(max(square[2] * correction2, least_square * gloss)) + epsilon)
             for c in range(13, 16):
                 p[c] -= by_gloss * g[c]

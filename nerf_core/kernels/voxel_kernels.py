@@ -44,6 +44,7 @@ class March:
     reach: over 0; only pairs with |s_i − s_j| < reach count, unlike in Eq. 15. So what makes one surface is drawn
         together, and two surfaces that a ray meets are not.
     depth: weight of the loss of `VoxelKernels.accumulate_depths`.
+    doubtful: rows that a ray with a larger squared error meets do not harden in the next update; see `Adam`.
     """
 
     step: float
@@ -59,6 +60,7 @@ class March:
     unit: float = 1.0
     folded: bool = False
     depth: float = 0.0
+    doubtful: float = math.inf
 
 
 class Adam(NamedTuple):
@@ -74,6 +76,10 @@ class Adam(NamedTuple):
         gradient is; 0: any step. Else one that comes once would move a row by up to rate / √(1 − β₂). Adafactor's
         update clipping (arXiv:1804.04235) bounds the steps of whole tensors likewise.
     ema_rate: the EMA of the rows becomes ema + ema_rate · (row − ema).
+    harden: raw density s also rises by harden · rate_density · (1 − e^−σ), where σ = softplus(s + bias), so that
+        1 − e^−σ is the opacity of a cell's length. Rows that a doubtful ray met since the last update are left out;
+        see `March`.
+    bias: that of `March`.
     """
 
     rate_color: float
@@ -85,6 +91,8 @@ class Adam(NamedTuple):
     epsilon: float
     least_square: float
     ema_rate: float
+    harden: float = 0.0
+    bias: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -107,6 +107,11 @@ class VoxelConfig:
         marked("weight in the loss of how normals turn between neighbouring cells, in the last level; 0: off"),
         most=10**6,
     )
+    harden: float = constant(
+        0.13,
+        marked("opaque density also rises by this share of its rate, in the last level where errors are small; 0: off"),
+        most=10**3,
+    )
     distortion: float = constant(
         5e-3,
         marked("weight of distortion in the loss: it draws the weights along a ray together, out of haze"),
@@ -188,7 +193,7 @@ def by_kind(scene: Scene, photos: int) -> VoxelConfig:
     """Return the constants for an object, an object in large photos, a room, or another place, and so many photos."""
     if scene.synthetic:
         # slopes count, so that surfaces stay soft, and their smoothness is weak
-        soft = VoxelConfig(smoothness=2.5e-6, smoothness_color=3e-7, slope=1, turn=0, reach=4)
+        soft = VoxelConfig(smoothness=2.5e-6, smoothness_color=3e-7, slope=1, turn=0, harden=0, reach=4)
         if pixels_along(scene) > MANY_PIXELS:
             return replace(
                 soft, rate_color=0.2, rate_view=0.12, rate_gloss=0.02, rate_density=0.45, slowdown=500,
@@ -198,9 +203,9 @@ def by_kind(scene: Scene, photos: int) -> VoxelConfig:
     # a place fills space that is empty around an object, so that each part of it is seen by fewer rays
     place = VoxelConfig(
         rate_color=0.2, rate_view=0.06, rate_gloss=0.04, rate_density=1, slowdown=500, slowdown_density=60,
-        keep_square=0.999, least_square=0, smoothness=3e-5, smoothness_color=0, slope=1, turn=0, distortion=0.01,
-        reach=4, distortion_before=0.3, spare_error=0.5, beside=1e-7, step=1.0, resolution=400, most_rows=3_000_000,
-        most_rays=12288, wait=0, epochs=12,
+        keep_square=0.999, least_square=0, smoothness=3e-5, smoothness_color=0, slope=1, turn=0, harden=0,
+        distortion=0.01, reach=4, distortion_before=0.3, spare_error=0.5, beside=1e-7, step=1.0, resolution=400,
+        most_rows=3_000_000, most_rays=12288, wait=0, epochs=12,
     )  # fmt: skip
     if scene.from_inside:  # walls would be fog: each part of them is seen by few photos, from about one side
         return replace(
@@ -224,7 +229,7 @@ def rows_that_fit() -> int:
 
 def _of_today(config: Mapping[str, Any]) -> Mapping[str, Any]:
     """A configuration that an earlier version may have written, without what there was and with what there was not."""
-    absent = "least_square", "epochs", "smoothness_color", "turn", "depth_weight", "gloss", "rate_gloss"
+    absent = "least_square", "epochs", "smoothness_color", "turn", "harden", "depth_weight", "gloss", "rate_gloss"
     older = {
         "distortion_before": 1.0,
         "reach": 4.0,

@@ -435,14 +435,14 @@ def test_nothing_is_ever_nan(contracted: bool, make: Make) -> None:
 @each_fast
 def test_adam_agrees_with_the_reference(make: Make, least_square: float) -> None:
     truth, rays = torch.rand(200, 3, generator=torch.Generator().manual_seed(2)), some_rays()
-    settings = Adam(0.2, 0.1, 0.05, 0.3, 0.99, 100.0, 1e-4, least_square, 0.3)
+    settings = Adam(0.2, 0.1, 0.05, 0.3, 0.99, 100.0, 1e-4, least_square, 0.3, harden=4 * least_square, bias=-1.0)
     results: list[tuple[Tensor, ...]] = []
     for kernels in (make(), TorchVoxels()):
         grid = some_grid(False)
         moments, ema, expected = torch.zeros(len(grid.rows), 3), grid.rows.clone(), grid.rows.clone()
         for _ in range(3):
             before = grid.rows.clone()
-            kernels.accumulate(grid, rays, truth, how(200))
+            kernels.accumulate(grid, rays, truth, how(200, doubtful=0.5))  # half of the rays
             kernels.update(grid, moments, ema, settings)
             moved = (grid.rows != before).any(-1)  # the rows with a gradient
             expected[moved] += 0.3 * (grid.rows - expected)[moved]
@@ -450,6 +450,40 @@ def test_adam_agrees_with_the_reference(make: Make, least_square: float) -> None
         results.append((grid.rows, moments, ema))
     for fast, plain in zip(*results, strict=True):
         assert float((fast - plain).norm()) <= 5e-3 * float(plain.norm())
+
+
+@each
+def test_opaque_density_hardens_but_for_what_doubtful_rays_meet(make: Make) -> None:
+    """Two rays along x in two rows of cells: one whose colour is right, and one whose squared error is 3 · 0.8²."""
+    grid = some_grid(False, (6, 2, 1), dense=1.0)
+    grid.rows[:, :DENSITY] = 0  # grey
+    grid.rows[:, GLOSS] = 0
+    grid.rows[:, DENSITY] = 0.5 * grid.vertices()[:, 0]  # both rays end at one x
+    to = torch.tensor([1.0, 0.0, 0.0]).expand(2, 3)
+    origins = torch.tensor([[-3.0, -0.7, 0.0], [-3.0, 0.7, 0.0]])
+    rays = BoxRays(origins, to, to, torch.zeros(2), torch.full((2,), 9.0))
+    march = how(2, doubtful=1.0)
+    shown = TorchVoxels().render(grid, rays, march)[:, :3]
+    truth, rates = shown - torch.tensor([[0.0], [0.8]]), (0.0, 0.0, 0.0, 0.25)
+    risen = []
+    for harden in (0.0, 0.4):
+        one, kernels = replace(grid, rows=grid.rows.clone()), make()
+        kernels.accumulate(one, rays, truth, march)
+        moments, ema = torch.zeros(len(grid.rows), 3), grid.rows.clone()
+        kernels.update(one, moments, ema, Adam(*rates, 0.99, 1.0, 1e-3, 0.25, 1.0, harden, -1.0))
+        risen.append(one.rows)
+    added = risen[1] - risen[0]
+    right = (grid.vertices()[:, 1] == 0) & added[:, DENSITY].bool()
+    assert int(right.sum()) >= 8
+    assert not added[grid.vertices()[:, 1] > 0].any()  # the doubtful ray shares the vertices at y = 1
+    expected = 0.4 * 0.25 * (1 - torch.exp(-torch.nn.functional.softplus(risen[0][right, DENSITY] - 1)))
+    torch.testing.assert_close(added[right, DENSITY], expected, atol=1e-6, rtol=1e-5)
+    assert not added[:, :DENSITY].any()
+    for _ in range(2):  # doubts hold for one update
+        kernels.accumulate(one, rays, shown, march)
+        before = one.rows.clone()
+        kernels.update(one, moments, ema, Adam(0.0, 0.0, 0.0, 0.25, 0.99, 1.0, 1e30, 0.25, 1.0, 0.4, -1.0))
+        assert (one.rows - before)[grid.vertices()[:, 1] > 0].any()
 
 
 @each

@@ -102,7 +102,7 @@ def test_a_room_has_constants_of_its_own(scene: Scene) -> None:
     set_by_hand = VoxelConfig.configure(around(scene.reposed(turned)), "auto", {"distortion": "0"}, CPU)
     assert set_by_hand.distortion == 0
     assert (place.slope, room.slope) == (1, 1)
-    assert (place.turn, room.turn) == (0, 0)
+    assert (place.turn, room.turn, place.harden, room.harden) == (0, 0, 0, 0)
 
 
 @pytest.mark.parametrize("name", ["smoothness", "smoothness_color", "turn", "distortion", "depth_weight"])
@@ -121,6 +121,7 @@ def test_density_learns_slowly_of_few_photos(scene: Scene) -> None:
         assert config.slowdown_density > VoxelConfig().slowdown_density
         assert config.reach > VoxelConfig().reach
         assert (config.smoothness, config.smoothness_color, config.slope, config.turn) == (2.5e-6, 3e-7, 1, 0)
+        assert config.harden == 0
         assert config.rate_color == VoxelConfig().rate_color
     assert VoxelConfig.configure(scene, "auto", {"rate_density": "3"}, CPU).rate_density == 3
     few, enough = (VoxelConfig.configure(around(s), "auto", {}, CPU) for s in (scene, many))
@@ -149,6 +150,7 @@ def test_objects_in_photos_of_many_pixels_take_steps_of_any_length(scene: Scene)
     assert large.rate_color < small.rate_color
     assert (large.slowdown_density, large.distortion, large.reach) == (large.slowdown, 5e-3, 4)
     assert (large.smoothness, large.smoothness_color, large.slope, large.turn) == (2.5e-6, 1e-6, 1, 0)
+    assert large.harden == 0
     assert VoxelConfig.configure(wide, "auto", {"train_images": "5"}, CPU) == replace(large, train_images=5)
     assert VoxelConfig.configure(wide, "auto", {"least_square": "0.25"}, CPU).least_square == 0.25
 
@@ -375,6 +377,30 @@ def test_distortion_grows_from_level_to_level_and_turns_count_in_the_last(scene:
     assert turns == [0] * (len(turns) - 1) + [0.3]
     assert weights[-1] == 0.08
     assert all(a == b / 2 for a, b in pairwise(weights))
+
+
+def test_density_hardens_in_the_last_level_where_rays_have_small_errors(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trainer = run(scene, 0, harden=0.6)
+    method, seen = voxels_of(trainer), []
+    update, accumulate = method.kernels.update, method.kernels.accumulate
+    marches: list[March] = []
+
+    def noted(*given: Any) -> Any:
+        marches.append(given[-1])
+        return accumulate(*given)
+
+    monkeypatch.setattr(method.kernels, "accumulate", noted)
+    monkeypatch.setattr(method.kernels, "update", lambda *given: (seen.append(given[-1]), update(*given)))
+    begin = method.schedule.levels[-1].begin
+    for step in range(begin + 2):
+        error = method.mean_error
+        trainer.step()
+        assert marches[-1].doubtful == 3 * voxel_model.DOUBT * error  # of three channels
+        assert seen[-1].harden == (0.6 if step >= begin else 0)
+        assert seen[-1].bias == marches[-1].bias == method.config.bias
+    assert begin > 0
 
 
 def test_a_small_grid_asks_fewer_pixels_but_not_too_few(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -635,8 +661,12 @@ def test_a_run_of_an_earlier_version_keeps_its_rates(scene: Scene) -> None:
     assert of_object.least_square > 0
     known = {k: v for k, v in of_object.to_json().items() if k != "least_square"} | {"rate_color": 0.2}
     assert VoxelConfig.restore(known) == replace(of_object, least_square=0, rate_color=0.2)
-    known = {k: v for k, v in of_object.to_json().items() if k not in ("slowdown_density", "reach", "slope", "turn")}
-    assert VoxelConfig.restore(known) == replace(of_object, slowdown_density=123, reach=4, slope=1, turn=0)
+    known = {
+        k: v
+        for k, v in of_object.to_json().items()
+        if k not in ("slowdown_density", "reach", "slope", "turn", "harden")
+    }
+    assert VoxelConfig.restore(known) == replace(of_object, slowdown_density=123, reach=4, slope=1, turn=0, harden=0)
     for hostile in ({k: v for k, v in known.items() if k != "slowdown"}, known | {"slowdown": "fast"}):
         with pytest.raises(UserError, match="slowdown"):
             VoxelConfig.restore(hostile)
