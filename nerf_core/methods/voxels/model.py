@@ -157,8 +157,7 @@ class VoxelModel(Defaults):
             Adam(
                 c.rate_color * slower, c.rate_view * slower, c.rate_gloss * slower,
                 c.rate_density * self._slower(step, c.slowdown_density),
-                c.keep_square, correction2, c.epsilon, c.least_square, ema_rate,
-                c.harden if self.level == len(self.schedule.levels) - 1 else 0, c.bias,
+                c.keep_square, correction2, c.epsilon, c.least_square, ema_rate, self._harden, c.bias,
             ),
         )  # fmt: skip
         if fewer is not None:
@@ -193,6 +192,11 @@ class VoxelModel(Defaults):
         """The grid that pictures show: the EMA of the rows."""
         return replace(self.grid, rows=self.ema_rows)
 
+    @property
+    def _harden(self) -> float:
+        """Only the last level hardens: what is opaque in large cells may be wrong, and stays so."""
+        return self.config.harden if self.level == len(self.schedule.levels) - 1 else 0.0
+
     def _march(self, offsets: Tensor) -> March:
         return March(self.config.step, self.config.bias, self.background, offsets)
 
@@ -206,7 +210,7 @@ class VoxelModel(Defaults):
         return replace(
             self._march(offsets), smoothness=c.smoothness, smoothness_color=c.smoothness_color, slope=c.slope,
             turn=turn, distortion=distortion, reach=c.reach, unit=unit, folded=kind == "contracted",
-            depth=c.depth_weight, doubtful=3 * DOUBT * self.mean_error,
+            depth=c.depth_weight, doubtful=3 * DOUBT * self.mean_error if self._harden > 0 else math.inf,
         )  # fmt: skip
 
     # ---- coarse to fine ---------------------------------------------------------------------------------------------
