@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import jaxtyping
@@ -56,3 +58,11 @@ def scenes(request: pytest.FixtureRequest) -> Path:
     if folder is None:
         pytest.skip("needs --scenes DIR")
     return folder.resolve()
+
+
+@pytest.fixture
+def hangup() -> Iterator[None]:
+    """Let SIGHUP end the processes that a test starts, although `nohup` around the tests has it ignored."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)

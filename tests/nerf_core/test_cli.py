@@ -313,7 +313,9 @@ def running(arguments: Sequence[str]) -> subprocess.Popen[str]:
         pytest.param(signal.SIGHUP, 129, marks=pytest.mark.thorough(10)),
     ],
 )
-def test_signals_save_and_exit(number: signal.Signals, status: int, capture: Path, tmp_path: Path) -> None:
+def test_signals_save_and_exit(
+    hangup: None, number: signal.Signals, status: int, capture: Path, tmp_path: Path
+) -> None:
     # with 32 rays a step takes milliseconds; with 200,000 it takes minutes, so that the signal interrupts it
     for rays in (32, 200_000):
         out = RunFolder(tmp_path / str(rays))

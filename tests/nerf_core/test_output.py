@@ -47,7 +47,7 @@ def test_training_goes_on_when_the_reader_of_its_output_leaves(tmp_path: Path) -
     assert checkpoint.newest(tmp_path)[1]["step"] == 5
 
 
-def test_a_closed_terminal_saves_what_was_trained(tmp_path: Path) -> None:
+def test_a_closed_terminal_saves_what_was_trained(hangup: None, tmp_path: Path) -> None:
     """The system sends SIGHUP to the terminal's programs, and all that they print from then on fails with EIO."""
     ours, theirs = pty.openpty()
     words = core(*TRAIN, "--steps", "1000000", "--out", str(tmp_path))

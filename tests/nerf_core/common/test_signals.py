@@ -11,7 +11,7 @@ from nerf_core.common.signals import Interrupted, Signals
 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
-def test_raises_at_once_by_default(number: signal.Signals, status: int) -> None:
+def test_raises_at_once_by_default(hangup: None, number: signal.Signals, status: int) -> None:
     with Signals(), pytest.raises(Interrupted) as caught:
         os.kill(os.getpid(), number)
     assert caught.value.status == status
