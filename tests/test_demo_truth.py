@@ -9,7 +9,7 @@ from nerf_core.datasets import LoadOptions, load_scene
 from nerf_core.training.settings import RunSettings
 from nerf_core.training.trainer import Trainer
 
-FEWEST = 6
+FEWEST = 3
 
 
 def long(seconds: int) -> tuple[pytest.MarkDecorator, ...]:
@@ -24,7 +24,7 @@ def long(seconds: int) -> tuple[pytest.MarkDecorator, ...]:
     [
         pytest.param("voxels", "auto", 8, 60, 2, (1, 60, 6), id="voxels-briefly"),
         pytest.param("voxels", "auto", 4, 140, 3, (2, 400, 16), id="voxels", marks=long(15)),
-        pytest.param("nerf", "quick", 4, 1000, 5, (2, 200, 16), id="nerf", marks=long(80)),
+        pytest.param("nerf", "quick", 4, 1000, 5, (2, 200, 9), id="nerf", marks=long(80)),
     ],
 )
 def test_training_approaches_the_truth(
