@@ -82,6 +82,9 @@ class VoxelConfig:
         ),
         most=10**6,
     )
+    epochs_density: float = constant(
+        0.0, marked("the same of density instead, without a limit; 0: as the other rates"), most=10**6
+    )
     keep_square: float = constant(0.99, marked("Adam's beta2"), share="[0, 1)")
     epsilon: float = constant(1e-5, marked("Adam's epsilon, in units of one ray's gradient"), least=1e-12)
     least_square: float = constant(
@@ -205,13 +208,16 @@ def by_kind(scene: Scene, photos: int) -> VoxelConfig:
         rate_color=0.2, rate_view=0.06, rate_gloss=0.04, rate_density=1, slowdown=500, slowdown_density=60,
         keep_square=0.999, least_square=0, smoothness=3e-5, smoothness_color=0, slope=1, turn=0, harden=0,
         distortion=0.01, reach=4, distortion_before=0.3, spare_error=0.5, beside=1e-7, step=1.0, resolution=400,
-        most_rows=3_000_000, most_rays=12288, wait=0, epochs=12,
+        most_rows=3_000_000, most_rays=12288, wait=0, epochs=5, epochs_density=1.5,
     )  # fmt: skip
     if scene.from_inside:  # walls would be fog: each part of them is seen by few photos, from about one side
         return replace(
-            place, rate_gloss=0.01, rate_density=0.45, slowdown_density=500, distortion=0.1, smoothness_color=3e-5
-        )
-    return replace(place, rate_density=0.2, slowdown_density=500) if photos < FEW_OF_PLACE else place
+            place, rate_gloss=0.01, rate_density=0.45, slowdown_density=500, distortion=0.1, smoothness_color=3e-5,
+            epochs=12, epochs_density=0,
+        )  # fmt: skip
+    if photos < FEW_OF_PLACE:
+        return replace(place, rate_density=0.2, slowdown_density=500, epochs=12, epochs_density=0)
+    return place
 
 
 def pixels_along(scene: Scene) -> float:
@@ -229,7 +235,10 @@ def rows_that_fit() -> int:
 
 def _of_today(config: Mapping[str, Any]) -> Mapping[str, Any]:
     """A configuration that an earlier version may have written, without what there was and with what there was not."""
-    absent = "least_square", "epochs", "smoothness_color", "turn", "harden", "depth_weight", "gloss", "rate_gloss"
+    absent = (
+        "least_square", "epochs", "epochs_density", "smoothness_color", "turn", "harden", "depth_weight", "gloss",
+        "rate_gloss",
+    )  # fmt: skip
     older = {
         "distortion_before": 1.0,
         "reach": 4.0,

@@ -65,6 +65,7 @@ DOUBT = 2.0  # a ray with more than so many times the mean error is doubtful: se
 MEMORY = 0.95  # decay of the mean error, per step
 DEPTH_SHARE = 16  # so many times fewer rays than a step's go to sparse points: few know more than thousands of pixels
 MOST_EPOCHS = 2.0  # rounds beyond so many `epochs` slow no further: photos that agree have more to teach
+FEWEST = 70  # steps of a round for `epochs_density`: with fewer, density has no time to fit the finest cells
 YOUNG = 4.0  # early on, at step k, average only the last k/YOUNG steps: older rows are outdated
 
 
@@ -149,14 +150,14 @@ class VoxelModel(Defaults):
             march = self._training_march(torch.rand(len(known.t), generator=self.generator))
             self.kernels.accumulate_depths(self.grid, self.space.rays(known.rays), known.t, march)
         self.updates += 1
-        slower = self._slower(step, c.slowdown)
+        slower, slower_density = self._slower(step)
         correction2 = 1 / (1 - c.keep_square**self.updates)
         ema_rate = max(1 - c.average, YOUNG / (YOUNG + self.updates - 1))
         self.kernels.update(
             self.grid, self.moments, self.ema_rows,
             Adam(
                 c.rate_color * slower, c.rate_view * slower, c.rate_gloss * slower,
-                c.rate_density * self._slower(step, c.slowdown_density),
+                c.rate_density * slower_density,
                 c.keep_square, correction2, c.epsilon, c.least_square, ema_rate, self._harden, c.bias,
             ),
         )  # fmt: skip
@@ -169,18 +170,21 @@ class VoxelModel(Defaults):
         self.mean_error += max(1 - MEMORY, 1 / (step + 1)) * (mean - self.mean_error)
         return mean
 
-    def _slower(self, step: int, slowdown: float) -> float:
-        """The factor of a learning rate in a step.
+    def _slower(self, step: int) -> tuple[float, float]:
+        """The factors of the learning rates in a step: of colour and gloss, and of density.
 
-        What photos show in common is learnt in the first rounds through their pixels. What they contradict each other
-        in, such as shadows that move and poses that are not right, is learnt after them, and makes new views worse.
+        What photos show in common is learnt in the first rounds through their pixels, and where things are before how
+        they look. What photos contradict each other in, such as shadows that move and poses that are not right, is
+        learnt after them, and makes new views worse.
         """
         c = self.config
-        slower = 1 / (1 + step / slowdown)
-        if c.epochs == 0:
-            return slower
-        rounds = max(0, step - self.schedule.levels[-1].begin) * c.rays / self.pixels
-        return slower / (1 + min(rounds / c.epochs, MOST_EPOCHS) ** 2)
+        steps, a_round = max(0, step - self.schedule.levels[-1].begin), self.pixels / c.rays
+        falls = falls_density = 1.0
+        if c.epochs > 0:
+            falls = falls_density = 1 + min(steps / a_round / c.epochs, MOST_EPOCHS) ** 2
+        if c.epochs_density > 0:
+            falls_density = 1 + min(steps / max(a_round, FEWEST) / c.epochs_density, 1e6) ** 2  # 1e6: no overflow
+        return 1 / (1 + step / c.slowdown) / falls, 1 / (1 + step / c.slowdown_density) / falls_density
 
     @cached_property
     def sparse_depths(self) -> SparseDepths:

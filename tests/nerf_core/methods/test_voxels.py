@@ -102,6 +102,7 @@ def test_a_room_has_constants_of_its_own(scene: Scene) -> None:
     set_by_hand = VoxelConfig.configure(around(scene.reposed(turned)), "auto", {"distortion": "0"}, CPU)
     assert set_by_hand.distortion == 0
     assert (place.slope, room.slope) == (1, 1)
+    assert (place.epochs_density, room.epochs_density, room.epochs) == (1.5, 0, 12)
     assert (place.turn, room.turn, place.harden, room.harden) == (0, 0, 0, 0)
 
 
@@ -126,7 +127,7 @@ def test_density_learns_slowly_of_few_photos(scene: Scene) -> None:
     assert VoxelConfig.configure(scene, "auto", {"rate_density": "3"}, CPU).rate_density == 3
     few, enough = (VoxelConfig.configure(around(s), "auto", {}, CPU) for s in (scene, many))
     assert (few.rate_density, few.slowdown_density) == (0.2, few.slowdown)
-    assert enough == replace(few, rate_density=1, slowdown_density=60)
+    assert enough == replace(few, rate_density=1, slowdown_density=60, epochs=5, epochs_density=1.5)
     for count, expected in (FEW_OF_PLACE - 1, few), (FEW_OF_PLACE, enough):
         assert VoxelConfig.configure(around(of_many_photos(scene, count)), "auto", {}, CPU) == expected
 
@@ -627,15 +628,21 @@ def test_rates_fall_with_every_step_and_adam_goes_on_from_level_to_level(
         assert adam.least_square == c.least_square > 0
 
 
-@pytest.mark.parametrize("epochs", [2.0, 1e-200])
+@pytest.mark.parametrize(
+    ("epochs", "epochs_density", "rays"),
+    [(2.0, 0.0, 100), (0.0, 0.1, 100), (2.0, 0.01, 2), (1e-200, 1e-200, 100)],  # of 2 rays, a round takes 70 steps
+)
 def test_rates_fall_faster_after_rounds_through_the_photos(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch, epochs: float
+    scene: Scene, monkeypatch: pytest.MonkeyPatch, epochs: float, epochs_density: float, rays: int
 ) -> None:
     first, other = scene.trained(2)
     size = (scene.views[first].camera.height, scene.views[first].camera.width)
     half = np.arange(math.prod(size)).reshape(size) % 2 == 0  # every second pixel of one photo is masked
     masked = replace(around(scene), photos=scene.photos.masked({first: half}))
-    trainer = run(masked, 0, slowdown=5, slowdown_density=7, epochs=epochs, train_images=2, rays=100, level_steps=2)
+    trainer = run(
+        masked, 0, slowdown=5, slowdown_density=7, epochs=epochs, epochs_density=epochs_density, train_images=2,
+        rays=rays, level_steps=2,
+    )  # fmt: skip
     method, rates = voxels_of(trainer), []
     update = method.kernels.update
     monkeypatch.setattr(method.kernels, "update", lambda *given: (rates.append(given[-1][:4]), update(*given)))
@@ -644,20 +651,25 @@ def test_rates_fall_faster_after_rounds_through_the_photos(
         trainer.step()
     c = method.config
     assert first != other
-    assert 3 * 100 / (half.sum() + half.size) < 2 * 2.0  # the rates of 2 epochs have not fallen to the end
+    a_round = int(half.sum() + half.size) / rays
+    assert 3 / a_round < 2 * 2.0  # the rates of 2 epochs have not fallen to the end
+    assert (a_round > 70) == (rays == 2)
     assert 0 < begin < len(rates) == begin + 4
     for step, found in enumerate(rates):
-        rounds = max(0, step - begin) * 100 / int(half.sum() + half.size) / epochs
+        steps = max(0, step - begin)
+        falls = density = 1 + min(steps / a_round / epochs, 2) ** 2 if epochs else 1.0
+        if epochs_density:
+            density = 1 + min(steps / max(a_round, 70) / epochs_density, 1e6) ** 2
         given = np.array([c.rate_color, c.rate_view, c.rate_gloss, c.rate_density])
         slower = 1 + step / np.array([5, 5, 5, 7])
-        np.testing.assert_allclose(found, given / slower / (1 + min(rounds, 2) ** 2))
+        np.testing.assert_allclose(found, given / slower / [falls, falls, falls, density])
 
 
 def test_a_run_of_an_earlier_version_keeps_its_rates(scene: Scene) -> None:
     today = VoxelConfig.configure(around(scene), "auto", {}, CPU)
     assert today.epochs > 0
-    known = {k: v for k, v in today.to_json().items() if k != "epochs"}
-    assert VoxelConfig.restore(known) == replace(today, epochs=0)
+    known = {k: v for k, v in today.to_json().items() if k not in ("epochs", "epochs_density")}
+    assert VoxelConfig.restore(known) == replace(today, epochs=0, epochs_density=0)
     of_object = VoxelConfig.configure(of_many_photos(scene), "auto", {"slowdown": "123"}, CPU)
     assert of_object.least_square > 0
     known = {k: v for k, v in of_object.to_json().items() if k != "least_square"} | {"rate_color": 0.2}
