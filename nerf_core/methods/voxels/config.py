@@ -208,16 +208,15 @@ def by_kind(scene: Scene, photos: int) -> VoxelConfig:
         rate_color=0.2, rate_view=0.06, rate_gloss=0.04, rate_density=1, slowdown=500, slowdown_density=60,
         keep_square=0.999, least_square=0, smoothness=3e-5, smoothness_color=0, slope=1, turn=0, harden=0,
         distortion=0.01, reach=4, distortion_before=0.3, spare_error=0.5, beside=1e-7, step=1.0, resolution=400,
-        most_rows=3_000_000, most_rays=12288, wait=0, epochs=5, epochs_density=1.5,
+        most_rows=3_000_000, most_rays=12288, wait=0, epochs=12,
     )  # fmt: skip
     if scene.from_inside:  # walls would be fog: each part of them is seen by few photos, from about one side
         return replace(
-            place, rate_gloss=0.01, rate_density=0.45, slowdown_density=500, distortion=0.1, smoothness_color=3e-5,
-            epochs=12, epochs_density=0,
-        )  # fmt: skip
+            place, rate_gloss=0.01, rate_density=0.45, slowdown_density=500, distortion=0.1, smoothness_color=3e-5
+        )
     if photos < FEW_OF_PLACE:
-        return replace(place, rate_density=0.2, slowdown_density=500, epochs=12, epochs_density=0)
-    return place
+        return replace(place, rate_density=0.2, slowdown_density=500)
+    return replace(place, epochs=5, epochs_density=1.5)
 
 
 def pixels_along(scene: Scene) -> float:

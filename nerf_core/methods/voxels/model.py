@@ -65,7 +65,7 @@ DOUBT = 2.0  # a ray with more than so many times the mean error is doubtful: se
 MEMORY = 0.95  # decay of the mean error, per step
 DEPTH_SHARE = 16  # so many times fewer rays than a step's go to sparse points: few know more than thousands of pixels
 MOST_EPOCHS = 2.0  # rounds beyond so many `epochs` slow no further: photos that agree have more to teach
-FEWEST = 70  # steps of a round for `epochs_density`: with fewer, density has no time to fit the finest cells
+SHORTEST_ROUND = 70  # steps that a round counts for `epochs_density`: few small photos are soon gone through
 YOUNG = 4.0  # early on, at step k, average only the last k/YOUNG steps: older rows are outdated
 
 
@@ -183,7 +183,8 @@ class VoxelModel(Defaults):
         if c.epochs > 0:
             falls = falls_density = 1 + min(steps / a_round / c.epochs, MOST_EPOCHS) ** 2
         if c.epochs_density > 0:
-            falls_density = 1 + min(steps / max(a_round, FEWEST) / c.epochs_density, 1e6) ** 2  # 1e6: no overflow
+            rounds = steps / max(a_round, SHORTEST_ROUND)
+            falls_density = 1 + min(rounds / c.epochs_density, 1e6) ** 2  # 1e6: no overflow
         return 1 / (1 + step / c.slowdown) / falls, 1 / (1 + step / c.slowdown_density) / falls_density
 
     @cached_property
