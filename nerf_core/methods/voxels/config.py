@@ -75,7 +75,7 @@ class VoxelConfig:
         40.0, marked("the rate of density falls as 1 / (1 + step / slowdown_density)"), least=1
     )
     epochs: float = constant(
-        0.0,
+        20.0,
         marked(
             "rates also fall as 1 / (1 + (n/epochs)²), to a fifth at most; n: finest level's steps · rays / training "
             "pixels; 0: never"
@@ -196,7 +196,9 @@ def by_kind(scene: Scene, photos: int) -> VoxelConfig:
     """Return the constants for an object, an object in large photos, a room, or another place, and so many photos."""
     if scene.synthetic:
         # slopes count, so that surfaces stay soft, and their smoothness is weak
-        soft = VoxelConfig(smoothness=2.5e-6, smoothness_color=3e-7, slope=1, turn=0, harden=0, reach=4)
+        soft = VoxelConfig(
+            smoothness=2.5e-6, smoothness_color=3e-7, slope=1, turn=0, harden=0, reach=4, epochs=0
+        )  # fmt: skip
         if pixels_along(scene) > MANY_PIXELS:
             return replace(
                 soft, rate_color=0.2, rate_view=0.12, rate_gloss=0.02, rate_density=0.45, slowdown=500,

@@ -123,6 +123,7 @@ def test_density_learns_slowly_of_few_photos(scene: Scene) -> None:
         assert config.reach > VoxelConfig().reach
         assert (config.smoothness, config.smoothness_color, config.slope, config.turn) == (2.5e-6, 3e-7, 1, 0)
         assert config.harden == 0
+        assert config.epochs == 0 < VoxelConfig().epochs
         assert config.rate_color == VoxelConfig().rate_color
     assert VoxelConfig.configure(scene, "auto", {"rate_density": "3"}, CPU).rate_density == 3
     few, enough = (VoxelConfig.configure(around(s), "auto", {}, CPU) for s in (scene, many))
