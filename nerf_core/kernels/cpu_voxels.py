@@ -117,10 +117,9 @@ class CpuVoxels:
             first, last = split(len(rays), self.shards, s)
             sums[s] = loops.gradients(
                 arrays, given, colors, first, last, np.float32(how.step), np.float32(how.bias), rows, background,
-                scratch[s], pixel, self._gradient[s], self._touched[s], self._doubtful[s], np.float32(how.doubtful),
-                np.float32(how.smoothness), np.float32(how.smoothness_color), np.float32(how.slope),
-                np.float32(how.turn), np.float32(how.distortion), np.float32(how.reach), np.float32(how.unit),
-                how.folded,
+                scratch[s], pixel, self._gradient[s], self._touched[s], np.float32(how.smoothness),
+                np.float32(how.smoothness_color), np.float32(how.slope), np.float32(how.turn),
+                np.float32(how.distortion), np.float32(how.reach), np.float32(how.unit), how.folded,
             )  # fmt: skip
 
         each_shard(self.shards, work)
@@ -144,7 +143,7 @@ class CpuVoxels:
     def forget(self) -> None:
         self._grid: VoxelGrid | None = None  # the grid that the buffers below have the size of
         self._gradient = np.zeros((self.shards, 0), np.float32)
-        self._touched, self._doubtful = (np.zeros((self.shards, 0), np.uint64) for _ in range(2))  # a bit a row
+        self._touched = np.zeros((self.shards, 0), np.uint64)  # a bit a row
         self._marks = np.zeros((self.shards, 0), np.uint8)
 
     def gradient(self, grid: VoxelGrid) -> Tensor:
@@ -181,10 +180,7 @@ class CpuVoxels:
 
         def work(s: int) -> None:
             first, last = split(self._touched.shape[1], self.shards, s)
-            loops.adam(
-                first, last, rows, slots, emas, self._gradient, self._touched, self._doubtful,
-                *(np.float32(v) for v in adam),
-            )  # fmt: skip
+            loops.adam(first, last, rows, slots, emas, self._gradient, self._touched, *(np.float32(v) for v in adam))
 
         each_shard(self.shards, work)
 
@@ -197,12 +193,10 @@ class CpuVoxels:
             if self._touched.any():
                 self._gradient[:] = 0
                 self._touched[:] = 0
-                self._doubtful[:] = 0
         else:
             self.forget()  # first, to free the memory, and in case that there is not enough below
             gradient = torch.zeros(self.shards, len(grid.rows) * WIDTH).numpy()
-            words = self.shards, -(-len(grid.rows) // 64)
-            self._touched, self._doubtful = np.zeros(words, np.uint64), np.zeros(words, np.uint64)
+            self._touched = np.zeros((self.shards, -(-len(grid.rows) // 64)), np.uint64)
             self._marks = np.zeros((self.shards, len(grid.rows)), np.uint8)
             self._gradient = gradient
         self._grid = grid

@@ -36,6 +36,7 @@ F = np.float32
 # The values of `nerf_core.volume`, written out: compiled loops are cached, and the cache's key contains only files with
 # loops, so that a change elsewhere would not be compiled.
 STOP = F(1e-3)  # that of `compositing`
+CLEAR, CALM = F(0.1), F(2.5e-9)  # those of `voxel_kernels`
 SH0, SH1 = F(0.28209479), F(0.48860251)  # those of `voxel_grid`
 CHUNK = 16  # samples that are found and evaluated together
 # Where `values` holds what; the first 48, and the 16 from SLOPES on, are those of `gradients`.
@@ -240,8 +241,8 @@ def note_rows(bits: Any, corners: Any, at: Any) -> None:
 @jit
 def gradients(
     grid: Any, rays: Any, truth: Any, first: Any, last: Any, step: Any, bias: Any, rows: Any, background: Any,
-    scratch: Any, pixel: Any, gradient: Any, touched: Any, doubtful: Any, doubtful_error: Any, smoothness: Any,
-    smoothness_color: Any, slope: Any, turn: Any, distortion: Any, reach: Any, unit: Any, folded: Any,
+    scratch: Any, pixel: Any, gradient: Any, touched: Any, smoothness: Any, smoothness_color: Any,
+    slope: Any, turn: Any, distortion: Any, reach: Any, unit: Any, folded: Any,
 ) -> Any:  # fmt: skip
     """Add ∂(½ Σ squared error + smoothness + turn + distortion)/∂rows of rays first ≤ r < last to `gradient`.
 
@@ -264,8 +265,7 @@ def gradients(
         n = sample(grid, rays, r, step, bias, rows, background, scratch, gradient, True, pixel)
         samples += n
         er, eg, eb = pixel[r, 0] - truth[r, 0], pixel[r, 1] - truth[r, 1], pixel[r, 2] - truth[r, 2]
-        square = er * er + eg * eg + eb * eb
-        error += square
+        error += er * er + eg * eg + eb * eb
         behind = (F(1) - pixel[r, 3]) * (background[0] * er + background[1] * eg + background[2] * eb)
         if distortion > 0:
             _distort(notes, n, distortion, reach, unit, folded)
@@ -297,24 +297,23 @@ def gradients(
                     add_turn(gradient, corners, at, turn, front, behind_rise)
                 behind_rise = front
             note_rows(touched, corners, at)
-            if square > doubtful_error:
-                note_rows(doubtful, corners, at)
     return error, samples
 
 
 @inlined
-def _hardening(rate: Any, doubtful: Any, raw: Any) -> Any:
+def _hardening(rate: Any, square: Any, raw: Any) -> Any:
     """How much the raw density `raw`, with the bias, rises; see `Adam`."""
-    if rate > 0 and doubtful == 0:
-        return rate / (F(1) + math.exp(-raw))  # 1 − e^−softplus(x) is the sigmoid
+    if rate > 0:
+        opacity = F(1) / (F(1) + math.exp(-raw))  # 1 − e^−softplus(x) is the sigmoid
+        return rate * (opacity - CLEAR) * CALM / (CALM + square)
     return F(0)
 
 
 @jit
 def adam(
-    first: Any, last: Any, rows: Any, moments: Any, ema: Any, gradient: Any, touched: Any, doubtful: Any,
-    rate_color: Any, rate_view: Any, rate_gloss: Any, rate_density: Any, beta2: Any, correction2: Any, epsilon: Any,
-    least_square: Any, ema_rate: Any, harden: Any, bias: Any,
+    first: Any, last: Any, rows: Any, moments: Any, ema: Any, gradient: Any, touched: Any, rate_color: Any,
+    rate_view: Any, rate_gloss: Any, rate_density: Any, beta2: Any, correction2: Any, epsilon: Any, least_square: Any,
+    ema_rate: Any, harden: Any, bias: Any,
 ) -> None:  # fmt: skip
     """One step of Adam without first moments on the touched rows 64 first ≤ r < 64 last, and of the rows' EMA.
 
@@ -323,11 +322,10 @@ def adam(
     """
     shards = touched.shape[0]
     for b in range(first, last):
-        mask, doubts = np.uint64(0), np.uint64(0)
+        mask = np.uint64(0)
         for s in range(shards):
             mask |= touched[s, b]
-            doubts |= doubtful[s, b]
-            touched[s, b] = doubtful[s, b] = 0
+            touched[s, b] = 0
         if mask == 0:
             continue
         for q in range(64):
@@ -352,7 +350,7 @@ def adam(
             for c in range(12):
                 p[c] -= (rate_view if c & 3 else rate_color) * whole * g[c]  # the first of four is of degree 0
             p[12] -= rate_density / (math.sqrt(max(square[1] * correction2, least_square * density)) + epsilon) * g[12]
-            p[12] += _hardening(harden * rate_density, (doubts >> np.uint64(q)) & np.uint64(1), p[12] + bias)
+            p[12] += _hardening(harden * rate_density, square[1] * correction2, p[12] + bias)
             by_gloss = rate_gloss / (math.sqrt(max(square[2] * correction2, least_square * gloss)) + epsilon)
             for c in range(13, 16):
                 p[c] -= by_gloss * g[c]

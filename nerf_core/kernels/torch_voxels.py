@@ -13,7 +13,7 @@ from torch.nn import functional
 
 from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels.torch_march import march
-from nerf_core.kernels.voxel_kernels import FLAT, HALVINGS, OUTLIER, TURN_RAYS, Adam, March, Traced
+from nerf_core.kernels.voxel_kernels import CALM, CLEAR, FLAT, HALVINGS, OUTLIER, TURN_RAYS, Adam, March, Traced
 from nerf_core.volume.compositing import STOP
 from nerf_core.volume.voxel_grid import DENSITY, GLOSS, PARTS, WIDTH, VoxelGrid, colors_of
 
@@ -125,9 +125,8 @@ class TorchVoxels:
         if self._of is not grid.rows:
             self._of = grid.rows
             self._gradient = torch.zeros_like(grid.rows)
-            self._touched, self._doubtful, self._marks = (
-                torch.zeros(len(grid.rows), dtype=kind, device=grid.rows.device)
-                for kind in (torch.bool, torch.bool, torch.uint8)
+            self._touched, self._marks = (
+                torch.zeros(len(grid.rows), dtype=kind, device=grid.rows.device) for kind in (torch.bool, torch.uint8)
             )
 
     def _composited(self, rows: Tensor, grid: VoxelGrid, rays: BoxRays, how: March) -> tuple[VoxelSamples, Composited]:
@@ -178,8 +177,7 @@ class TorchVoxels:
         self._fit(grid)
         rows = grid.rows.detach().requires_grad_()
         samples, done = self._composited(rows, grid, rays, how)
-        squares = (done.pixel[:, :3] - truth).square().sum(-1)
-        squared = squares.sum()
+        squared = (done.pixel[:, :3] - truth).square().sum()
         corner = samples.rows[done.used]
         values = rows[corner]
         sides = _sides(values)
@@ -192,7 +190,6 @@ class TorchVoxels:
         if how.distortion > 0:
             loss = loss + how.distortion * _distortion(samples, done, how, len(rays))
         self._add(loss, rows, corner)
-        self._doubtful[corner[squares[samples.ray[done.used]] > how.doubtful].flatten()] = True
         return float(squared.detach()), int(done.used.sum())
 
     def accumulate_depths(self, grid: VoxelGrid, rays: BoxRays, t: Tensor, how: March) -> None:
@@ -211,7 +208,7 @@ class TorchVoxels:
 
     def forget(self) -> None:
         self._of: Tensor | None = None  # the rows that the tensors below have the size of
-        self._gradient = self._touched = self._doubtful = self._marks = torch.empty(0)
+        self._gradient = self._touched = self._marks = torch.empty(0)
 
     def gradient(self, grid: VoxelGrid) -> Tensor:
         self._fit(grid)
@@ -254,8 +251,8 @@ class TorchVoxels:
         square = torch.cat([square[:, k : k + 1].expand(g[:, part].shape) for k, part in enumerate(PARTS)], -1)
         grid.rows[i] = p - rates * g / (square.sqrt() + adam.epsilon)
         if adam.harden > 0:
-            j = (self._touched & ~self._doubtful).nonzero()[:, 0]
-            opacity = torch.sigmoid(grid.rows[j, DENSITY] + adam.bias)  # 1 − e^−softplus(x) is the sigmoid
-            grid.rows[j, DENSITY] += adam.harden * adam.rate_density * opacity
+            opacity = torch.sigmoid(grid.rows[i, DENSITY] + adam.bias)  # 1 − e^−softplus(x) is the sigmoid
+            left = CALM / (CALM + moments[i, 1] * adam.correction2)
+            grid.rows[i, DENSITY] += adam.harden * adam.rate_density * (opacity - CLEAR) * left
         ema[i] += adam.ema_rate * (grid.rows[i] - ema[i])
         self.forget()

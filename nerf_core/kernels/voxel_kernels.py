@@ -18,6 +18,8 @@ OUTLIER = 0.02
 MOST_SHARDS = 16  # on a CPU: each shard has its own gradients, 64 bytes a row
 TURN_RAYS = 4  # one ray of so many counts in `turn` of `March`: it keeps a step from taking a fifth longer
 FLAT = 1e-12  # added to |g + g′|² of `March`: it is 0 in a new grid, and rounding of densities near 1 leaves more
+CLEAR = 0.1  # of `harden` of `Adam`: what lies before a surface is clearer than this, what lies in it is not
+CALM = 2.5e-9  # of `harden`: between what v is at outlines and at fine detail, and what it is within smooth surfaces
 HALVINGS = 24  # float32 tells weights down to 2⁻²⁴ from 0 beside 1
 
 
@@ -44,7 +46,6 @@ class March:
     reach: over 0; only pairs with |s_i − s_j| < reach count, unlike in Eq. 15. So what makes one surface is drawn
         together, and two surfaces that a ray meets are not.
     depth: weight of the loss of `VoxelKernels.accumulate_depths`.
-    doubtful: rows that a ray with a larger squared error meets do not harden in the next update; see `Adam`.
     """
 
     step: float
@@ -60,7 +61,6 @@ class March:
     unit: float = 1.0
     folded: bool = False
     depth: float = 0.0
-    doubtful: float = math.inf
 
 
 class Adam(NamedTuple):
@@ -76,9 +76,10 @@ class Adam(NamedTuple):
         gradient is; 0: any step. Else one that comes once would move a row by up to rate / √(1 − β₂). Adafactor's
         update clipping (arXiv:1804.04235) bounds the steps of whole tensors likewise.
     ema_rate: the EMA of the rows becomes ema + ema_rate · (row − ema).
-    harden: raw density s also rises by harden · rate_density · (1 − e^−σ), where σ = softplus(s + bias), so that
-        1 − e^−σ is the opacity of a cell's length. Rows that a doubtful ray met since the last update are left out;
-        see `March`.
+    harden: raw density s also rises by harden · rate_density · (1 − e^−σ − CLEAR) · CALM / (CALM + v · correction2).
+        σ = softplus(s + bias), so that 1 − e^−σ is the opacity of a cell's length, and v is that of density. What is
+        clearer than CLEAR becomes clearer still. Where v is large, photos pull at the density this way and that, and it
+        is left to them.
     bias: that of `March`.
     """
 

@@ -111,8 +111,8 @@ class VoxelConfig:
         most=10**6,
     )
     harden: float = constant(
-        0.13,
-        marked("opaque density also rises by this share of its rate, in the last level where errors are small; 0: off"),
+        0.6,
+        marked("raw density is also drawn to opaque or clear, by this share of its rate, in the last level; 0: off"),
         most=10**3,
     )
     distortion: float = constant(

@@ -61,7 +61,6 @@ PIXELS_A_VERTEX = 4
 # A step takes time for its rays, and for Adam over the rows that they touch. On a large grid the rays are the smaller
 # part, and in more of them noise averages out.
 ROWS_A_RAY = 33
-DOUBT = 2.0  # a ray with more than so many times the mean error is doubtful: see `harden`
 MEMORY = 0.95  # decay of the mean error, per step
 DEPTH_SHARE = 16  # so many times fewer rays than a step's go to sparse points: few know more than thousands of pixels
 MOST_EPOCHS = 2.0  # rounds beyond so many `epochs` slow no further: photos that agree have more to teach
@@ -215,7 +214,7 @@ class VoxelModel(Defaults):
         return replace(
             self._march(offsets), smoothness=c.smoothness, smoothness_color=c.smoothness_color, slope=c.slope,
             turn=turn, distortion=distortion, reach=c.reach, unit=unit, folded=kind == "contracted",
-            depth=c.depth_weight, doubtful=3 * DOUBT * self.mean_error if self._harden > 0 else math.inf,
+            depth=c.depth_weight,
         )  # fmt: skip
 
     # ---- coarse to fine ---------------------------------------------------------------------------------------------

@@ -381,28 +381,16 @@ def test_distortion_grows_from_level_to_level_and_turns_count_in_the_last(scene:
     assert all(a == b / 2 for a, b in pairwise(weights))
 
 
-def test_density_hardens_in_the_last_level_where_rays_have_small_errors(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_density_hardens_in_the_last_level(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     trainer = run(scene, 0, harden=0.6)
     method, seen = voxels_of(trainer), []
-    update, accumulate = method.kernels.update, method.kernels.accumulate
-    marches: list[March] = []
-
-    def noted(*given: Any) -> Any:
-        marches.append(given[-1])
-        return accumulate(*given)
-
-    monkeypatch.setattr(method.kernels, "accumulate", noted)
+    update = method.kernels.update
     monkeypatch.setattr(method.kernels, "update", lambda *given: (seen.append(given[-1]), update(*given)))
     begin = method.schedule.levels[-1].begin
     for step in range(begin + 2):
-        error = method.mean_error
         trainer.step()
-        doubtful = 3 * voxel_model.DOUBT * error  # of three channels
-        assert marches[-1].doubtful == (doubtful if step >= begin else math.inf)
         assert seen[-1].harden == (0.6 if step >= begin else 0)
-        assert seen[-1].bias == marches[-1].bias == method.config.bias
+        assert seen[-1].bias == method.config.bias
     assert begin > 0
 
 
