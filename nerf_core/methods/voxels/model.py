@@ -64,6 +64,7 @@ ROWS_A_RAY = 33
 MEMORY = 0.95  # decay of the mean error, per step
 DEPTH_SHARE = 16  # so many times fewer rays than a step's go to sparse points: few know more than thousands of pixels
 MOST_EPOCHS = 2.0  # rounds beyond so many `epochs` slow no further: photos that agree have more to teach
+HARDENING_ROUNDS = 8  # after so many rounds density hardens half as fast
 SHORTEST_ROUND = 70  # steps that a round counts for `epochs_density`: few small photos are soon gone through
 YOUNG = 4.0  # early on, at step k, average only the last k/YOUNG steps: older rows are outdated
 
@@ -157,7 +158,7 @@ class VoxelModel(Defaults):
             Adam(
                 c.rate_color * slower, c.rate_view * slower, c.rate_gloss * slower,
                 c.rate_density * slower_density,
-                c.keep_square, correction2, c.epsilon, c.least_square, ema_rate, self._harden, c.bias,
+                c.keep_square, correction2, c.epsilon, c.least_square, ema_rate, self._harden(step), c.bias,
             ),
         )  # fmt: skip
         if fewer is not None:
@@ -176,13 +177,12 @@ class VoxelModel(Defaults):
         they look. What photos contradict each other in, such as shadows that move and poses that are not right, is
         learnt after them, and makes new views worse.
         """
-        c = self.config
-        steps, a_round = max(0, step - self.schedule.levels[-1].begin), self.pixels / c.rays
+        c, rounds = self.config, self._rounds(step)
         falls = falls_density = 1.0
         if c.epochs > 0:
-            falls = falls_density = 1 + min(steps / a_round / c.epochs, MOST_EPOCHS) ** 2
+            falls = falls_density = 1 + min(rounds / c.epochs, MOST_EPOCHS) ** 2
         if c.epochs_density > 0:
-            rounds = steps / max(a_round, SHORTEST_ROUND)
+            rounds = min(rounds, self._last_steps(step) / SHORTEST_ROUND)
             falls_density = 1 + min(rounds / c.epochs_density, 1e6) ** 2  # 1e6: no overflow
         return 1 / (1 + step / c.slowdown) / falls, 1 / (1 + step / c.slowdown_density) / falls_density
 
@@ -196,10 +196,23 @@ class VoxelModel(Defaults):
         """The grid that pictures show: the EMA of the rows."""
         return replace(self.grid, rows=self.ema_rows)
 
-    @property
-    def _harden(self) -> float:
-        """Only the last level hardens: what is opaque in large cells may be wrong, and stays so."""
-        return self.config.harden if self.level == len(self.schedule.levels) - 1 else 0.0
+    def _last_steps(self, step: int) -> int:
+        """How many steps of the finest level come before a step."""
+        return max(0, step - self.schedule.levels[-1].begin)
+
+    def _rounds(self, step: int) -> float:
+        """How many rounds through the training pixels these are, of `rays` a step."""
+        return self._last_steps(step) * self.config.rays / self.pixels
+
+    def _harden(self, step: int) -> float:
+        """How much density hardens in a step.
+
+        Only in the last level: what is opaque in large cells may be wrong, and stays so. Less and less with rounds
+        through the photos: pictures lose by it to the end, and depth gains most at first.
+        """
+        if self.level < len(self.schedule.levels) - 1:
+            return 0.0
+        return self.config.harden / (1 + min(self._rounds(step) / HARDENING_ROUNDS, 1e6) ** 2)  # 1e6: no overflow
 
     def _march(self, offsets: Tensor) -> March:
         return March(self.config.step, self.config.bias, self.background, offsets)

@@ -386,12 +386,16 @@ def test_density_hardens_in_the_last_level(scene: Scene, monkeypatch: pytest.Mon
     method, seen = voxels_of(trainer), []
     update = method.kernels.update
     monkeypatch.setattr(method.kernels, "update", lambda *given: (seen.append(given[-1]), update(*given)))
+    monkeypatch.setattr(voxel_model, "HARDENING_ROUNDS", 0.01)
     begin = method.schedule.levels[-1].begin
     for step in range(begin + 2):
         trainer.step()
-        assert seen[-1].harden == (0.6 if step >= begin else 0)
+        rounds = max(0, step - begin) * method.config.rays / method.pixels
+        falls = 1 + (rounds / voxel_model.HARDENING_ROUNDS) ** 2
+        assert seen[-1].harden == pytest.approx(0.6 / falls if step >= begin else 0)
         assert seen[-1].bias == method.config.bias
     assert begin > 0
+    assert falls > 1.01
 
 
 def test_a_small_grid_asks_fewer_pixels_but_not_too_few(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
