@@ -388,6 +388,7 @@ def test_density_hardens_in_the_last_level(scene: Scene, monkeypatch: pytest.Mon
     monkeypatch.setattr(method.kernels, "update", lambda *given: (seen.append(given[-1]), update(*given)))
     monkeypatch.setattr(voxel_model, "HARDENING_ROUNDS", 0.01)
     begin = method.schedule.levels[-1].begin
+    falls = 0.0
     for step in range(begin + 2):
         trainer.step()
         rounds = max(0, step - begin) * method.config.rays / method.pixels
