@@ -212,7 +212,7 @@ class VoxelModel(Defaults):
         """
         if self.level < len(self.schedule.levels) - 1:
             return 0.0
-        return self.config.harden / (1 + min(self._rounds(step) / HARDENING_ROUNDS, 1e6) ** 2)  # 1e6: no overflow
+        return self.config.harden / (1 + (self._rounds(step) / HARDENING_ROUNDS) ** 2)
 
     def _march(self, offsets: Tensor) -> March:
         return March(self.config.step, self.config.bias, self.background, offsets)

@@ -459,7 +459,7 @@ def test_opaque_density_hardens_where_photos_hardly_pull_at_it(make: Make) -> No
     grid = some_grid(False, (6, 2, 1), dense=1.0)
     grid.rows[:, :DENSITY] = 0  # grey
     grid.rows[:, GLOSS] = 0
-    grid.rows[:, DENSITY] = 0.5 * grid.vertices()[:, 0]  # both rays end at one x
+    grid.rows[:, DENSITY] = grid.vertices()[:, 0] - 2.0  # both rays end at one x
     to = torch.tensor([1.0, 0.0, 0.0]).expand(2, 3)
     origins = torch.tensor([[-3.0, -0.7, 0.0], [-3.0, 0.7, 0.0]])
     rays = BoxRays(origins, to, to, torch.zeros(2), torch.full((2,), 9.0))
@@ -483,6 +483,8 @@ def test_opaque_density_hardens_where_photos_hardly_pull_at_it(make: Make) -> No
     opacity = 1 - torch.exp(-torch.nn.functional.softplus(risen[0][:, DENSITY] - 1))
     for rows, share in (right, torch.ones(())), (wrong, CALM / (CALM + squares[wrong])):
         torch.testing.assert_close(added[rows, DENSITY], 0.1 * (opacity[rows] - CLEAR) * share, atol=1e-6, rtol=1e-4)
+    assert (added[right, DENSITY] < 0).any()  # clear, and becomes clearer
+    assert (added[right, DENSITY] > 0).any()
     assert not added[:, :DENSITY].any()
 
 
