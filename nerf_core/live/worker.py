@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nerf_core.common import collector
 from nerf_core.common.errors import UserError
 from nerf_core.common.language import marked, phrase
 from nerf_core.datasets.capture import DATASETS, LoadOptions
@@ -143,10 +144,11 @@ class Worker:
         first run is no longer "loading".
         """
         try:
-            METHODS.names()  # loads them
-            DATASETS.names()
-            STUDIES.names()
-            from nerf_core.live.studies import Studies
+            with collector.imports():
+                METHODS.names()  # loads them
+                DATASETS.names()
+                STUDIES.names()
+                from nerf_core.live.studies import Studies
 
             self._studies = Studies(self._tell)
             self._runs[FIRST_RUN] = self._new_run(FIRST_RUN)

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
+from nerf_core.common import collector
 from nerf_core.common.jit.cache import PACKAGE, cache_folder, sources_digest
 
 SECONDS = 600.0  # ten seconds on a laptop; after this, a machine is so busy that it makes no difference who compiles
@@ -46,7 +47,8 @@ def compile_loops(call_each: Callable[[], None]) -> None:
             mark.touch()
     except (OSError, subprocess.SubprocessError):
         pass  # then the loops are compiled here, below
-    call_each()
+    with collector.imports():  # numba imports its other half for the first loop
+        call_each()
 
 
 def _key() -> str:

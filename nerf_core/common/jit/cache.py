@@ -12,6 +12,8 @@ from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
+from nerf_core.common import collector
+
 PACKAGE = Path(__file__).parents[2]
 IMPORTS_JIT = b"common.jit.vectors import"  # in every file that compiles loops
 ALSO_COMPILED = ("common/jit/vectors.py", "geometry/lens.py")  # by such a file, or themselves
@@ -22,7 +24,8 @@ KEPT_SECONDS = 30 * 24 * 3600.0  # since a version last used its loops
 def numba_obstacle() -> str:
     """Return why numba cannot be used; empty if it can."""
     try:
-        import numba  # noqa: F401
+        with collector.imports():
+            import numba  # noqa: F401
     except ImportError as error:
         return f"numba cannot be imported ({error})"
     return ""

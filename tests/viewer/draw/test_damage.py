@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,23 +11,36 @@ import scripted
 from imgui_bundle import imgui
 
 from viewer.app.app import App
-from viewer.draw.damage import NOTHING, VERTEX, Box, Drawn, Part, damage
+from viewer.draw import damage as damaged
+from viewer.draw.damage import DEAR, INDEX, NOTHING, VERTEX, Box, Drawn, Part, damage
 from viewer.window import Window, open_offscreen, open_window
 
 SIZE = (840, 620)
 
 
+Corners = tuple[float, float, float, float]
+
+
+def window_of(*commands: tuple[Sequence[Corners], int, Box]) -> Drawn:
+    """A window whose commands draw rectangles: their corners, the content of the texture, and the clip rectangle."""
+    vertices = np.zeros(sum(4 * len(rectangles) for rectangles, _, _ in commands), VERTEX)
+    indices, parts, first = list[int](), list[Part](), 0
+    for rectangles, content, clip in commands:
+        parts.append(Part(clip, (1, content, False), len(indices), 6 * len(rectangles)))
+        for left, top, right, bottom in rectangles:
+            vertices["place"][first : first + 4] = [(left, top), (right, top), (right, bottom), (left, bottom)]
+            indices += [first + k for k in (0, 1, 2, 0, 2, 3)]
+            first += 4
+    return Drawn(vertices.tobytes(), np.array(indices, INDEX).tobytes(), tuple(parts))
+
+
 def quad(left: float, top: float, right: float, bottom: float, content: int = 0, clip: Box | None = None) -> Drawn:
-    vertices = np.zeros(4, VERTEX)
-    vertices["place"] = [(left, top), (right, top), (right, bottom), (left, bottom)]
-    indices = np.array([0, 1, 2, 0, 2, 3], f"<u{imgui.INDEX_SIZE}")
-    part = Part(clip or Box(0, 0, 100, 100), (1, content, False), 0, 6)
-    return Drawn(vertices.tobytes(), indices.tobytes(), (part,))
+    return window_of(([(left, top, right, bottom)], content, clip or Box(0, 0, 1000, 1000)))
 
 
 def test_what_moved_is_drawn_where_it_was_and_where_it_is() -> None:
-    still, before, now = quad(0, 0, 10, 10), quad(20, 20, 30, 30), quad(60.5, 60.5, 70.5, 70.5)
-    assert damage([still, before], [still, now]) == [Box(20, 20, 30, 30), Box(60, 60, 71, 71)]
+    still, before, now = quad(0, 0, 10, 10), quad(200, 200, 300, 300), quad(600.5, 600.5, 700.5, 700.5)
+    assert damage([still, before], [still, now]) == [Box(200, 200, 300, 300), Box(600, 600, 701, 701)]
     assert damage([still, now], [still, now]) == []
 
 
@@ -36,14 +49,21 @@ def test_another_content_of_a_texture_is_a_change() -> None:
 
 
 def test_rectangles_that_overlap_are_joined_until_none_does() -> None:
-    apart = [quad(0, 0, 10, 10), quad(20, 0, 30, 10)]
-    assert damage([], apart) == [Box(0, 0, 10, 10), Box(20, 0, 30, 10)]
-    assert damage([], [*apart, quad(8, 2, 22, 4)]) == [Box(0, 0, 30, 10)]
+    apart = [quad(0, 0, 100, 100), quad(200, 0, 300, 100)]
+    assert damage([], apart) == [Box(0, 0, 100, 100), Box(200, 0, 300, 100)]
+    assert damage([], [*apart, quad(80, 20, 220, 40)]) == [Box(0, 0, 300, 100)]
+
+
+def test_rectangles_are_joined_if_that_is_few_more_pixels_than_dear_is_one_more() -> None:
+    side = int((DEAR / 2) ** 0.5)
+    near, far = quad(side, side, 2 * side, 2 * side), quad(2 * side, 2 * side, 3 * side, 3 * side)
+    assert damage([], [quad(0, 0, side, side), near]) == [Box(0, 0, 2 * side, 2 * side)]
+    assert damage([], [quad(0, 0, side, side), far]) == [Box(0, 0, side, side), Box(*(2 * [2 * side] + 2 * [3 * side]))]
 
 
 def test_a_window_that_came_or_went_changes_its_place_alone() -> None:
-    a, b = quad(0, 0, 10, 10), quad(50, 50, 60, 60)
-    assert damage([a], [a, b]) == damage([a, b], [a]) == [Box(50, 50, 60, 60)]
+    a, b = quad(0, 0, 10, 10), quad(500, 500, 600, 600)
+    assert damage([a], [a, b]) == damage([a, b], [a]) == [Box(500, 500, 600, 600)]
 
 
 def test_a_change_outside_the_clip_rectangle_is_none() -> None:
@@ -52,10 +72,84 @@ def test_a_change_outside_the_clip_rectangle_is_none() -> None:
     assert damage([NOTHING], [NOTHING]) == []
 
 
-def test_a_vertex_that_is_not_finite_changes_all_that_its_window_may_draw_to() -> None:
+def test_a_vertex_that_is_not_finite_changes_all_that_its_command_may_draw_to() -> None:
     clip = Box(10, 10, 40, 40)
     odd = quad(float("nan"), 0, 10, 10, clip=clip)
     assert damage([], [odd]) == [clip]
+
+
+SCREEN = Box(0, 0, 1000, 1000)
+FAR = [(100.0 * k, 0.0, 100.0 * k + 10, 10.0) for k in range(8)]
+
+
+def test_of_a_command_the_triangles_alone_that_changed_are_drawn() -> None:
+    moved = [*FAR[:3], (900.0, 700.0, 910.0, 710.0), *FAR[4:]]
+    assert damage([window_of((FAR, 0, SCREEN))], [window_of((moved, 0, SCREEN))]) == [
+        Box(300, 0, 310, 10), Box(900, 700, 910, 710)
+    ]  # fmt: skip
+    digit = [*FAR[:3], (320.0, 0.0, 330.0, 10.0), *FAR[3:]]  # one more: all later vertices have other numbers
+    one, more = window_of((FAR, 0, SCREEN)), window_of((digit, 0, SCREEN))
+    assert damage([one], [more]) == damage([more], [one]) == [Box(320, 0, 330, 10)]
+
+
+def test_of_a_window_the_commands_alone_that_came_are_drawn() -> None:
+    first, last, between = (FAR[:2], 0, SCREEN), (FAR[6:], 0, SCREEN), (FAR[4:5], 1, SCREEN)
+    assert damage([window_of(first, last)], [window_of(first, between, last)]) == [Box(400, 0, 410, 10)]
+
+
+@pytest.mark.parametrize("seed", range(100))
+def test_outside_of_what_changed_two_frames_have_the_same_pixels(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(damaged, "DEAR", 0)
+    rng = np.random.default_rng(seed)
+
+    def rectangles() -> list[Corners]:
+        found = list[Corners]()
+        for _ in range(rng.integers(1, 5)):
+            x, y, wide, high = rng.integers((0, 0, 1, 1), (56, 56, 9, 9)).tolist()
+            found.append((x, y, x + wide, y + high))
+        return found
+
+    def command() -> tuple[list[Corners], int, Box]:
+        x, y = rng.integers(0, 32, 2).tolist()
+        return rectangles(), int(rng.integers(2)), Box(x, y, x + 32, y + 32)
+
+    before = [[command() for _ in range(rng.integers(1, 4))] for _ in range(4)]
+    now = [[(list(some), content, clip) for some, content, clip in window] for window in before]
+    for _ in range(rng.integers(1, 4)):
+        window = now[rng.integers(len(now))]
+        some = window[rng.integers(len(window))][0]
+        match rng.integers(6):
+            case 0:
+                some[rng.integers(len(some))] = rectangles()[0]
+            case 1:
+                some.insert(int(rng.integers(len(some))), rectangles()[0])
+            case 2:
+                some.pop() if len(some) > 1 else None
+            case 3:
+                window.insert(int(rng.integers(len(window))), command())
+            case 4:
+                window.reverse()
+            case _:
+                now.reverse()
+    found = damage([window_of(*one) for one in before], [window_of(*one) for one in now])
+    told = np.zeros((64, 64), int)
+    for box in found:
+        told[box.top : box.bottom, box.left : box.right] += 1
+    assert told.max() <= 1
+    assert not (_painted(before) != _painted(now)).any(-1)[told == 0].any()
+
+
+def _painted(windows: Sequence[Sequence[tuple[list[Corners], int, Box]]]) -> np.ndarray:
+    """Pixels (64, 64, 2) that tell which rectangles were painted over each other there, and in which order."""
+    pixels = np.zeros((64, 64, 2), np.int64)
+    for window in windows:
+        for rectangles, content, clip in window:
+            for left, top, right, bottom in rectangles:
+                box = clip.common(Box(int(left), int(top), int(right), int(bottom)))
+                inside = pixels[box.top : max(box.bottom, box.top), box.left : max(box.right, box.left)]
+                value = hash((left, top, right, bottom, content)) % 1000003
+                inside[...] = (inside * (31, 17) + value) % 1000003
+    return pixels
 
 
 @pytest.fixture(params=["egl", "glfw"])
