@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 import threading
@@ -144,11 +145,16 @@ class Worker:
         first run is no longer "loading".
         """
         try:
-            with collector.imports():
+            loaded = "torch" in sys.modules
+            with collector.paused():
                 METHODS.names()  # loads them
                 DATASETS.names()
                 STUDIES.names()
                 from nerf_core.live.studies import Studies
+            if not loaded:
+                # What was imported lives as long as the process. If the collector looked at it whenever it looks at
+                # everything, the window would have to wait.
+                gc.freeze()
 
             self._studies = Studies(self._tell)
             self._runs[FIRST_RUN] = self._new_run(FIRST_RUN)

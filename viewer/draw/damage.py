@@ -18,7 +18,7 @@ from imgui_bundle import imgui
 VERTEX = np.dtype([("place", "<f4", 2), ("uv", "<f4", 2), ("color", "<u4")])
 assert VERTEX.itemsize == imgui.VERTEX_SIZE
 INDEX = np.dtype(f"<u{imgui.INDEX_SIZE}")
-DEAR = 8192  # pixels: see `_add`. Under the microscope, 0 and 32,768 make frames longer
+DEAR = 8192  # pixels: see `_add`. With 0 or 32,768, frames under the microscope took longer in software GL
 
 
 class Box(NamedTuple):
@@ -64,7 +64,7 @@ class Part(NamedTuple):
 
     box: what it may draw to; not empty.
     texture: the texture's name, then what stands for its content, and whether it is opaque.
-    first, length: of its indices.
+    first, length: of its indices; the length is a multiple of 3, and not 0.
     """
 
     box: Box
@@ -99,7 +99,7 @@ class Command(NamedTuple):
         return len(words) - 1 - indices[::-1], words[::-1]
 
     def around(self, used: np.ndarray | slice = slice(None)) -> Box:
-        """Return a rectangle outside of which triangles between these of its vertices draw nothing."""
+        """Return a rectangle outside of which triangles between some of its vertices, by number, draw nothing."""
         places = self.arrays()[1][used, :2].T.copy().view(np.float32)
         if not places.size:
             return EMPTY
@@ -131,7 +131,7 @@ class Drawn:
         found: list[Command] = []
         for part in self.parts:
             own = indices[part.first : part.first + part.length]
-            first, end = int(own.min()), int(own.max()) + 1  # a command's vertices lie together
+            first, end = int(own.min()), int(own.max()) + 1  # mostly nothing else lies between them
             own, vertices = (own - own.dtype.type(first)).tobytes(), self.vertices[first * size : end * size]
             found.append(Command(part.box, part.texture, self.origin, own, vertices))
         return tuple(found)
@@ -155,11 +155,11 @@ def damage(before: Sequence[Drawn], now: Sequence[Drawn]) -> list[Box]:
 
 def _changed(old: Drawn, new: Drawn) -> list[Box]:
     """Where two frames of a window differ."""
-    left, right = _between(old.commands, new.commands)
-    if len(left) != len(right):
-        return [one.around() for one in (*left, *right)]
+    gone, came = _between(old.commands, new.commands)
+    if len(gone) != len(came):
+        return [one.around() for one in (*gone, *came)]
     found: list[Box] = []
-    for a, b in zip(left, right, strict=True):
+    for a, b in zip(gone, came, strict=True):
         if a != b:
             found += _moved(a, b) if a[:3] == b[:3] else (a.around(), b.around())
     return found
@@ -175,17 +175,17 @@ def _between(old: Sequence[Command], new: Sequence[Command]) -> tuple[Sequence[C
 
 def _moved(old: Command, new: Command) -> tuple[Box, Box]:
     """Where two commands differ that have the same texture and may draw to the same place."""
-    (before, words), (now, new_words) = old.arrays(), new.arrays()
+    (before, words), (now, new_words) = one, other = old.arrays(), new.arrays()
     if old.indices == new.indices:
         differ = (words != new_words).any(1)[before].reshape(-1, 3).any(1).repeat(3)
         return old.around(before[differ]), new.around(now[differ])
-    first = _alike(old.arrays(), new.arrays())
+    first = _alike(one, other)
     last = min(_alike(old.from_the_end(), new.from_the_end()), min(len(before), len(now)) - first)
     return old.around(before[first : len(before) - last]), new.around(now[first : len(now) - last])
 
 
 def _alike(one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray]) -> int:
-    """Return how many of their indices two commands begin with that draw the same whole triangles."""
+    """Return the number of leading indices, of whole triangles, that draw the same in both."""
     (indices, words), (others, other_words) = one, other
     shared = min(len(words), len(other_words))
     vertices = int(np.append((words[:shared] != other_words[:shared]).any(1), True).argmax())

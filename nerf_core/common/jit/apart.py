@@ -47,7 +47,7 @@ def compile_loops(call_each: Callable[[], None]) -> None:
             mark.touch()
     except (OSError, subprocess.SubprocessError):
         pass  # then the loops are compiled here, below
-    with collector.imports():  # numba imports its other half for the first loop
+    with collector.paused():  # numba imports its other half for the first loop
         call_each()
 
 

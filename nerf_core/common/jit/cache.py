@@ -24,7 +24,7 @@ KEPT_SECONDS = 30 * 24 * 3600.0  # since a version last used its loops
 def numba_obstacle() -> str:
     """Return why numba cannot be used; empty if it can."""
     try:
-        with collector.imports():
+        with collector.paused():
             import numba  # noqa: F401
     except ImportError as error:
         return f"numba cannot be imported ({error})"

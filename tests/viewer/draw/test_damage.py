@@ -74,8 +74,8 @@ def test_a_change_outside_the_clip_rectangle_is_none() -> None:
 
 def test_a_vertex_that_is_not_finite_changes_all_that_its_command_may_draw_to() -> None:
     clip = Box(10, 10, 40, 40)
-    odd = quad(float("nan"), 0, 10, 10, clip=clip)
-    assert damage([], [odd]) == [clip]
+    for odd in ("nan", "inf"):
+        assert damage([], [quad(float(odd), 0, 10, 10, clip=clip)]) == [clip]
 
 
 SCREEN = Box(0, 0, 1000, 1000)
@@ -95,6 +95,93 @@ def test_of_a_command_the_triangles_alone_that_changed_are_drawn() -> None:
 def test_of_a_window_the_commands_alone_that_came_are_drawn() -> None:
     first, last, between = (FAR[:2], 0, SCREEN), (FAR[6:], 0, SCREEN), (FAR[4:5], 1, SCREEN)
     assert damage([window_of(first, last)], [window_of(first, between, last)]) == [Box(400, 0, 410, 10)]
+
+
+def test_a_command_that_comes_again_is_drawn_once_more() -> None:
+    first, twice, last = (FAR[:1], 0, SCREEN), (FAR[3:4], 1, SCREEN), (FAR[6:7], 2, SCREEN)
+    one, more = window_of(first, twice, last), window_of(first, twice, twice, last)
+    assert damage([one], [more]) == damage([more], [one]) == [Box(300, 0, 310, 10)]  # it may be translucent
+
+
+def test_the_same_triangles_under_another_clip_rectangle_are_drawn_in_both() -> None:
+    small, large = Box(0, 0, 5, 10), Box(5, 0, 710, 10)
+    assert damage([window_of((FAR, 0, small))], [window_of((FAR, 0, large))]) == [Box(0, 0, 710, 10)]
+
+
+def test_where_three_rectangles_are_joined_none_is_left_that_overlaps(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(damaged, "DEAR", 0)
+    assert damage([], [quad(0, 0, 10, 10), quad(20, 5, 30, 40), quad(5, 30, 22, 35)]) == [Box(0, 0, 30, 40)]
+
+
+Soup = tuple[list[tuple[float, float]], list[tuple[int, int, int]], tuple[float, float]]
+
+
+@pytest.mark.parametrize("seed", range(150))
+def test_outside_of_what_changed_triangles_that_share_vertices_are_the_same(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(damaged, "DEAR", 0)
+    rng = np.random.default_rng(seed)
+
+    def triangle() -> tuple[int, int, int]:
+        a, b, c = rng.integers(0, 8, 3).tolist()
+        return a, b, c
+
+    def place() -> tuple[float, float]:
+        x, y = rng.integers(0, 64, 2).tolist()
+        return float(x), float(y)
+
+    places, triangles, origin = (
+        [place() for _ in range(8)],
+        [(0, 1, 2), (5, 6, 7), *(triangle() for _ in range(3))],
+        (0.0, 0.0),
+    )
+    before: Soup = list(places), list(triangles), origin
+    for _ in range(rng.integers(1, 3)):
+        k = int(rng.integers(len(triangles)))
+        match rng.integers(6):
+            case 0:
+                places[rng.integers(8)] = place()
+            case 1:
+                triangles.insert(k, triangle())
+            case 2:
+                triangles.insert(k, triangles[k])
+            case 3:
+                triangles[k] = triangle()
+            case 4:
+                triangles.pop(k) if len(triangles) > 3 else None
+            case _:
+                origin = float(rng.integers(3)), 1.0
+    now: Soup = places, triangles, origin
+    told = np.zeros((64, 64), int)
+    for box in damage([_drawn(*before)], [_drawn(*now)]):
+        told[box.top : box.bottom, box.left : box.right] += 1
+    assert told.max() <= 1
+    old, new = _triangles(*before), _triangles(*now)
+    for y, x in np.argwhere(told == 0).tolist():
+        assert [t for t, box in old if _inside(box, x, y)] == [t for t, box in new if _inside(box, x, y)]
+
+
+def _drawn(
+    places: list[tuple[float, float]], triangles: list[tuple[int, int, int]], origin: tuple[float, float]
+) -> Drawn:
+    vertices = np.zeros(len(places), VERTEX)
+    vertices["place"] = places
+    indices = np.array(triangles, INDEX).ravel()
+    part = Part(Box(0, 0, 64, 64), (1, 0, False), 0, len(indices))
+    return Drawn(vertices.tobytes(), indices.tobytes(), (part,), origin)
+
+
+def _triangles(
+    places: list[tuple[float, float]], triangles: list[tuple[int, int, int]], origin: tuple[float, float]
+) -> list[tuple[bytes, Box]]:
+    """The triangles as they are on the screen, and a rectangle around each."""
+    corners = [np.array([places[k] for k in one]) - origin for one in triangles]
+    return [(one.tobytes(), Box(*one.min(0).astype(int).tolist(), *one.max(0).astype(int).tolist())) for one in corners]
+
+
+def _inside(box: Box, x: int, y: int) -> bool:
+    return box.left <= x < box.right and box.top <= y < box.bottom
 
 
 @pytest.mark.parametrize("seed", range(100))
@@ -192,7 +279,7 @@ def test_every_frame_is_as_if_it_were_drawn_whole(window: Window) -> None:
             window.poll(0)
             app.frame(force=True)
             dirty = app._renderer.drawn
-            drawn.append(sum((b.right - b.left) * (b.bottom - b.top) for b in dirty) / (SIZE[0] * SIZE[1]))
+            drawn.append(sum(box.area for box in dirty) / (SIZE[0] * SIZE[1]))
             app._renderer.render(imgui.get_draw_data(), window.framebuffer, (surface.x, surface.y, surface.z, 1.0))
             np.testing.assert_array_equal(shown[-1], window.read_pixels(), err_msg=f"frame {k}")
     finally:
