@@ -30,7 +30,11 @@ class Window(Protocol):
     context: moderngl.Context
     framebuffer: moderngl.Framebuffer  # its viewport always covers size()
     has_display: bool
-    keeps: bool  # what was drawn is still in the framebuffer after `swap`
+
+    @property
+    def keeps(self) -> bool:
+        """Whether the framebuffer still has what was in it at the last `swap`. Not after it got a new size."""
+        ...
 
     def size(self) -> tuple[int, int]:
         """Return the framebuffer's width and height; (0, 0) while minimised."""

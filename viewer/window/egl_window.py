@@ -22,7 +22,6 @@ class EglWindow:
     """A `viewer.window.Window` offscreen. Raises UserError if EGL or OpenGL 3.3 is missing."""
 
     has_display = False
-    keeps = True
 
     def __init__(self, size: tuple[int, int], scale: float = 1.0) -> None:
         bind_triton()
@@ -41,6 +40,10 @@ class EglWindow:
         self._closed = False
         self._make_framebuffer(1, 1)  # a framebuffer cannot have the size 0 of a minimised window
         self.resize(*size)
+
+    @property
+    def keeps(self) -> bool:
+        return not self._empty
 
     def size(self) -> tuple[int, int]:
         return self._size
@@ -62,6 +65,7 @@ class EglWindow:
         self._color = self.context.texture((width, height), 4)
         self.framebuffer = self.context.framebuffer([self._color])
         self.framebuffer.use()
+        self._empty = True  # until the first frame is drawn
 
     def _free_framebuffer(self) -> None:
         self.framebuffer.release()
@@ -75,6 +79,7 @@ class EglWindow:
 
     def swap(self) -> None:
         self.context.finish()
+        self._empty = False
 
     def read_pixels(self) -> np.ndarray:
         width, height = self._size

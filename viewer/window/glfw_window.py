@@ -70,13 +70,18 @@ class GlfwWindow:
         except Exception as error:  # moderngl raises plain Exception and ValueError for what the driver lacks
             raise UserError(f"cannot draw: no OpenGL 3.3 ({error}): install {DEBIAN_PACKAGES}") from error
         self.framebuffer = self.context.detect_framebuffer(0)
-        self.keeps = self._keeps()
+        self._emptied = 0  # how many frames from now on may begin with an empty framebuffer
+        self._copies = self._find_out_copies()
         self._connect()
         if self.has_display:
             self._set_icon()
         self._resized()
 
-    def _keeps(self) -> bool:
+    @property
+    def keeps(self) -> bool:
+        return self._copies and not self._emptied
+
+    def _find_out_copies(self) -> bool:
         """Find out by trial whether the framebuffer keeps what was drawn when it is shown.
 
         OpenGL leaves that open. Mesa's software renderers copy it to an X11 window, so it stays. A graphics card mostly
@@ -151,6 +156,9 @@ class GlfwWindow:
         self._scale = max(glfw.get_window_content_scale(self._handle))
         self._came = True
         self.framebuffer.viewport = (0, 0, *self.size())
+        # Mesa makes a new framebuffer when it hears of another size, which can be a frame before or after this, and the
+        # size may be the old one again by then.
+        self._emptied = 2
 
     def _on_key(self, _window: Any, key: int, _scancode: int, action: int, modifiers: int) -> None:
         io = self._io()
@@ -214,6 +222,7 @@ class GlfwWindow:
 
     def swap(self) -> None:
         glfw.swap_buffers(self._handle)
+        self._emptied = max(self._emptied - 1, 0)
 
     def read_pixels(self) -> np.ndarray:
         width, height = self.size()

@@ -252,14 +252,19 @@ def window(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> I
 
 
 def test_every_frame_is_as_if_it_were_drawn_whole(window: Window) -> None:
-    assert window.keeps  # in both, with Mesa's software renderer
     worker = scripted.ScriptedWorker(scripted.make_scene())
     app = App(window, worker)
     drawn: list[float] = []
     try:
         rng = np.random.default_rng(0)
         shown: list[np.ndarray] = []
-        window.swap = lambda: shown.append(window.read_pixels())  # before the frame goes to the screen
+        swap = window.swap
+
+        def show() -> None:
+            shown.append(window.read_pixels())  # before the frame goes to the screen
+            swap()
+
+        window.swap = show
         surface = app.theme.surface
         for k in range(150):
             io = imgui.get_io()
@@ -275,6 +280,12 @@ def test_every_frame_is_as_if_it_were_drawn_whole(window: Window) -> None:
                 app.state.show_panels = False
             if k == 80:
                 app.state.show_panels = True
+            if k in (100, 101, 120):  # to another size and back between two frames
+                for size in ((SIZE[0] - 50, SIZE[1] - 40), SIZE):
+                    window.resize(*size)
+                    while window.size() != size:
+                        window.poll(0.01)
+                assert not window.keeps
             worker.current = replace(worker.current, step=k)
             window.poll(0)
             app.frame(force=True)
@@ -282,6 +293,7 @@ def test_every_frame_is_as_if_it_were_drawn_whole(window: Window) -> None:
             drawn.append(sum(box.area for box in dirty) / (SIZE[0] * SIZE[1]))
             app._renderer.render(imgui.get_draw_data(), window.framebuffer, (surface.x, surface.y, surface.z, 1.0))
             np.testing.assert_array_equal(shown[-1], window.read_pixels(), err_msg=f"frame {k}")
+        assert window.keeps  # in both, with Mesa's software renderer
     finally:
         app.close()
     assert np.median(drawn) < 0.6  # and most frames draw only a part
