@@ -36,7 +36,7 @@ F = np.float32
 # The values of `nerf_core.volume`, written out: compiled loops are cached, and the cache's key contains only files with
 # loops, so that a change elsewhere would not be compiled.
 STOP = F(1e-3)  # that of `compositing`
-CLEAR, CALM = F(0.1), F(2.5e-9)  # those of `voxel_kernels`
+CLEAR, OPAQUE, CALM = F(0.12), F(0.1), F(2.5e-9)  # those of `voxel_kernels`
 SH0, SH1 = F(0.28209479), F(0.48860251)  # those of `voxel_grid`
 CHUNK = 16  # samples that are found and evaluated together
 # Where `values` holds what; the first 48, and the 16 from SLOPES on, are those of `gradients`.
@@ -305,7 +305,8 @@ def _hardening(rate: Any, square: Any, raw: Any) -> Any:
     """How much the raw density `raw`, with the bias, rises; see `Adam`."""
     if rate > 0:
         opacity = F(1) / (F(1) + math.exp(-raw))  # 1 − e^−softplus(x) is the sigmoid
-        return rate * (opacity - CLEAR) * CALM / (CALM + square)
+        left = min(F(1), (F(1) - opacity) / OPAQUE)
+        return rate * (opacity - CLEAR) * left * CALM / (CALM + square)
     return F(0)
 
 

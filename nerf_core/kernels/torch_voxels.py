@@ -13,7 +13,7 @@ from torch.nn import functional
 
 from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels.torch_march import march
-from nerf_core.kernels.voxel_kernels import CALM, CLEAR, FLAT, HALVINGS, OUTLIER, TURN_RAYS, Adam, March, Traced
+from nerf_core.kernels.voxel_kernels import CALM, CLEAR, FLAT, HALVINGS, OPAQUE, OUTLIER, TURN_RAYS, Adam, March, Traced
 from nerf_core.volume.compositing import STOP
 from nerf_core.volume.voxel_grid import DENSITY, GLOSS, PARTS, WIDTH, VoxelGrid, colors_of
 
@@ -252,7 +252,7 @@ class TorchVoxels:
         grid.rows[i] = p - rates * g / (square.sqrt() + adam.epsilon)
         if adam.harden > 0:
             opacity = torch.sigmoid(grid.rows[i, DENSITY] + adam.bias)  # 1 − e^−softplus(x) is the sigmoid
-            left = CALM / (CALM + moments[i, 1] * adam.correction2)
+            left = ((1 - opacity) / OPAQUE).clamp(max=1) * CALM / (CALM + moments[i, 1] * adam.correction2)
             grid.rows[i, DENSITY] += adam.harden * adam.rate_density * (opacity - CLEAR) * left
         ema[i] += adam.ema_rate * (grid.rows[i] - ema[i])
         self.forget()

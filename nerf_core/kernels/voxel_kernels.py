@@ -18,7 +18,8 @@ OUTLIER = 0.02
 MOST_SHARDS = 16  # on a CPU: each shard has its own gradients, 64 bytes a row
 TURN_RAYS = 4  # one ray of so many counts in `turn` of `March`: it keeps a step from taking a fifth longer
 FLAT = 1e-12  # added to |g + g′|² of `March`: it is 0 in a new grid, and rounding of densities near 1 leaves more
-CLEAR = 0.1  # of `harden` of `Adam`: what lies before a surface is clearer than this, what lies in it is not
+CLEAR = 0.12  # of `harden` of `Adam`: what lies before a surface is clearer than this, what lies in it is not
+OPAQUE = 0.1  # of `harden`: a cell that lets less light than this through is opaque, and hardens more slowly
 CALM = 2.5e-9  # of `harden`: between what v is at outlines and at fine detail, and what it is within smooth surfaces
 HALVINGS = 24  # float32 tells weights down to 2⁻²⁴ from 0 beside 1
 
@@ -76,10 +77,12 @@ class Adam(NamedTuple):
         gradient is; 0: any step. Else one that comes once would move a row by up to rate / √(1 − β₂). Adafactor's
         update clipping (arXiv:1804.04235) bounds the steps of whole tensors likewise.
     ema_rate: the EMA of the rows becomes ema + ema_rate · (row − ema).
-    harden: raw density s also rises by harden · rate_density · (1 − e^−σ − CLEAR) · CALM / (CALM + v · correction2).
-        σ = softplus(s + bias), so that 1 − e^−σ is the opacity of a cell's length, and v is that of density. What is
-        clearer than CLEAR becomes clearer still. Where v is large, photos pull at the density this way and that, and it
-        is left to them.
+    harden: raw density s also rises by
+        harden · rate_density · (o − CLEAR) · min(1, (1 − o)/OPAQUE) · CALM / (CALM + v · correction2).
+        o = 1 − e^−σ with σ = softplus(s + bias) is the opacity of a cell's length, and v is that of density. What is
+        clearer than CLEAR becomes clearer still. What is opaque need not become more so: it would push the surface
+        outwards, which lies where densities between the vertices are half opaque. Where v is large, photos pull at the
+        density this way and that, and it is left to them.
     bias: that of `March`.
     """
 

@@ -1,6 +1,6 @@
 """Measure how near the depths of `voxels` come to the truth on a scene of matt boxes, which is known in closed form.
 
-    python tests/benchmarks/boxes.py [--steps 600] [--size 200] [--seed 0] [--set NAME=VALUE …]
+    python tests/benchmarks/boxes.py [--steps 1300] [--size 200] [--seed 0] [--set NAME=VALUE …]
 
 Six boxes with textures, turned at random, stand before a white background. 60 training cameras around them see them.
 Another seed makes another scene. Prints PSNR of the photos of 8 other cameras, and the median error of the pixels'
@@ -89,7 +89,7 @@ def photographed(boxes: Boxes, rng: np.random.Generator, size: int) -> Scene:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=int, default=600)
+    parser.add_argument("--steps", type=int, default=1300)
     parser.add_argument(
         "--size", type=int, default=200, help="pixels along a photo's side; above 246, constants of large photos"
     )

@@ -1,6 +1,6 @@
 """Measure how near a model trained on the demo scene comes to the truth, which is known in closed form.
 
-    python tests/benchmarks/demo_truth.py [--seconds 300 | --steps 1000] [--downscale 2] [--twice] [--set NAME=VALUE …]
+    python tests/benchmarks/demo_truth.py [--seconds 300 | --steps 1000] [--downscale 1] [--twice] [--set NAME=VALUE …]
 
 - Depth: the error of the rendered expected depth, at pixels of the test views that truly see a surface, and its median
   with the sign (bias; positive: too deep).
@@ -191,7 +191,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=300.0, help="seconds of training")
     parser.add_argument("--steps", type=int, default=0, help="instead: steps of training")
-    parser.add_argument("--downscale", type=int, default=2)
+    parser.add_argument("--downscale", type=int, default=1, help="1: the scene's own size")
     parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="constants of the method")
     parser.add_argument("--method", default="auto")
     parser.add_argument(

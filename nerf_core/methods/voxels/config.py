@@ -106,12 +106,12 @@ class VoxelConfig:
         most=1,
     )
     turn: float = constant(
-        8e-5,
+        1e-4,
         marked("weight in the loss of how normals turn between neighbouring cells, in the last level; 0: off"),
         most=10**6,
     )
     harden: float = constant(
-        0.6,
+        1.4,
         marked("raw density is also drawn to opaque or clear, by this share of its rate, in the last level; 0: off"),
         most=10**3,
     )

@@ -64,7 +64,7 @@ ROWS_A_RAY = 33
 MEMORY = 0.95  # decay of the mean error, per step
 DEPTH_SHARE = 16  # so many times fewer rays than a step's go to sparse points: few know more than thousands of pixels
 MOST_EPOCHS = 2.0  # rounds beyond so many `epochs` slow no further: photos that agree have more to teach
-HARDENING_ROUNDS = 8  # after so many rounds density hardens half as fast
+HARDENING_ROUNDS = 4  # after so many rounds density hardens half as fast
 SHORTEST_ROUND = 70  # steps that a round counts for `epochs_density`: few small photos are soon gone through
 YOUNG = 4.0  # early on, at step k, average only the last k/YOUNG steps: older rows are outdated
 

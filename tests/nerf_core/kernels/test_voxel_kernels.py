@@ -16,7 +16,7 @@ from nerf_core.geometry.spaces import BoxRays
 from nerf_core.kernels import numba_turn, numba_voxels
 from nerf_core.kernels.cpu_voxels import CpuVoxels
 from nerf_core.kernels.torch_voxels import TorchVoxels
-from nerf_core.kernels.voxel_kernels import CALM, CLEAR, FLAT, OUTLIER, TURN_RAYS, Adam, March, VoxelKernels
+from nerf_core.kernels.voxel_kernels import CALM, CLEAR, FLAT, OPAQUE, OUTLIER, TURN_RAYS, Adam, March, VoxelKernels
 from nerf_core.volume.compositing import STOP
 from nerf_core.volume.voxel_grid import DENSITY, GLOSS, PARTS, VoxelGrid, spread
 
@@ -198,7 +198,8 @@ def test_a_turn_needs_two_samples_of_one_ray_that_counts_that_light_reaches_in_c
 
 def test_loops_add_the_same_to_a_square_that_may_be_zero() -> None:
     assert (np.float32(FLAT), TURN_RAYS) == (numba_turn.FLAT, numba_turn.TURN_RAYS)
-    assert (np.float32(CLEAR), np.float32(CALM)) == (numba_voxels.CLEAR, numba_voxels.CALM)
+    written_out = numba_voxels.CLEAR, numba_voxels.OPAQUE, numba_voxels.CALM
+    assert (np.float32(CLEAR), np.float32(OPAQUE), np.float32(CALM)) == written_out
 
 
 @pytest.mark.parametrize("contracted", [False, True])
@@ -481,8 +482,10 @@ def test_opaque_density_hardens_where_photos_hardly_pull_at_it(make: Make) -> No
     assert int(right.sum()) >= 8
     assert int(wrong.sum()) >= 8
     opacity = 1 - torch.exp(-torch.nn.functional.softplus(risen[0][:, DENSITY] - 1))
+    law = 0.1 * (opacity - CLEAR) * ((1 - opacity) / OPAQUE).clamp(max=1)
     for rows, share in (right, torch.ones(())), (wrong, CALM / (CALM + squares[wrong])):
-        torch.testing.assert_close(added[rows, DENSITY], 0.1 * (opacity[rows] - CLEAR) * share, atol=1e-6, rtol=1e-4)
+        torch.testing.assert_close(added[rows, DENSITY], law[rows] * share, atol=1e-6, rtol=1e-4)
+    assert (opacity[right] > 1 - OPAQUE / 2).any()  # opaque already, and hardens at less than half of the speed
     assert (added[right, DENSITY] < 0).any()  # clear, and becomes clearer
     assert (added[right, DENSITY] > 0).any()
     assert not added[:, :DENSITY].any()
