@@ -80,9 +80,9 @@ class Adam(NamedTuple):
     harden: raw density s also rises by
         harden · rate_density · (o − CLEAR) · min(1, (1 − o)/OPAQUE) · CALM / (CALM + v · correction2).
         o = 1 − e^−σ with σ = softplus(s + bias) is the opacity of a cell's length, and v is that of density. What is
-        clearer than CLEAR becomes clearer still. What is opaque need not become more so: it would push the surface
-        outwards, which lies where densities between the vertices are half opaque. Where v is large, photos pull at the
-        density this way and that, and it is left to them.
+        clearer than CLEAR becomes clearer still. What is opaque need not become more so: it would draw the surface,
+        which lies between it and what is clear, outwards. Where v is large, photos pull at the density this way and
+        that, and it is left to them.
     bias: that of `March`.
     """
 
