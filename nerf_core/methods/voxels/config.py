@@ -112,7 +112,7 @@ class VoxelConfig:
     )
     harden: float = constant(
         1.4,
-        marked("raw density is also drawn to opaque or clear, at this times its rate, in the last level; 0: off"),
+        marked("strength that draws raw density to opaque or clear, in units of its rate, in the last level; 0: off"),
         most=10**3,
     )
     distortion: float = constant(
