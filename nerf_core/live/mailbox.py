@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 
 from nerf_core.live.messages import FIRST_RUN, CancelLoading, Command, Notice, Quit, Snapshot, ViewRequest
 
+SOON_SECONDS = 0.004  # a window that was woken begins its frame within one or two milliseconds
 FRAME_SECONDS = 0.1  # longest wait for a frame: longer ones wait for something else than the processor
 
 
@@ -36,6 +37,7 @@ class Mailbox:
         self._painted: deque[float] = deque(maxlen=1000)
         self._no_frame = threading.Event()  # set while the window draws none
         self._no_frame.set()
+        self._frame = threading.Event()  # set while it draws one
         self._arrived = threading.Event()
         self._quit = threading.Event()
         self._loads_until = 0  # the newest command that ends the loading of commands before it
@@ -87,10 +89,12 @@ class Mailbox:
     def paints(self) -> None:
         """Note that the window begins to draw a frame."""
         self._no_frame.clear()
+        self._frame.set()
 
     def painted(self, seconds: float) -> None:
         """Note that the window drew a frame in `seconds`. This time counts as pictures'."""
         self._painted.append(seconds)
+        self._frame.clear()
         self._no_frame.set()
 
     @property
@@ -116,9 +120,15 @@ class Mailbox:
         """Return what to draw of a run; None for nothing."""
         return self._views.get(run)
 
-    def let_paint(self) -> None:
-        """Wait while the window draws a frame. One that takes longer than FRAME_SECONDS is not waited for again."""
+    def let_paint(self, soon: bool = False) -> None:
+        """Wait while the window draws a frame. One that takes longer than FRAME_SECONDS is not waited for again.
+
+        soon: whether it is about to begin one, because it was woken for something that it shows at once.
+        """
+        if soon:
+            self._frame.wait(SOON_SECONDS)
         if not self._no_frame.wait(FRAME_SECONDS):
+            self._frame.clear()
             self._no_frame.set()
 
     def paint_seconds(self) -> float:

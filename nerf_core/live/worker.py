@@ -358,16 +358,21 @@ class Worker:
         self._mailbox.let_paint()
         self._account_for_training(trained, 0)
         self._adapt()
-        budget = self._scheduler.budget
+        budget, served = self._scheduler.budget, False
         for run in list(self._runs.values()):
             view = self._drawing.view(run)
             if run.artist.ray.urgent and budget.may_follow():
-                self._serve(lambda run=run: self._ray_goes_on(run) and self._drawing.piece_of(run))
+                served |= self._serve(lambda run=run: self._ray_goes_on(run) and self._drawing.piece_of(run))
             if view is not None and (not view.moving or budget.may_follow()):
-                self._serve(lambda r=run, v=view: self._drawing.wants_pixels(r, v) and self._drawing.piece_of(r, v))
+                served |= self._serve(
+                    lambda r=run, v=view: self._drawing.wants_pixels(r, v) and self._drawing.piece_of(r, v)
+                )
         while budget.may_draw() and not self._drawing.pixels_awaited() and self._drawing.piece():
             self._publish()
+            self._mailbox.let_paint()
         self._publish()
+        if served:
+            self._mailbox.let_paint(soon=True)
         self._accounted = time.perf_counter()
 
     def _ray_goes_on(self, run: Run) -> bool:
@@ -382,15 +387,16 @@ class Worker:
             )
         )
 
-    def _serve(self, piece: Callable[[], bool]) -> None:
-        """Do what somebody waits for, a piece at a time, and publish it before anything else is done."""
+    def _serve(self, piece: Callable[[], bool]) -> bool:
+        """Do what somebody waits for, a piece at a time, and publish it first; return whether there was any."""
         begin = time.perf_counter()
         if not piece():
-            return
+            return False
         while piece():
             self._publish()
         self._publish(force=True)
         self._scheduler.budget.followed(time.perf_counter() - begin)
+        return True
 
     # ---- messages ---------------------------------------------------------------------------------------------------
 

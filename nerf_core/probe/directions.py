@@ -127,19 +127,19 @@ class RadianceProbe:
         x, y = r * np.cos(azimuth), r * np.sin(azimuth)
         return angles, _bilinear(image, (x + 1) / 2 * DISC_SIZE - 0.5, (1 - y) / 2 * DISC_SIZE - 0.5)
 
-    def slice_position(self, direction: np.ndarray, azimuth: float) -> tuple[float, float]:
-        """Return where a direction lies relative to the plane of a slice.
+    def slice_position(self, direction: np.ndarray, azimuth: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return where directions lie relative to the plane of a slice.
 
         Args:
-            direction: (3,) unit vector.
+            direction: (..., 3) unit vectors.
             azimuth: that of `slice`, in radians.
 
         Returns:
-            The angle from the disc's axis within the plane, and the angle out of the plane, in radians.
+            The angles (...) from the disc's axis within the plane, and those out of the plane, in radians.
         """
-        x, y, z = self.axes @ direction
+        x, y, z = np.moveaxis(direction @ self.axes.T, -1, 0)
         along, across = x * np.cos(azimuth) + y * np.sin(azimuth), y * np.cos(azimuth) - x * np.sin(azimuth)
-        return float(np.arctan2(along, z)), float(np.arcsin(np.clip(across, -1, 1)))
+        return np.arctan2(along, z), np.arcsin(np.clip(across, -1, 1))
 
 
 @cache

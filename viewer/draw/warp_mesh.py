@@ -13,7 +13,8 @@ JUMP = (
 )
 # Along the longer side. Software GL takes 7 ms for 14,000 triangles: a sheet without edges has no more than it needs.
 MESH_CELLS = 160  # fine enough for silhouettes
-SHEET_CELLS = 80
+SHEET_CELLS = 50  # with 80, warped pictures of stride 4 had 2 to 4 % less error
+BESIDE = 64  # pixels: as wide as a picture's texels at most
 SMOOTH = 2  # texels around one over which a coarse picture averages its depth, at least
 SOFT = 4  # the stride from which on a picture has no edges: warped cells that are torn apart would show as blocks
 
@@ -74,8 +75,15 @@ def _triangles(rows: int, columns: int) -> np.ndarray:
 
 
 def sheet(preview: Preview, depth: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return a mesh for what was not hit, as `warp_mesh`: the whole picture at one depth, that of what is beside it."""
-    ends = [(x, y) for y in (0, preview.camera.height) for x in (0, preview.camera.width)]
+    """Return a mesh for what was not hit, as `warp_mesh`: a rectangle at one depth, that of what is beside it.
+
+    It reaches BESIDE pixels past the hits. The coarse picture below it, which smears outlines, is right farther away.
+    """
+    hit, ends = np.isfinite(preview.depth), []
+    for axis, size in ((0, preview.camera.width), (1, preview.camera.height)):
+        first, last = np.flatnonzero(hit.any(axis))[[0, -1]] * preview.stride
+        ends.append((max(first - BESIDE, 0), min(last + BESIDE, size)))
+    ends = [(x, y) for y in ends[1] for x in ends[0]]
     points = np.array([(x, y, depth, x, y, preview.stride) for x, y in ends], np.float32)
     return points, _triangles(2, 2)
 

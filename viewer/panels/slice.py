@@ -51,16 +51,15 @@ class SlicePanel:
             line = implot.Spec(line_color=color, line_weight=0.12 * ui.em)
             implot.plot_line(f"channel {c}", np.degrees(angles), rgb[:, c].astype(np.float64), line)
         if evidence is not None:
-            for k in np.flatnonzero(evidence.seen).tolist():
-                angle, across = probe.slice_position(evidence.directions[k], azimuth)
-                if abs(np.degrees(across)) > NEAR_DEGREES or abs(angle) > np.pi / 2:
-                    continue
+            angle, across = (np.degrees(each) for each in probe.slice_position(evidence.directions, azimuth))
+            for k in np.flatnonzero(evidence.seen & (abs(across) <= NEAR_DEGREES) & (abs(angle) <= 90)).tolist():
+                fill = color_of(evidence.observed[k])
                 for c, color in enumerate(CHANNELS):
                     dot = implot.Spec(
                         marker=implot.Marker_.circle, marker_size=0.32 * ui.em, marker_line_color=color,
-                        marker_fill_color=color_of(evidence.observed[k]),
+                        marker_fill_color=fill,
                     )  # fmt: skip
-                    place = np.array([np.degrees(angle)]), np.array([float(evidence.observed[k, c])])
+                    place = angle[k : k + 1], evidence.observed[k, c : c + 1].astype(np.float64)
                     implot.plot_scatter(f"photo {k} {c}", *place, dot)
         axis_name(ui, tr("colour"))
         around_normal = probe.normal is not None and probe.around == "normal"

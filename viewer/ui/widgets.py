@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from itertools import pairwise
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -42,8 +43,8 @@ SCALE_STEPS = 16  # of a colour scale: about as many as colour maps have stops
 
 
 def color_of(rgb: Sequence[float] | np.ndarray, alpha: float = 1.0) -> ImVec4:
-    """Convert a colour of the model for imgui: clipped to [0, 1], and black if it is not finite."""
-    r, g, b = (float(c) for c in np.clip(np.nan_to_num(np.asarray(rgb, np.float64)), 0, 1))
+    """Convert a colour of the model for imgui: clipped to [0, 1], and black where it is NaN."""
+    r, g, b = (min(max(c, 0.0), 1.0) if not isnan(c) else 0.0 for c in map(float, rgb))
     return ImVec4(r, g, b, alpha)
 
 

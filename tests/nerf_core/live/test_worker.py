@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
@@ -273,6 +274,50 @@ def test_training_waits_for_a_frame_but_not_for_a_window_that_hangs(
     desk.worker.paints()  # and no `painted`
     step = desk.worker.snapshot().step
     desk.until(lambda s: s.step > step + 5)
+
+
+def test_training_waits_for_the_frame_that_a_served_picture_brings(
+    open_desk: OpenDesk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A chunk that began between the picture and its frame would take the cores away from the frame."""
+    desk, waits = open_desk(), list[bool]()
+    let_paint = mailbox.Mailbox.let_paint
+
+    def noted(mail: mailbox.Mailbox, soon: bool = False) -> None:
+        waits.append(soon)
+        let_paint(mail, soon)
+
+    monkeypatch.setattr(mailbox.Mailbox, "let_paint", noted)
+    desk.send(Train())
+    desk.until(lambda s: s.step >= 2)
+    assert True not in waits
+    desk.worker.request_view(view_of(desk.worker.snapshot().scene, 1, moving=True))
+    desk.until(lambda s: s.preview is not None and s.preview.stamp == 1)
+    desk.until(lambda s: True in waits)
+
+
+def test_a_frame_that_is_about_to_begin_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mailbox, "SOON_SECONDS", PATIENCE)
+    monkeypatch.setattr(mailbox, "FRAME_SECONDS", PATIENCE)
+    mail, done = mailbox.Mailbox(lambda: None, 0.6), list[str]()
+
+    def window() -> None:
+        time.sleep(0.05)
+        done.append("begins")
+        mail.paints()
+        time.sleep(0.05)
+        done.append("ends")
+        mail.painted(0.05)
+
+    for k in range(2):  # the second frame is waited for like the first
+        drawing = threading.Thread(target=window)
+        drawing.start()
+        mail.let_paint(soon=True)
+        assert done == ["begins", "ends"] * (k + 1)
+        drawing.join()
+    mail.let_paint()  # returns at once
+    monkeypatch.setattr(mailbox, "SOON_SECONDS", 0.01)
+    mail.let_paint(soon=True)  # no frame comes
 
 
 def test_the_worker_calls_wake(tiny: RunSettings, capture: Path) -> None:
