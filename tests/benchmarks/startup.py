@@ -35,17 +35,24 @@ def child(started: float) -> None:
         session.worker.send(OpenScene(None, RunSettings()))
         session.worker.send(Train())
         marks: dict[str, float] = {}
-        while "picture" not in marks:
-            window.poll(0.005)
-            drew, snapshot = session.app.frame(), session.worker.snapshot()
-            if drew:
-                marks.setdefault("window", time.monotonic())
+        painted = session.worker.painted
+
+        def shown(seconds: float) -> None:
+            painted(seconds)
+            marks.setdefault("window", time.monotonic())
+            if session.app.state.snapshot.preview is not None:
+                marks.setdefault("picture", time.monotonic())
+
+        def there() -> bool:
+            snapshot = session.worker.snapshot()
             if snapshot.scene is not None:
                 marks.setdefault("scene", time.monotonic())
             if snapshot.status == "training":
                 marks.setdefault("training", time.monotonic())
-            if drew and session.app.state.snapshot.preview is not None:
-                marks["picture"] = time.monotonic()
+            return "picture" in marks
+
+        session.worker.painted = shown
+        session.app.run(there)
         session.close()
     print(json.dumps({name: mark - started for name, mark in marks.items()}))
 
