@@ -14,7 +14,6 @@ from nerf_core.common.errors import UserError
 from nerf_core.common.output import complain, forgiving_output, unprinted
 from nerf_core.common.processes import is_first
 from nerf_core.common.signals import Interrupted, Signals
-from nerf_core.training.trainer import Diverged
 
 DESCRIPTION = "Train, render and open up neural radiance fields. --version prints the version."
 
@@ -34,10 +33,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if not text:
                 return status
             status = status if signals.polite else 2
-        except Diverged as error:
-            status, text = 1, str(error)
         except UserError as error:
-            status, text = 2, str(error)
+            status, text = error.status, str(error)
         except Interrupted as error:
             status, text = error.status, f"interrupted ({error})"
         complain(f"nerf-core: {text}")

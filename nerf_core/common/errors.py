@@ -4,10 +4,12 @@ from nerf_core.common.names import printable
 
 
 class UserError(Exception):
-    """One line that says what was found, where (file, field) and what to do. Programs print it and exit with 2.
+    """One line that says what was found, where (file, field) and what to do. Programs print it and exit with `status`.
 
     text: may hold names of files as they are; see `printable`.
     """
+
+    status = 2
 
     def __init__(self, text: str) -> None:
         super().__init__(printable(text))

@@ -58,6 +58,8 @@ class Report:
 class Diverged(UserError):
     """The loss or the weights are not finite any more."""
 
+    status = 1
+
 
 class Trainer:
     """Owns the method and draws its batches. One thread uses it.

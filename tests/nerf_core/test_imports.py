@@ -126,8 +126,8 @@ def test_the_core_loads_no_library_that_only_an_edge_needs() -> None:
 
 
 def test_messages_and_their_contents_load_neither_torch_nor_numba() -> None:
-    """A process without torch can hold the window."""
-    names = "live.messages", "geometry.scene", "probe.records", "methods", "datasets", "training.settings"
+    """A process without torch can hold the window. The command has to mind Ctrl-C before it loads torch."""
+    names = "live.messages", "geometry.scene", "probe.records", "methods", "datasets", "training.settings", "cli"
     for name in names:
         code = f"import sys, nerf_core.{name}; print(*{{'torch', 'numba', 'llvmlite'}} & set(sys.modules))"
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=CORE.parent)
