@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 
 from nerf_core.live.messages import FIRST_RUN, CancelLoading, Command, Notice, Quit, Snapshot, ViewRequest
 
-SOON_SECONDS = 0.004  # a window that was woken begins its frame within one or two milliseconds
+SOON_SECONDS = 0.004  # a window that was woken begins its frame within one or two milliseconds, if it draws one at all
 FRAME_SECONDS = 0.1  # longest wait for a frame: longer ones wait for something else than the processor
 
 
@@ -123,7 +123,7 @@ class Mailbox:
     def let_paint(self, soon: bool = False) -> None:
         """Wait while the window draws a frame. One that takes longer than FRAME_SECONDS is not waited for again.
 
-        soon: whether it is about to begin one, because it was woken for something that it shows at once.
+        soon: whether it is probably about to begin one, because it was woken for something that it shows at once.
         """
         if soon:
             self._frame.wait(SOON_SECONDS)

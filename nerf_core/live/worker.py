@@ -373,6 +373,7 @@ class Worker:
         self._publish()
         if served:
             self._mailbox.let_paint(soon=True)
+        budget.showed(self._mailbox.paint_seconds())  # these frames took nothing from training
         self._accounted = time.perf_counter()
 
     def _ray_goes_on(self, run: Run) -> bool:
@@ -388,7 +389,10 @@ class Worker:
         )
 
     def _serve(self, piece: Callable[[], bool]) -> bool:
-        """Do what somebody waits for, a piece at a time, and publish it first; return whether there was any."""
+        """Do what somebody waits for, a piece at a time, and publish it before anything else is done.
+
+        Returns whether there was any.
+        """
         begin = time.perf_counter()
         if not piece():
             return False

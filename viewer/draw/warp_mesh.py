@@ -37,7 +37,7 @@ def warp_mesh(preview: Preview) -> tuple[np.ndarray, np.ndarray]:
     depth = preview.depth[np.ix_(rows, columns)].astype(np.float64)
     missing = ~np.isfinite(depth)
     if preview.stride >= SOFT:  # smooth, so that it does not fold
-        depth = _depth_around(preview.depth, max(SMOOTH, -(-max(width, height) // MESH_CELLS)), rows, columns)
+        depth = _depth_around(preview.depth, max(SMOOTH, step // 2), rows, columns)  # every texel counts
         missing = np.isnan(depth)
         if not missing.all():
             depth[missing] = np.median(depth[~missing])
@@ -77,7 +77,8 @@ def _triangles(rows: int, columns: int) -> np.ndarray:
 def sheet(preview: Preview, depth: float) -> tuple[np.ndarray, np.ndarray]:
     """Return a mesh for what was not hit, as `warp_mesh`: a rectangle at one depth, that of what is beside it.
 
-    It reaches BESIDE pixels past the hits. The coarse picture below it, which smears outlines, is right farther away.
+    It reaches BESIDE pixels past the hits: the coarse picture below it smears outlines no farther, unless the camera
+    recedes much.
     """
     hit, ends = np.isfinite(preview.depth), []
     for axis, size in ((0, preview.camera.width), (1, preview.camera.height)):

@@ -43,7 +43,7 @@ SCALE_STEPS = 16  # of a colour scale: about as many as colour maps have stops
 
 
 def color_of(rgb: Sequence[float] | np.ndarray, alpha: float = 1.0) -> ImVec4:
-    """Convert a colour of the model for imgui: clipped to [0, 1], and black where it is NaN."""
+    """Convert a colour of the model for imgui: clipped to [0, 1]; a channel that is NaN is 0."""
     r, g, b = (min(max(c, 0.0), 1.0) if not isnan(c) else 0.0 for c in map(float, rgb))
     return ImVec4(r, g, b, alpha)
 

@@ -20,6 +20,7 @@ from nerf_core.live.messages import (
     CancelLoading,
     Command,
     InOrder,
+    Inspect,
     LoadCheckpoint,
     OpenScene,
     Pause,
@@ -294,10 +295,19 @@ def test_training_waits_for_the_frame_that_a_served_picture_brings(
     desk.worker.request_view(view_of(desk.worker.snapshot().scene, 1, moving=True))
     desk.until(lambda s: s.preview is not None and s.preview.stamp == 1)
     desk.until(lambda s: True in waits)
+    desk.worker.request_view(view_of(desk.worker.snapshot().scene, 2))
+    rests = desk.until(lambda s: s.preview is not None and s.preview.stamp == 2 and s.preview.complete).step
+    desk.until(lambda s: s.step > rests)
+    waits.clear()
+    desk.until(lambda s: s.step > rests + 3)
+    assert False in waits
+    assert True not in waits  # nobody waits for what follows
+    desk.send(Inspect(view_of(desk.worker.snapshot().scene, 2).camera, (1, 1)))
+    desk.until(lambda s: True in waits)
 
 
 def test_a_frame_that_is_about_to_begin_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mailbox, "SOON_SECONDS", PATIENCE)
+    monkeypatch.setattr(mailbox, "SOON_SECONDS", 5.0)
     monkeypatch.setattr(mailbox, "FRAME_SECONDS", PATIENCE)
     mail, done = mailbox.Mailbox(lambda: None, 0.6), list[str]()
 
@@ -309,15 +319,24 @@ def test_a_frame_that_is_about_to_begin_is_waited_for(monkeypatch: pytest.Monkey
         done.append("ends")
         mail.painted(0.05)
 
+    def seconds(soon: bool) -> float:
+        begin = time.monotonic()
+        mail.let_paint(soon)
+        return time.monotonic() - begin
+
     for k in range(2):  # the second frame is waited for like the first
         drawing = threading.Thread(target=window)
         drawing.start()
         mail.let_paint(soon=True)
         assert done == ["begins", "ends"] * (k + 1)
         drawing.join()
-    mail.let_paint()  # returns at once
-    monkeypatch.setattr(mailbox, "SOON_SECONDS", 0.01)
-    mail.let_paint(soon=True)  # no frame comes
+    assert seconds(soon=False) < 1
+    monkeypatch.setattr(mailbox, "SOON_SECONDS", 0.05)
+    assert 0.05 <= seconds(soon=True) < 1  # no frame comes
+    monkeypatch.setattr(mailbox, "FRAME_SECONDS", 0.02)
+    mail.paints()  # and no `painted`
+    assert 0.02 <= seconds(soon=False) < 1
+    assert 0.05 <= seconds(soon=True) < 1  # the frame that hangs is forgotten, the next one is waited for
 
 
 def test_the_worker_calls_wake(tiny: RunSettings, capture: Path) -> None:
