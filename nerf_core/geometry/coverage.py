@@ -66,6 +66,10 @@ class Coverage:
             empty |= beside & (-z > -margin) & (-z < near - margin)
         return Coverage(low, side, _grown(covered.reshape((CELLS,) * 3)) & ~empty.reshape((CELLS,) * 3))
 
+    def cells(self) -> tuple[np.ndarray, float]:
+        """Return the centres (N, 3) of covered cells, and the radius of a ball around such a cell, in world units."""
+        return self.low + (np.argwhere(self.covered) + 0.5) * self.side, 3**0.5 / 2 * self.side
+
     def crossed(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return where rays from one point cross covered cells.
 

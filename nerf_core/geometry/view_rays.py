@@ -15,6 +15,7 @@ from nerf_core.geometry.rays import Rays
 from nerf_core.geometry.scene import Scene
 
 BINS = 8  # the bounds of a free camera's picture are computed at BINS + 1 pixels a side
+FEW = 4  # parts, of a row or a column: what fills more is crossed by the rays of several corners
 # The bounds computed last, because a picture's tiles share them. The weak reference keeps no scene in memory.
 _last: list[tuple[weakref.ref[Scene], Camera, torch.Tensor]] = []
 
@@ -69,6 +70,7 @@ def _bounds(scene: Scene, camera: Camera) -> torch.Tensor:
     else:
         near = np.where(some, first, np.where(through, leave, near))
         far = np.maximum(np.where(some, last, far), far)
+    _add_small(scene, camera, near, far)
     near, far = _widest(near, np.minimum), _widest(far, np.maximum)
     none = ~(np.isfinite(near) & np.isfinite(far))
     end = rays.far.double().numpy()
@@ -76,6 +78,29 @@ def _bounds(scene: Scene, camera: Camera) -> torch.Tensor:
     bounds = torch.from_numpy(np.stack([near, np.maximum(far, near)], -1)).float()
     _last[:] = [(weakref.ref(scene), camera, bounds)]
     return bounds
+
+
+def _add_small(scene: Scene, camera: Camera, near: np.ndarray, far: np.ndarray) -> None:
+    """Widen the bounds of corners by the covered cells in the parts around them, if these cells fill few parts.
+
+    From far away all of them may lie between corners, whose rays then cross none.
+
+    Args:
+        scene, camera: of the picture.
+        near, far: the bounds of the corners, ((BINS + 1)²,), row by row. They are changed.
+    """
+    centres, radius = scene.coverage.cells()
+    pixels, depth = camera.project(centres)
+    at = pixels * BINS / np.maximum((camera.width - 1, camera.height - 1), 1)
+    if not len(centres) or depth.min() <= 0 or not (np.ptp(at, axis=0) < FEW).any():
+        return
+    distance = np.linalg.norm(centres - camera.c2w[:, 3], axis=-1)
+    framed = ((at > -1) & (at < BINS + 1)).all(-1)  # a cell is smaller than a part
+    column, row = np.clip(at[framed].astype(int), 0, BINS - 1).T
+    for corner in (0, 1, BINS + 1, BINS + 2):
+        place = row * (BINS + 1) + column + corner
+        np.minimum.at(near, place, np.maximum(distance[framed] - radius, 0))
+        np.maximum.at(far, place, distance[framed] + radius)
 
 
 def _between(bounds: torch.Tensor, camera: Camera, pixels: np.ndarray) -> torch.Tensor:

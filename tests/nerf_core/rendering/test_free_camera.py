@@ -78,6 +78,25 @@ def test_no_ray_begins_behind_the_first_covered_cell(scene: Scene) -> None:
     assert (rays.far.numpy()[some] >= last[some] - scene.coverage.side).all()
 
 
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.31, 0.17), (-0.33, 0.08)])
+def test_no_ray_misses_what_is_small_from_far_away(scene: Scene, shift: tuple[float, float]) -> None:
+    """The space may lie between the few pixels at which bounds are computed."""
+    for distance in (20.0, 40.0, 60.0, 150.0, 400.0):
+        camera = towards(scene.views[0].camera.resized(160, 160), np.zeros(3), distance)
+        turned = camera.c2w[:, :3] @ [*shift, -1.0] * distance  # what the eye now has in the middle of its picture
+        camera = camera.moved(np.column_stack([camera.c2w[:, :3], -turned + 0.02]))
+        directions = np.random.default_rng(0).normal(size=(300, 3))
+        ball = 0.9 * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+        pixels, depth = camera.project(ball)
+        inside = ((pixels >= 0) & (pixels < 160)).all(-1) & (depth > 0)
+        rays = view_rays(scene, camera, pixels[inside].astype(int))
+        away = np.linalg.norm(ball[inside] - camera.c2w[:, 3], axis=-1)
+        assert inside.all()
+        assert (rays.near.numpy() <= away).all()
+        assert (rays.far.numpy() >= away).all()
+        assert (rays.far - rays.near).max() < 30  # and not from the eye on
+
+
 def test_space_before_a_photo_s_near_bound_is_empty_whatever_others_see_there() -> None:
     """Two cameras face each other across the origin. Each sees the space before the other, which is empty."""
     cameras = [looking((4.0, 0.0, 0.0)), looking((-4.0, 0.0, 0.0))]
