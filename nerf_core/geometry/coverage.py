@@ -70,6 +70,10 @@ class Coverage:
         """Return the centres (N, 3) of covered cells, and the radius of a ball around such a cell, in world units."""
         return self.low + (np.argwhere(self.covered) + 0.5) * self.side, 3**0.5 / 2 * self.side
 
+    def encloses(self, point: np.ndarray) -> bool:
+        """Return whether a point (3,) lies in the cube."""
+        return bool(((point >= self.low) & (point <= self.low + CELLS * self.side)).all())
+
     def crossed(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return where rays from one point cross covered cells.
 

@@ -89,6 +89,8 @@ def _add_small(scene: Scene, camera: Camera, near: np.ndarray, far: np.ndarray) 
         scene, camera: of the picture.
         near, far: the bounds of the corners, ((BINS + 1)²,), row by row. They are changed.
     """
+    if scene.coverage.encloses(camera.c2w[:, 3]):
+        return  # quickly, as most cameras stand there
     centres, radius = scene.coverage.cells()
     pixels, depth = camera.project(centres)
     at = pixels * BINS / np.maximum((camera.width - 1, camera.height - 1), 1)
